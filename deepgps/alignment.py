@@ -1,0 +1,47 @@
+"""Alignment of a method's frame with the world's: the rigid transform that no distance can tell."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+AlignmentKind = Literal["SE2", "E2"]
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """x_world = rotation @ x_method + translation.
+
+    Attributes:
+        rotation: (2, 2), with determinant -1 where the map is mirrored (E2 only).
+        translation: (2,) [m].
+        scale: What a similarity would scale by [1]; a diagnostic of the encoder, never applied.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    scale: float
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """World positions of ``points`` (..., 2) [m]."""
+        return np.asarray(points) @ self.rotation.T + self.translation
+
+
+def fit_alignment(source: np.ndarray, target: np.ndarray, kind: AlignmentKind) -> Alignment:
+    """Least-squares rigid transform from ``source`` (N, 2) to ``target`` (N, 2) (Kabsch-Umeyama).
+
+    Args:
+        source: Positions in the method's frame [m].
+        target: The same positions in the world's frame [m].
+        kind: SE2 keeps right-handed; E2 allows a reflection, which distances cannot tell.
+    """
+    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    source_0, target_0 = source - source_mean, target - target_mean
+    u, singular, vt = np.linalg.svd(target_0.T @ source_0)
+    sign = np.array([1.0, 1.0])
+    if kind == "SE2" and np.linalg.det(u @ vt) < 0:
+        sign[1] = -1.0
+    rotation = (u * sign) @ vt
+    spread = float((source_0**2).sum())
+    scale = float((singular * sign).sum() / spread) if spread > 0 else 0.0
+    return Alignment(rotation, target_mean - rotation @ source_mean, scale)

@@ -1,0 +1,9 @@
+"""Errors that reach the user as one line."""
+
+
+class InputError(ValueError):
+    """The input is wrong: names the field, the value and what is allowed. The command exits with 2."""
+
+
+class WorkError(RuntimeError):
+    """The work failed for a reason outside the input (no renderer, a full disk). The command exits with 1."""

@@ -1,0 +1,199 @@
+"""The recording on disk: what the robot sensed, and apart from it the truth.
+
+A folder with ``manifest.json`` (written last: without it the recording is not finished), ``observation.npy`` (N, ...),
+``reading.npy`` (R, 4), ``time.npy`` (R,), ``test/observation.npy`` (C, H, ...), ``scene.glb`` and ``truth/``.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.errors import InputError
+from sim.files import read_json, write_array, write_arrays, write_json
+
+SCHEMA = 1
+SENSED = ("observation.npy", "reading.npy", "time.npy", "test/observation.npy")
+TRUTH = ("truth/pose.npy", "truth/wheel_angle.npy", "truth/test_pose.npy", "truth/free_space.npz")
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What the robot sensed; nothing here tells where it was.
+
+    Attributes:
+        folder: Where it lies.
+        manifest: Settings, seeds, counts, odometry constants, checksums.
+        observation: Polar images (N, rings, sectors, 3) uint8, memory-mapped.
+        reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
+        time: Time of each reading (R,) [s].
+        test_observation: Images on the test grid (C, H, rings, sectors, 3) uint8, memory-mapped.
+    """
+
+    folder: Path
+    manifest: Mapping[str, Any]
+    observation: np.ndarray
+    reading: np.ndarray
+    time: np.ndarray
+    test_observation: np.ndarray
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Where the robot fits, on a grid of cells.
+
+    Attributes:
+        origin: World position of the middle of cell ``[0, 0]`` (2,) [m].
+        cell_m: Side of a cell [m].
+        free: (rows, columns) bool; rows run along y, columns along x. True where the robot's middle may be.
+        reachable: The part of ``free`` that is connected to the start.
+        start: Where the robot starts (2,) [m].
+        shorter_side_m: Shorter side of the bounding box of the enclosed free space, wall to wall [m].
+    """
+
+    origin: np.ndarray
+    cell_m: float
+    free: np.ndarray
+    reachable: np.ndarray
+    start: np.ndarray
+    shorter_side_m: float
+
+    def is_free(self, points: np.ndarray) -> np.ndarray:
+        """Whether the robot fits with its middle at ``points`` (..., 2) [m]."""
+        return self._look_up(self.free, points)
+
+    def is_reachable(self, points: np.ndarray) -> np.ndarray:
+        """Whether the robot can get from its start to ``points`` (..., 2) [m]."""
+        return self._look_up(self.reachable, points)
+
+    def _look_up(self, mask: np.ndarray, points: np.ndarray) -> np.ndarray:
+        cell = np.rint((np.asarray(points) - self.origin) / self.cell_m).astype(int)
+        column, row = cell[..., 0], cell[..., 1]
+        inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
+        return inside & mask[np.where(inside, row, 0), np.where(inside, column, 0)]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The simulator's truth; only evaluation, the supervised baselines and the viewer open it.
+
+    Attributes:
+        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
+        wheel_angle: Wheel-joint angles at each reading (R, 2): left, right [rad].
+        test_pose: Pose at each test image (C, H, 3).
+        free_space: Where the robot fits.
+    """
+
+    pose: np.ndarray
+    wheel_angle: np.ndarray
+    test_pose: np.ndarray
+    free_space: FreeSpace
+
+
+def open_recording(folder: Path) -> Recording:
+    """Open what the robot sensed; raises InputError for a folder that is no finished recording."""
+    manifest = read_manifest(folder)
+    return Recording(
+        folder=folder,
+        manifest=manifest,
+        observation=_open_array(folder / "observation.npy", mapped=True),
+        reading=_open_array(folder / "reading.npy"),
+        time=_open_array(folder / "time.npy"),
+        test_observation=_open_array(folder / "test" / "observation.npy", mapped=True),
+    )
+
+
+def open_truth(folder: Path) -> Truth:
+    """Open a recording's truth; raises InputError for a folder that is no finished recording."""
+    read_manifest(folder)
+    truth = folder / "truth"
+    return Truth(
+        pose=_open_array(truth / "pose.npy"),
+        wheel_angle=_open_array(truth / "wheel_angle.npy"),
+        test_pose=_open_array(truth / "test_pose.npy"),
+        free_space=load_free_space(truth / "free_space.npz"),
+    )
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """Read a recording's manifest; raises InputError where it is missing, broken or of another schema."""
+    path = folder / "manifest.json"
+    if not path.is_file():
+        raise InputError(f"{folder} is no finished recording: it has no manifest.json")
+    try:
+        manifest = read_json(path)
+    except ValueError as error:
+        raise InputError(f"{path} is not JSON: {error}") from None
+    if manifest.get("schema") != SCHEMA:
+        raise InputError(f"{path}: schema {manifest.get('schema')!r}, but this version reads schema {SCHEMA}")
+    return manifest
+
+
+def save_free_space(path: Path, space: FreeSpace) -> None:
+    """Write the free space as one ``.npz`` file."""
+    write_arrays(
+        path,
+        {
+            "origin": np.asarray(space.origin, float),
+            "cell_m": np.float64(space.cell_m),
+            "free": space.free,
+            "reachable": space.reachable,
+            "start": np.asarray(space.start, float),
+            "shorter_side_m": np.float64(space.shorter_side_m),
+        },
+    )
+
+
+def load_free_space(path: Path) -> FreeSpace:
+    """Read the free space."""
+    with np.load(path, allow_pickle=False) as data:
+        return FreeSpace(
+            origin=data["origin"],
+            cell_m=float(data["cell_m"]),
+            free=data["free"],
+            reachable=data["reachable"],
+            start=data["start"],
+            shorter_side_m=float(data["shorter_side_m"]),
+        )
+
+
+def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:
+    """Write a recording's arrays by their names in the folder, then its manifest with their checksums."""
+    for name, array in arrays.items():
+        write_array(folder / name, array)
+    finish_recording(folder, manifest)
+
+
+def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
+    files = sorted(path for path in folder.rglob("*") if path.suffix in {".npy", ".npz", ".glb"})
+    checksums = {path.relative_to(folder).as_posix(): sha256(path) for path in files}
+    write_json(folder / "manifest.json", {"schema": SCHEMA, **manifest, "sha256": checksums})
+
+
+def check_recording(folder: Path) -> None:
+    """Compare every file with the manifest's checksum; raises InputError naming the first that differs."""
+    for name, expected in read_manifest(folder)["sha256"].items():
+        path = folder / name
+        if not path.is_file():
+            raise InputError(f"{folder}: {name} is missing")
+        if sha256(path) != expected:
+            raise InputError(f"{folder}: {name} differs from the checksum in the manifest")
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
+    try:
+        return np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing: the recording is not whole") from None
+    except ValueError as error:
+        raise InputError(f"{path} cannot be read: {error}") from None

@@ -1,0 +1,40 @@
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from deepgps.alignment import fit_alignment
+from sim.geometry import rotation
+
+points = np.random.default_rng(0).normal(size=(60, 2)) * [2.0, 1.0]
+
+
+@given(st.floats(-3.2, 3.2), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.booleans())
+def test_a_rigid_motion_is_undone(angle, x, y, mirrored):
+    moved = (points * [1.0, -1.0] if mirrored else points) @ rotation(angle).T + [x, y]
+    alignment = fit_alignment(moved, points, "E2")
+    np.testing.assert_allclose(alignment.apply(moved), points, atol=1e-9)
+    assert alignment.scale == pytest.approx(1.0)
+    assert np.linalg.det(alignment.rotation) == pytest.approx(-1.0 if mirrored else 1.0)
+
+
+def test_se2_refuses_a_reflection():
+    mirrored = points * [1.0, -1.0]
+    alignment = fit_alignment(mirrored, points, "SE2")
+    assert np.linalg.det(alignment.rotation) == pytest.approx(1.0)
+    assert np.abs(alignment.apply(mirrored) - points).max() > 0.5
+
+
+def test_scale_is_told_and_not_applied():
+    alignment = fit_alignment(points / 1.25, points, "E2")
+    assert alignment.scale == pytest.approx(1.25)
+    assert np.linalg.norm(alignment.apply(points / 1.25) - points, axis=1).max() > 0.1
+
+
+def test_agrees_with_an_independent_implementation():
+    umeyama = pytest.importorskip("evo.core.geometry").umeyama_alignment
+    noisy = points @ rotation(0.7).T + [1.0, 2.0] + np.random.default_rng(1).normal(0.0, 0.05, points.shape)
+    expected_rotation, expected_translation, _ = umeyama(noisy.T, points.T, False)
+    alignment = fit_alignment(noisy, points, "SE2")
+    np.testing.assert_allclose(alignment.rotation, expected_rotation, atol=1e-12)
+    np.testing.assert_allclose(alignment.translation, expected_translation, atol=1e-12)
