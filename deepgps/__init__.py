@@ -1,0 +1,1 @@
+"""Learning to position from images and distances driven; measuring and showing it."""

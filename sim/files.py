@@ -14,7 +14,7 @@ PART = ".part"
 def write_atomic(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` make a file beside ``path``, sync it to disk and rename it to ``path``."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + PART)
+    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its own
     write(part)
     with part.open("rb") as file:
         os.fsync(file.fileno())
@@ -60,6 +60,12 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
             np.savez(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
 
     write_atomic(path, write)
+
+
+def sweep(folder: Path) -> None:
+    """Remove what a killed process left half-written below a folder."""
+    for part in folder.rglob(f"*{PART}"):
+        part.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -16,8 +16,6 @@ from sim.errors import InputError
 from sim.files import read_json, write_array, write_arrays, write_json
 
 SCHEMA = 1
-SENSED = ("observation.npy", "reading.npy", "time.npy", "test/observation.npy")
-TRUTH = ("truth/pose.npy", "truth/wheel_angle.npy", "truth/test_pose.npy", "truth/free_space.npz")
 
 
 @dataclass(frozen=True)
@@ -82,12 +80,14 @@ class Truth:
 
     Attributes:
         pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
-        wheel_angle: Wheel-joint angles at each reading (R, 2): left, right [rad].
+        reading: Segment and observation of each reading that was made (Q, 2), also of those that never arrived.
+        wheel_angle: Wheel-joint angles at each of these readings (Q, 2): left, right [rad].
         test_pose: Pose at each test image (C, H, 3).
         free_space: Where the robot fits.
     """
 
     pose: np.ndarray
+    reading: np.ndarray
     wheel_angle: np.ndarray
     test_pose: np.ndarray
     free_space: FreeSpace
@@ -112,6 +112,7 @@ def open_truth(folder: Path) -> Truth:
     truth = folder / "truth"
     return Truth(
         pose=_open_array(truth / "pose.npy"),
+        reading=_open_array(truth / "reading.npy"),
         wheel_angle=_open_array(truth / "wheel_angle.npy"),
         test_pose=_open_array(truth / "test_pose.npy"),
         free_space=load_free_space(truth / "free_space.npz"),
@@ -138,11 +139,11 @@ def save_free_space(path: Path, space: FreeSpace) -> None:
         path,
         {
             "origin": np.asarray(space.origin, float),
-            "cell_m": np.float64(space.cell_m),
+            "cell_m": np.array(space.cell_m),
             "free": space.free,
             "reachable": space.reachable,
             "start": np.asarray(space.start, float),
-            "shorter_side_m": np.float64(space.shorter_side_m),
+            "shorter_side_m": np.array(space.shorter_side_m),
         },
     )
 

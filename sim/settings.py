@@ -22,7 +22,7 @@ class RoomSettings(Group):
     """What the room is for; decides its furniture."""
     shape: RoomShape = "rectangle"
     """Outline of the walls."""
-    seed: int = Field(0, ge=0)
+    seed: int = Field(default=0, ge=0)
     """Everything random about the room comes from this number."""
     width_m: Metres | None = None
     """Extent along x [m]; none: the kind's own."""
@@ -35,53 +35,53 @@ class RoomSettings(Group):
 class RobotSettings(Group):
     """The robot's body and its physics."""
 
-    timestep_s: float = Field(0.005, gt=0.0, le=0.01)
+    timestep_s: float = Field(default=0.005, gt=0.0, le=0.01)
     """Physics step [s]."""
-    wheel_radius_error: float = Field(0.0, ge=-0.2, le=0.2)
+    wheel_radius_error: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The left wheel of the model itself is larger by this fraction: the robot then curves."""
 
 
 class CameraSettings(Group):
     """The upward fisheye camera."""
 
-    height_m: float = Field(0.35, ge=0.2, le=1.5)
+    height_m: float = Field(default=0.35, ge=0.2, le=1.5)
     """Height of the lens above the floor [m]."""
-    field_of_view_deg: float = Field(190.0, ge=60.0, le=190.0)
+    field_of_view_deg: float = Field(default=190.0, ge=60.0, le=190.0)
     """Full angle of the image cone about the zenith [deg]."""
-    k1: float = Field(0.0, ge=-0.5, le=0.5)
+    k1: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Kannala-Brandt coefficient of theta^3; all four zero is the equidistant lens."""
-    k2: float = Field(0.0, ge=-0.5, le=0.5)
+    k2: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Kannala-Brandt coefficient of theta^5."""
-    k3: float = Field(0.0, ge=-0.5, le=0.5)
+    k3: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Kannala-Brandt coefficient of theta^7."""
-    k4: float = Field(0.0, ge=-0.5, le=0.5)
+    k4: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Kannala-Brandt coefficient of theta^9."""
-    rings: int = Field(32, ge=4, le=256)
+    rings: int = Field(default=32, ge=4, le=256)
     """Rows of the polar image, zenith to rim."""
-    sectors: int = Field(128, ge=8, le=1024)
+    sectors: int = Field(default=128, ge=8, le=1024)
     """Columns of the polar image, once around."""
-    face_px: int = Field(64, ge=16, le=512)
+    face_px: int = Field(default=64, ge=16, le=512)
     """Side of each pinhole face that is rendered [px]."""
 
 
 class EncoderSettings(Group):
     """The wheel encoders and their faults; all but the first two are faults of measurement."""
 
-    ticks_per_rev: int = Field(4096, ge=4, le=65536)
+    ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
     """Ticks per wheel revolution (TurtleBot3: 4096)."""
     rounding: Literal["floor", "nearest"] = "floor"
     """How an angle becomes a whole number of ticks."""
-    radius_error_left: float = Field(0.0, ge=-0.5, le=0.5)
+    radius_error_left: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The left wheel's assumed radius is wrong by this fraction; its distances scale with 1 + it."""
-    radius_error_right: float = Field(0.0, ge=-0.5, le=0.5)
+    radius_error_right: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The same for the right wheel."""
-    track_error: float = Field(0.0, ge=-0.5, le=0.5)
+    track_error: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The assumed track width is wrong by this fraction (turns only)."""
-    slip_per_m: float = Field(0.0, ge=0.0, le=0.5)
+    slip_per_m: float = Field(default=0.0, ge=0.0, le=0.5)
     """Standard deviation of each wheel's slip after a metre [m]; grows with the root of the way."""
-    gap_noise: float = Field(0.0, ge=0.0, le=1.0)
+    gap_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """The paper's w: each gap between readings is multiplied by 1 + w n, n standard normal."""
-    lost: float = Field(0.0, ge=0.0, le=0.9)
+    lost: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of readings that never arrive."""
 
 
@@ -90,28 +90,28 @@ class DriveSettings(Group):
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing; endpoint: images only where a straight segment begins and ends."""
-    samples: int = Field(8000, ge=16, le=2_000_000)
+    samples: int = Field(default=8000, ge=16, le=2_000_000)
     """Images to collect."""
-    spacing_m: float = Field(0.08, ge=0.01, le=1.0)
+    spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
     """Distance between images on a segment [m]."""
-    speed_mps: float = Field(0.22, gt=0.01, le=0.5)
+    speed_mps: float = Field(default=0.22, gt=0.01, le=0.5)
     """Cruising speed [m/s] (TurtleBot3 Burger: 0.22)."""
-    turn_rate_rps: float = Field(1.8, gt=0.1, le=2.84)
+    turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
     """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
-    control_period_s: float = Field(0.02, gt=0.0, le=0.1)
+    control_period_s: float = Field(default=0.02, gt=0.0, le=0.1)
     """Time between two decisions of the controller [s]; a whole multiple of the physics step."""
-    stop_distance_m: float = Field(0.04, ge=0.0, le=1.0)
+    stop_distance_m: float = Field(default=0.04, ge=0.0, le=1.0)
     """The robot stops when a range ray leaves less room than this before its body [m]."""
-    longest_m: float = Field(5.0, ge=0.2, le=50.0)
+    longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
 
 
 class GridSettings(Group):
     """The test grid, rendered while collecting so that nothing later needs the simulator."""
 
-    spacing_m: float = Field(0.08, ge=0.02, le=1.0)
+    spacing_m: float = Field(default=0.08, ge=0.02, le=1.0)
     """Distance between test positions [m]."""
-    headings: int = Field(4, ge=1, le=64)
+    headings: int = Field(default=4, ge=1, le=64)
     """Headings at each test position, evenly spread from +x."""
 
 

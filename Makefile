@@ -1,0 +1,31 @@
+# Every target does its own set-up. PYTHON=... picks the interpreter, TORCH_INDEX=... where pip looks for torch.
+BIN := .venv/bin
+export PYTHON TORCH_INDEX
+
+.PHONY: setup demo tiny test check format clean
+
+setup:  ## .venv with the packages of requirements.lock and this project; system packages where something is missing
+	@.ci/setup
+
+demo: setup  ## the whole chain on a living room: drive, see, learn, position, show
+	$(BIN)/deepgps run living_room
+
+tiny: setup  ## the same, small: under a minute
+	$(BIN)/deepgps run tiny
+
+test: setup
+	$(BIN)/pytest -n 2
+
+check: setup  ## style, types and who may import whom
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/pytest tests/test_imports.py
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:  ## what setup and the checks made; runs/ stays
+	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,0 +1,56 @@
+"""The state of a training on disk, so that a run cut off anywhere continues to the same weights."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from sim.files import write_atomic
+
+NAME = "checkpoint.pt"
+
+
+def save_checkpoint(
+    folder: Path,
+    step: int,
+    network: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    generator: torch.Generator,
+    history: dict[str, list],
+) -> None:
+    """Write everything the next step depends on: weights, optimiser, generator (the position in the data), history."""
+    state = {
+        "step": step,
+        "network": network.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "generator": generator.get_state(),
+        "history": history,
+    }
+    write_atomic(folder / NAME, lambda part: torch.save(state, part))
+
+
+def load_checkpoint(
+    folder: Path,
+    network: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    generator: torch.Generator,
+    history: dict[str, list],
+) -> int:
+    """Restore a training in place and return the steps done; 0 where there is no checkpoint."""
+    path = folder / NAME
+    if not path.is_file():
+        return 0
+    device = next(network.parameters()).device
+    state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+    network.load_state_dict(state["network"])
+    optimiser.load_state_dict(state["optimiser"])
+    generator.set_state(state["generator"].cpu())
+    for name, values in state["history"].items():
+        history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]
+    return int(state["step"])
+
+
+def remove_checkpoint(folder: Path) -> None:
+    """Remove a checkpoint that a finished method needs no more."""
+    (folder / NAME).unlink(missing_ok=True)

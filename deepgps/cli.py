@@ -1,0 +1,266 @@
+"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong."""
+
+import contextlib
+import io
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+
+from deepgps.progress import show_progress
+from deepgps.scenario import Scenario, load_scenario, scenario_names
+from sim.errors import InputError, WorkError
+
+console = Console(highlight=False)
+errors = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@dataclass(frozen=True)
+class RunArguments:
+    scenario: Annotated[str, tyro.conf.Positional]
+    """A name in assets/scenarios, or the path of a YAML file."""
+    out: Path | None = None
+    """The run folder itself; without it runs/<scenario>/seed<seed>-<hash>."""
+    fresh: bool = False
+    """Throw away what stands in the run folder and begin anew."""
+
+
+@dataclass(frozen=True)
+class FolderArguments:
+    run: Annotated[Path, tyro.conf.Positional]
+    """A run folder."""
+
+
+@dataclass(frozen=True)
+class RoomsArguments:
+    kinds: str = "all"
+    """Kinds of room, separated by commas, or all."""
+    seeds: str = "0-3"
+    """Seeds, as 0-3 or 0,2,5."""
+    out: Path = Path("rooms.png")
+    """The picture to write."""
+
+
+@dataclass(frozen=True)
+class NoArguments:
+    pass
+
+
+def run_command(words: Sequence[str]) -> None:
+    """Run a scenario: drive, see, learn, measure, show."""
+    from deepgps.report import print_report
+    from deepgps.run import default_folder, run
+
+    arguments, scenario = _parse_scenario("run", words)
+    folder = arguments.out or default_folder(scenario)
+    _choose_renderer()
+    with show_progress() as progress:
+        run(scenario, folder, arguments.fresh, progress)
+    print_report(folder, console)
+    console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
+
+
+def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
+    """Make the command that runs one stage and what it needs."""
+
+    def command(words: Sequence[str]) -> None:
+        from deepgps.run import STAGES, claim, default_folder
+
+        arguments, scenario = _parse_scenario(stage, words)
+        folder = arguments.out or default_folder(scenario)
+        _choose_renderer()
+        with claim(scenario, folder, arguments.fresh), show_progress() as progress:
+            for name, work in STAGES.items():
+                work(scenario, folder, progress)
+                if name == stage:
+                    break
+        console.print(f"{stage} is done: {folder}", soft_wrap=True)
+
+    return command
+
+
+def view_command(words: Sequence[str]) -> None:
+    """Open a run's recording in the Rerun viewer."""
+    from deepgps.run import open_run
+    from deepgps.viz import view
+
+    folder = _parse(FolderArguments, "view", words).run
+    open_run(folder)
+    view([folder])
+
+
+def rooms_command(words: Sequence[str]) -> None:
+    """Draw a contact sheet of generated rooms."""
+    arguments = _parse(RoomsArguments, "rooms", words)
+    kinds, seeds = _parse_kinds(arguments.kinds), _parse_seeds(arguments.seeds)
+    _choose_renderer()
+    from sim.gallery import draw_gallery
+
+    with show_progress() as progress:
+        draw_gallery(kinds, seeds, arguments.out, progress)
+    console.print(f"wrote {arguments.out}")
+
+
+def doctor_command(words: Sequence[str]) -> None:
+    """Check this machine: renderer, packages, processor, device, and the cure for what is missing."""
+    _parse(NoArguments, "doctor", words)
+    from deepgps.train import describe_device
+    from sim.doctor import diagnose
+
+    findings = diagnose()
+    for finding in findings:
+        mark = "[green]ok[/green]  " if finding.ok else "[red]lack[/red]"
+        console.print(f"{mark} {finding.name:<12} {finding.text}", soft_wrap=True)
+        if not finding.ok:
+            console.print(f"     {'':<12} cure: {finding.cure}", soft_wrap=True)
+    console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
+    if not all(finding.ok for finding in findings):
+        raise WorkError("something is missing; the cures stand above")
+
+
+COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
+    "run": run_command,
+    "collect": stage_command("collect"),
+    "train": stage_command("train"),
+    "evaluate": stage_command("evaluate"),
+    "view": view_command,
+    "rooms": rooms_command,
+    "doctor": doctor_command,
+}
+
+HELP = {
+    "run": "run a scenario: drive, see, learn, measure, show",
+    "collect": "only drive and look: make the recording",
+    "train": "... and train the methods",
+    "evaluate": "... and measure them",
+    "view": "open a run's recording in the Rerun viewer",
+    "rooms": "draw a contact sheet of generated rooms",
+    "doctor": "check this machine and name the cure for what is missing",
+}
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the command line ``words`` (default: the process's own) and exit."""
+    words = sys.argv[1:] if words is None else words
+    try:
+        _dispatch(words)
+    except InputError as error:
+        errors.print(f"[red]error:[/red] {_plain(error)}")
+        sys.exit(2)
+    except WorkError as error:
+        errors.print(f"[red]failed:[/red] {_plain(error)}")
+        sys.exit(1)
+    except OSError as error:  # a full disk, a folder without permission
+        errors.print(f"[red]failed:[/red] {_plain(error)}")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        errors.print("interrupted; the same command continues where it stopped")
+        sys.exit(130)
+
+
+def _dispatch(words: Sequence[str]) -> None:
+    if not words or words[0] in {"-h", "--help"}:
+        console.print("usage: deepgps COMMAND ...      deepgps COMMAND --help shows every setting\n")
+        for name, text in HELP.items():
+            console.print(f"  {name:<10} {text}")
+    elif words[0] in COMMANDS:
+        COMMANDS[words[0]](words[1:])
+    else:
+        raise InputError(f"command {words[0]!r} does not exist; there are {', '.join(COMMANDS)}")
+
+
+def _parse_scenario(command: str, words: Sequence[str]) -> tuple[RunArguments, Scenario]:
+    if {"-h", "--help"} & set(words):
+        _show_settings(command)
+    own, overrides = _split(words, {"--out", "--fresh"})
+    if not own or own[0].startswith("-"):
+        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(scenario_names())}, or a path")
+    arguments = _parse(RunArguments, command, own)
+    return arguments, load_scenario(arguments.scenario, overrides)
+
+
+def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[str, Any]]:
+    """Part the command's own words from overrides such as ``--room.seed 3``, which the scenario checks itself."""
+    own, overrides = [], {}
+    flag, values = None, []
+    for word in [*words, "--"]:
+        if not word.startswith("--"):
+            values.append(word)
+            continue
+        if flag is None or flag in own_flags:
+            own += [*([flag] if flag else []), *values]
+        elif not values:
+            raise InputError(f"{flag} needs a value")
+        else:
+            plain = [None if value.lower() in {"none", "null"} else value for value in values]
+            overrides[flag[2:].replace("-", "_")] = plain if flag == "--methods" else plain[0]
+            if len(plain) > 1 and flag != "--methods":
+                raise InputError(f"{flag} takes one value, not {' '.join(values)}")
+        flag, _, value = word.partition("=")
+        values = [value] if value else []
+    return own, overrides
+
+
+def _show_settings(command: str) -> None:
+    @dataclass(frozen=True)
+    class Everything(RunArguments):
+        settings: Annotated[Scenario, tyro.conf.arg(name="")] = Scenario()  # noqa: RUF009 (frozen)
+
+    tyro.cli(Everything, args=["--help"], prog=f"deepgps {command}", description=COMMANDS[command].__doc__)
+
+
+def _parse(kind: Any, command: str, words: Sequence[str]) -> Any:
+    if {"-h", "--help"} & set(words):
+        tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=COMMANDS[command].__doc__)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            return tyro.cli(kind, args=list(words), prog=f"deepgps {command}")
+    except SystemExit:
+        raise InputError(f"deepgps {command}: {_first_sentence(said.getvalue())}") from None
+
+
+def _first_sentence(box: str) -> str:
+    """The message of the frame that tyro draws around it."""
+    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
+    message = [line for line in lines if line]
+    end = next((index for index, line in enumerate(message) if set(line) == {"─"}), len(message))
+    return " ".join(message[:end]) or box.strip()
+
+
+def _parse_kinds(text: str) -> list[Any]:
+    from typing import get_args
+
+    from sim.settings import RoomKind
+
+    kinds = list(get_args(RoomKind)) if text == "all" else text.split(",")
+    for kind in kinds:
+        if kind not in get_args(RoomKind):
+            raise InputError(f"--kinds {kind!r} does not exist; there are all, {', '.join(get_args(RoomKind))}")
+    return kinds
+
+
+def _parse_seeds(text: str) -> list[int]:
+    try:
+        first, dash, last = text.partition("-")
+        seeds = list(range(int(first), int(last) + 1)) if dash else [int(part) for part in text.split(",")]
+    except ValueError:
+        seeds = []
+    if not seeds or min(seeds) < 0 or len(seeds) > 100:
+        raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
+    return seeds
+
+
+def _choose_renderer() -> None:
+    from sim.gl import choose_backend
+
+    choose_backend()
+
+
+def _plain(error: Exception) -> str:
+    """One line that rich takes as it is."""
+    return " ".join(str(error).split()).replace("[", "\\[")

@@ -1,0 +1,116 @@
+"""Weak constraints from a recording: which observations lie on one straight segment, and how far along it. Never the truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from sim.errors import InputError
+from sim.records import Recording
+
+
+@dataclass(frozen=True)
+class Segments:
+    """Straight segments, padded to the longest; positions past ``count`` are zero and mean nothing.
+
+    Attributes:
+        index: Observations in the order driven (L, longest) int64.
+        distance: Distance of each from the segment's first reading, by encoder (L, longest) [m].
+        count: Readings of each segment (L,) int64, at least 2.
+        skipped: Segments left out because fewer than two readings arrived.
+    """
+
+    index: torch.Tensor
+    distance: torch.Tensor
+    count: torch.Tensor
+    skipped: int
+
+    @property
+    def valid(self) -> torch.Tensor:
+        """Which places hold a reading (L, longest) bool."""
+        return torch.arange(self.index.shape[1], device=self.index.device) < self.count[:, None]
+
+    def to(self, device: torch.device) -> "Segments":
+        """The same on a device."""
+        return Segments(
+            self.index.to(device), self.distance.to(device), self.count.to(device), self.skipped
+        )
+
+
+def read_segments(recording: Recording) -> Segments:
+    """Straight segments of a recording: runs of readings with one segment number.
+
+    A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading.
+
+    Raises:
+        InputError: when no segment has two readings, or the odometry constants are missing.
+    """
+    travelled = travel(recording.reading[:, 2:], recording.manifest).mean(axis=1)
+    number = recording.reading[:, 0]
+    runs = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
+    kept = [run for run in runs if len(run) >= 2]
+    if not kept:
+        raise InputError(f"{recording.folder}: no segment has two readings, so there is no distance to learn from")
+    longest = max(len(run) for run in kept)
+    index = np.zeros((len(kept), longest), np.int64)
+    distance = np.zeros((len(kept), longest), np.float64)
+    for row, run in enumerate(kept):
+        index[row, : len(run)] = recording.reading[run, 1]
+        distance[row, : len(run)] = np.abs(travelled[run] - travelled[run[0]])
+    return Segments(
+        index=torch.from_numpy(index),
+        distance=torch.from_numpy(distance.astype(np.float32)),
+        count=torch.tensor([len(run) for run in kept]),
+        skipped=len(runs) - len(kept),
+    )
+
+
+def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
+    """Way of each wheel [m] from its cumulative ticks, both (R, 2)."""
+    odometry = _odometry(manifest)
+    return ticks * (2.0 * np.pi * odometry["wheel_radius_m"] / odometry["ticks_per_rev"])
+
+
+def dead_reckon(recording: Recording) -> np.ndarray:
+    """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
+
+    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading. The
+    robot turns in place only between segments, where nothing is read, so a turn between two readings at one place
+    moves nothing.
+    """
+    way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
+    turn = (way[:, 1] - way[:, 0]) / _odometry(recording.manifest)["track_m"]
+    yaw = np.concatenate([[0.0], np.cumsum(turn)])
+    heading = yaw[:-1] + turn / 2.0
+    # Between segments the robot first turns, then drives: what is driven there goes along the new heading.
+    between = np.diff(recording.reading[:, 0]) != 0
+    heading = np.where(between, yaw[1:], heading)
+    step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+    return np.concatenate([place, yaw[:, None]], axis=1)
+
+
+def draw(
+    segments: Segments, count: int, samples: int, generator: torch.Generator
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Draw ``count`` segments, each reading equally often, and up to ``samples`` different readings of each.
+
+    Returns:
+        Observations (count, samples), distances along their segment (count, samples) [m], and which are valid.
+    """
+    row = torch.multinomial(segments.count.float(), count, replacement=True, generator=generator)
+    valid = segments.valid[row]
+    key = torch.rand(valid.shape, generator=generator, device=valid.device)
+    place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
+    take = lambda table: table[row].gather(1, place)  # noqa: E731
+    return take(segments.index), take(segments.distance), valid.gather(1, place)
+
+
+def _odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
+    odometry = manifest.get("odometry", {})
+    for name in ("wheel_radius_m", "track_m", "ticks_per_rev"):
+        if not isinstance(odometry.get(name), int | float):
+            raise InputError(f"manifest: odometry.{name} must be a number, and is {odometry.get(name)!r}")
+    return odometry

@@ -1,0 +1,118 @@
+"""Evaluation: every method on the test grid, against the simulator's truth."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from deepgps.alignment import AlignmentKind, fit_alignment
+from deepgps.data import dead_reckon
+from deepgps.positioner import load_positioner
+from deepgps.scenario import MethodName, Scenario
+from sim.files import read_json, write_arrays
+from sim.records import Recording, Truth, open_recording, open_truth
+
+# Distances cannot tell left from right, so their map may be mirrored; everything else knows.
+ALIGNMENT: dict[MethodName, AlignmentKind] = {"deepgps": "E2", "posenet": "SE2", "odometry": "SE2", "knn": "SE2"}
+SEEN_WITHIN_M = 0.25
+
+
+@dataclass(frozen=True)
+class ErrorField:
+    """One method's error over the room.
+
+    Attributes:
+        truth: Test positions (C, 2) [m].
+        heading: Test headings (H,) [rad].
+        predicted: Aligned predictions (C, H, 2) [m].
+    """
+
+    truth: np.ndarray
+    heading: np.ndarray
+    predicted: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Distance of prediction and truth (C, H) [m]."""
+        return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
+
+    @property
+    def worst(self) -> np.ndarray:
+        """The largest error over the headings of each position (C,) [m], the paper's measure (Sec. IV-B)."""
+        return self.error.max(axis=1)
+
+
+def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
+    """Measure all methods of a run and write its ``error_field.npz``.
+
+    Args:
+        run: Run folder with a recording and the trained methods.
+        scenario: What the run was made of.
+
+    Returns:
+        The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
+    """
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    fields, methods = {}, {}
+    for method in scenario.methods:
+        fields[method], scale = measure_field(run / method, method, recording, truth)
+        methods[method] = {
+            **summarise(fields[method].worst, truth.free_space.shorter_side_m),
+            "scale": scale,
+            "alignment": ALIGNMENT[method],
+            **read_json(run / method / "training.json"),
+        }
+    some = fields[scenario.methods[0]]
+    predictions = {method: field.predicted for method, field in fields.items()}
+    write_arrays(run / "error_field.npz", {"truth": some.truth, "heading": some.heading, **predictions})
+    return {
+        "shorter_side_m": truth.free_space.shorter_side_m,
+        "samples": len(recording.observation),
+        "segments": recording.manifest["segments"],
+        "distance_driven_m": recording.manifest["distance_driven_m"],
+        "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
+        "trajectory": measure_trajectory(recording, truth),
+        "methods": methods,
+    }
+
+
+def measure_field(folder: Path, method: MethodName, recording: Recording, truth: Truth) -> tuple[ErrorField, float]:
+    """Error field of one trained method, aligned by a transform fitted on the training samples, and its scale."""
+    positioner = load_positioner(folder)
+    training = positioner(recording.observation)
+    alignment = fit_alignment(training, truth.pose[:, :2], ALIGNMENT[method])
+    cells, headings = recording.test_observation.shape[:2]
+    images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
+    predicted = alignment.apply(positioner(images)).reshape(cells, headings, 2)
+    field = ErrorField(truth.test_pose[:, 0, :2], truth.test_pose[0, :, 2], predicted)
+    return field, alignment.scale
+
+
+def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
+    """RMS, median, 75th and 95th percentile and maximum of errors (C,) [m]; RMS over the room's shorter side."""
+    rms = float(np.sqrt(np.mean(error**2)))
+    median, p75, p95 = (float(value) for value in np.percentile(error, [50, 75, 95]))
+    return {
+        "rms_m": rms,
+        "median_m": median,
+        "p75_m": p75,
+        "p95_m": p95,
+        "max_m": float(error.max()),
+        "relative_rms": rms / shorter_side_m,
+    }
+
+
+def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, int]:
+    """Count test positions (C, 2) [m], and those with a training sample (N, 2) [m] near enough to have been seen."""
+    distance, _ = KDTree(samples).query(cells)
+    return {"reachable_cells": len(cells), "cells_seen": int((distance <= SEEN_WITHIN_M).sum())}
+
+
+def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:
+    """Drift of the dead-reckoned path itself: RMS and largest error [m] after an SE2 alignment of the whole path."""
+    path = dead_reckon(recording)[:, :2]
+    driven = truth.pose[recording.reading[:, 1], :2]
+    error = np.linalg.norm(fit_alignment(path, driven, "SE2").apply(path) - driven, axis=1)
+    return {"rms_m": float(np.sqrt(np.mean(error**2))), "max_m": float(error.max())}

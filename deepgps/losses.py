@@ -1,0 +1,48 @@
+"""Losses on distances (paper Eq. 2, 3 and 5): they see differences between predictions, never positions.
+
+Each is the mean over pairs where the paper writes the sum, so that its size does not depend on the batch. The end-point
+strategy is the case of two samples in a segment.
+"""
+
+import torch
+
+from deepgps.settings import Loss
+
+
+def distance(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    """Euclidean distance over the last axis; its gradient at zero distance is zero, not infinite."""
+    squared = (first - second).square().sum(dim=-1)
+    apart = squared > 0
+    return torch.where(apart, torch.where(apart, squared, 1.0).sqrt(), 0.0)
+
+
+def absolute(d: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
+    """|d - c| of each pair (Eq. 2) [m]."""
+    return (d - c).abs()
+
+
+def normalised(d: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
+    """|d - c| / (d + c) of each pair (Eq. 3), 0 where both are zero."""
+    total = d + c
+    return (d - c).abs() / torch.where(total > 0, total, 1.0)
+
+
+LOSSES = {"absolute": absolute, "normalised": normalised}
+
+
+def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: Loss) -> torch.Tensor:
+    """Mean loss over all pairs inside each segment (Eq. 5).
+
+    Args:
+        positions: Predictions (S, m, D) [m].
+        along: Distance of each sample from its segment's start (S, m) [m].
+        valid: Which samples there are (S, m) bool.
+        kind: Loss of one pair.
+
+    Returns:
+        A scalar; zero when there is no pair.
+    """
+    i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
+    pair = LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
+    weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
+    return (pair * weight).sum() / weight.sum().clamp_min(1.0)

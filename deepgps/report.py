@@ -1,0 +1,142 @@
+"""The figures of a run in words: one table, as text for the terminal, for the recording and for a report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from sim.errors import InputError
+from sim.files import read_json
+
+TITLES = {
+    "deepgps": "DeepGPS",
+    "posenet": "PoseNet",
+    "posenet_noisy": "PoseNet, noisy labels",
+    "explicit": "Explicit positioning",
+    "knn": "Nearest neighbour",
+    "odometry": "Dead-reckoned labels",
+}
+
+Row = tuple[str, ...]
+
+
+def _centimetres(value: float) -> str:
+    return f"{100 * value:.1f}"
+
+
+Column = tuple[str, str, Callable[[Any], str]]
+# heading, key in metrics.json, how a value is written
+COLUMNS: tuple[Column, ...] = (
+    ("RMS [cm]", "rms_m", _centimetres),
+    ("median [cm]", "median_m", _centimetres),
+    ("p75 [cm]", "p75_m", _centimetres),
+    ("p95 [cm]", "p95_m", _centimetres),
+    ("max [cm]", "max_m", _centimetres),
+    ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
+    ("scale", "scale", lambda value: f"{value:.4f}"),
+    ("align", "alignment", str),
+    ("train [s]", "train_s", lambda value: f"{value:.1f}"),
+)
+OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
+
+
+def read_metrics(run: Path) -> dict[str, Any]:
+    """Read a run's metrics.json; raises InputError for a folder that is no run or whose metrics are broken."""
+    path = run / "metrics.json"
+    if not path.is_file():
+        raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
+    try:
+        metrics = read_json(path)
+    except ValueError as error:
+        raise InputError(f"{path} is not JSON: {error}") from None
+    if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
+        raise InputError(f"{path} holds no methods: it is no run's metrics.json")
+    return metrics
+
+
+def method_title(name: str) -> str:
+    """A method's name as people write it."""
+    return TITLES.get(name, name)
+
+
+def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
+    """Headings and one row per method; a figure that a method does not have is a dash."""
+    headings = ("method", *(heading for heading, _, _ in columns))
+    return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
+
+
+def describe(metrics: Mapping[str, Any]) -> list[str]:
+    """What was driven, what was seen and where the time went, a sentence each."""
+    coverage = metrics["coverage"]
+    seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
+    timing = {name: float(value) for name, value in metrics["timing_s"].items()}
+    parts = ", ".join(f"{name} {value:.1f} s" for name, value in timing.items())
+    sentences = [
+        f"{metrics['samples']} images on {metrics['segments']} straight segments, "
+        f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
+        f"{seen} of {reachable} reachable test positions ({100 * seen / max(reachable, 1):.1f} %) lie within "
+        "0.25 m of an image the robot learned from.",
+        f"Time: {parts}; {sum(timing.values()):.1f} s in all.",
+    ]
+    if trajectory := metrics.get("trajectory"):
+        drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
+        sentences.insert(1, f"The path that the wheels alone reckon drifts by {drift}.")
+    return sentences
+
+
+def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> str:
+    """The methods' figures as a Markdown table."""
+    headings, rows = tabulate(metrics, columns)
+    align = ["---", *["---:"] * (len(headings) - 1)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (headings, align, *rows))
+
+
+def markdown_report(metrics: Mapping[str, Any]) -> str:
+    """The whole report in Markdown: title, table, what was driven, environment."""
+    environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
+    return "\n".join(
+        [
+            f"# {metrics['scenario']}, seed {metrics['seed']}",
+            "",
+            markdown_table(metrics),
+            "",
+            "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled.",
+            "",
+            *(f"- {sentence}" for sentence in describe(metrics)),
+            "",
+            "## Made with",
+            "",
+            *environment,
+            "",
+        ]
+    )
+
+
+def print_report(run: Path, console: Console) -> None:
+    """Print a run's table and the sentences under it; raises InputError where the folder is no run."""
+    metrics = read_metrics(run)
+    headings, rows = tabulate(metrics)
+    table = Table(box=box.SIMPLE_HEAD, title=f"{metrics['scenario']}, seed {metrics['seed']}", title_justify="left")
+    for index, heading in enumerate(headings):
+        # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
+        table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
+    for row in rows:
+        table.add_row(*row, style="bold" if row[0] == TITLES["deepgps"] else None)
+    console.print(table)
+    for sentence in describe(metrics):
+        console.print(sentence, highlight=False)
+
+
+def _row(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> Row:
+    figures = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
+    return (method_title(name), *figures)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {item}" for name, item in value.items())
+    return str(value)

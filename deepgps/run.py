@@ -1,0 +1,205 @@
+"""A run: collect, train, evaluate, show. Each stage skips what is done and continues what was cut off."""
+
+import fcntl
+import os
+import platform
+import shutil
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from deepgps.progress import Report
+from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
+from sim.errors import InputError
+from sim.files import read_json, sweep, write_json, write_text
+from sim.records import read_manifest
+
+PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
+
+
+def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict[str, Any]:
+    """Run all stages of a scenario.
+
+    Args:
+        scenario: What to run.
+        folder: The run folder.
+        fresh: Whether to throw away what stands there and begin anew.
+        progress: Told how far each stage is.
+
+    Returns:
+        The contents of ``metrics.json``.
+    """
+    with claim(scenario, folder, fresh):
+        collect(scenario, folder, progress)
+        train(scenario, folder, progress)
+        metrics = evaluate(scenario, folder, progress)
+        show(scenario, folder, progress)
+    return metrics
+
+
+def default_folder(scenario: Scenario) -> Path:
+    """Where a run lies when the user names no folder: runs/<scenario>/seed<seed>-<hash>."""
+    return Path("runs") / scenario.name / f"seed{scenario.seed}-{digest(scenario)}"
+
+
+def open_run(folder: Path) -> Scenario:
+    """Scenario of an existing run folder; raises InputError where the folder is no run."""
+    path = folder / "scenario.yaml"
+    if not path.is_file():
+        raise InputError(f"{folder} is no run folder: it has no scenario.yaml")
+    return check_scenario(read_yaml(path), path)
+
+
+@contextmanager
+def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
+    """Hold a run folder for one process at a time and for one scenario."""
+    with lock(folder):
+        if fresh:
+            clear(folder)
+        sweep(folder)
+        path = folder / "scenario.yaml"
+        if not path.is_file():
+            write_text(path, write_out(scenario))
+        elif open_run(folder) != scenario:
+            raise InputError(f"--out {folder} holds a run of another scenario; --fresh replaces it")
+        yield
+
+
+@contextmanager
+def lock(folder: Path) -> Iterator[None]:
+    """Keep other processes out of a folder; the lock of a dead process is free."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = (folder / ".lock").open("w")
+    except OSError as error:
+        raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise InputError(f"--out {folder} is in use by another run") from None
+        yield
+
+
+def clear(folder: Path) -> None:
+    """Empty a run folder; raises InputError for a folder that holds something else."""
+    others = [path for path in folder.iterdir() if path.name != ".lock"]
+    if others and not (folder / "scenario.yaml").is_file():
+        raise InputError(f"--out {folder} is not empty and no run folder; --fresh only replaces runs")
+    for path in others:
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
+
+
+def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Drive and look: write the recording, if it does not stand yet."""
+    from sim.collect import collect as collect_recording
+
+    recording = folder / "recording"
+    if not (recording / "manifest.json").is_file():
+        with timed(folder, "collect"):
+            collect_recording(scenario.sim, scenario.seed, recording, progress)
+
+
+def train(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Train each method that does not stand yet."""
+    from deepgps.methods import METHODS
+    from sim.records import open_recording
+
+    recording = open_recording(folder / "recording")
+    for method in scenario.methods:
+        with timed(folder, f"train {method}"):
+            METHODS[method](recording, scenario.learn, scenario.seed, folder / method, progress)
+
+
+def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
+    """Measure all methods; write ``metrics.json`` and ``error_field.npz``."""
+    from deepgps.evaluate import evaluate as measure
+
+    path = folder / "metrics.json"
+    if not path.is_file():
+        with timed(folder, "evaluate"):
+            progress("evaluate", 0, 1)
+            measured = measure(folder, scenario)
+            progress("evaluate", 1, 1)
+        head = {"scenario": scenario.name, "seed": scenario.seed}
+        tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
+        write_json(path, {**head, **measured, **tail})
+    return read_json(path)
+
+
+def show(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Draw the figures and write the Rerun recording."""
+    from deepgps.figures import draw_figures
+    from deepgps.viz import write_recording
+
+    path = folder / "recording.rrd"
+    if not path.is_file():
+        with timed(folder, "show"):
+            progress("show", 0, 2)
+            draw_figures(folder)
+            progress("show", 1, 2)
+            write_recording(folder)
+            progress("show", 2, 2)
+
+
+@contextmanager
+def timed(folder: Path, stage: str) -> Iterator[None]:
+    """Add the seconds of a stage to the run's ``timing.json``, and a line to its log."""
+    start = time.perf_counter()
+    yield
+    seconds = time.perf_counter() - start
+    path = folder / "timing.json"
+    times = read_json(path) if path.is_file() else {}
+    if seconds > 0.5 or stage not in times:  # a stage that finds its work done takes no time worth noting
+        write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
+        with (folder / "log.txt").open("a", encoding="utf-8") as log:
+            log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
+
+
+def stage_times(folder: Path) -> dict[str, float]:
+    """Seconds of collecting, training and evaluating."""
+    times = read_json(folder / "timing.json")
+    train_s = sum(seconds for stage, seconds in times.items() if stage.startswith("train "))
+    return {"collect": times.get("collect", 0.0), "train": round(train_s, 2), "evaluate": times.get("evaluate", 0.0)}
+
+
+def describe_environment(folder: Path) -> dict[str, Any]:
+    """What the figures were made with."""
+    manifest = read_manifest(folder / "recording")
+    return {
+        "gl_renderer": manifest["gl_renderer"],
+        "packages": {name: version(name) for name in PACKAGES},
+        "python": platform.python_version(),
+        "git": _git_revision(),
+        "cpu": f"{os.cpu_count()} x {_cpu_name()}",
+    }
+
+
+def _git_revision() -> str:
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+def _cpu_name() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.machine()
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
+    "collect": collect,
+    "train": train,
+    "evaluate": evaluate,
+}

@@ -1,0 +1,92 @@
+"""Settings of learning: frozen groups, each checked once, when it is made."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from sim.settings import Group
+
+Architecture = Literal["spectral", "resnet", "resnet_paper"]
+Loss = Literal["absolute", "normalised"]
+Start = Literal["lines", "lifting", "random"]
+
+
+class FeatureSettings(Group):
+    """Spectral features, the input of the spectral network and of the nearest neighbour."""
+
+    frequencies: int = Field(24, ge=1, le=512)
+    """Highest frequency kept around the circle."""
+    components: int = Field(384, ge=2, le=4096)
+    """Principal components kept."""
+
+
+class NetworkSettings(Group):
+    """The network that maps one observation to one position."""
+
+    architecture: Architecture = "spectral"
+    """spectral: layers on spectral features; resnet: ResNet-18 circular around; resnet_paper: circular both ways."""
+    width: int = Field(512, ge=4, le=4096)
+    """Neurons in each layer of the spectral network."""
+    layers: int = Field(4, ge=1, le=16)
+    """Layers of the spectral network, the last one not counted."""
+    channels: int = Field(64, ge=4, le=256)
+    """Channels of the ResNet's first stage (ResNet-18: 64)."""
+
+
+class TrainSettings(Group):
+    """The training loop, the same for every method that trains a network. Budgets count steps, never seconds."""
+
+    steps: int = Field(3000, ge=1, le=10_000_000)
+    """Steps of the optimiser."""
+    segments: int = Field(32, ge=1, le=4096)
+    """Segments in a batch; a supervised batch holds segments times samples observations."""
+    samples: int = Field(16, ge=2, le=1024)
+    """Samples drawn from each segment of a batch; all their pairs are used."""
+    learning_rate: float = Field(1e-3, gt=0.0, le=1.0)
+    """Adam's highest rate; it rises over the first steps and falls with a cosine."""
+    weight_decay: float = Field(1e-4, ge=0.0, le=1.0)
+    """Decay of the weights (AdamW)."""
+    checkpoint_steps: int = Field(500, ge=1)
+    """Steps between two checkpoints."""
+    device: str = Field("cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
+    """cpu, cuda, cuda:N, or auto: CUDA where there is one."""
+    bfloat16: bool = True
+    """Matrix products in bfloat16 where the processor has them; the weights stay float32."""
+
+
+class LiftSettings(Group):
+    """Lifting: the network predicts in more than two dimensions, where a map can unfold, and is flattened later."""
+
+    dimensions: int = Field(8, ge=2, le=64)
+    """Dimensions before flattening; 2: no lifting."""
+    flatten_from: float = Field(0.35, ge=0.0, le=1.0)
+    """Fraction of the steps at which the penalty on what leaves the plane begins."""
+    flatten_to: float = Field(0.7, ge=0.0, le=1.0)
+    """Fraction of the steps at which the penalty is full."""
+    penalty: float = Field(1.0, ge=0.0)
+    """Weight of the full penalty."""
+
+
+class FoldSettings(Group):
+    """The fold detector, which sees no truth, and what follows."""
+
+    restarts: int = Field(2, ge=0, le=20)
+    """How often training starts again from other weights when a fold is found."""
+    bend: float = Field(0.05, gt=0.0)
+    """A segment is bent when its ends lie closer than the distance driven by more than this fraction."""
+    bent: float = Field(0.02, gt=0.0, le=1.0)
+    """Fraction of bent segments above which the map counts as folded."""
+
+
+class LearnSettings(Group):
+    """All that decides how a recording is learned."""
+
+    features: FeatureSettings = FeatureSettings()
+    network: NetworkSettings = NetworkSettings()
+    train: TrainSettings = TrainSettings()
+    loss: Loss = "absolute"
+    """absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
+    start: Start = "lines"
+    """How the map is unfolded before distances alone finish it: lines (closed form), lifting, or random."""
+    lift: LiftSettings = LiftSettings()
+    fold: FoldSettings = FoldSettings()

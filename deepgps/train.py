@@ -1,0 +1,205 @@
+"""One plain training loop for every method that trains a network; it can be cut off anywhere and continues exactly.
+
+On one machine the same seed gives the same weights to the byte: each random draw comes from a generator whose state is in
+the checkpoint, and the schedule counts steps.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from deepgps.checkpoint import load_checkpoint, save_checkpoint
+from deepgps.progress import Report, ignore
+from deepgps.settings import TrainSettings
+from sim.files import write_arrays
+
+SNAPSHOTS = 30
+SNAPSHOT_SAMPLES = 2000
+LOSS_POINTS = 300
+WARM_UP = 0.05
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one step learns from.
+
+    Attributes:
+        index: Observations (B,) or, segment by segment, (S, m).
+        target: Positions (B, 2) [m], or distances along the segment (S, m) [m].
+        valid: Which of them there are, of the shape of ``index``.
+    """
+
+    index: torch.Tensor
+    target: torch.Tensor
+    valid: torch.Tensor
+
+
+class Inputs:
+    """Training observations as the network takes them, on the device.
+
+    Features (N, K) float32 are taken as they are. Polar images (N, rings, sectors, 3) uint8 become (N, 3, rings, sectors)
+    float32, each shifted in a circle by a random number of sectors when a generator is given (paper section III-B2).
+    """
+
+    def __init__(self, table: torch.Tensor) -> None:
+        self.table = table
+
+    def take(self, index: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Network input of observations (B,)."""
+        chosen = self.table[index]
+        if chosen.ndim == 2:
+            return chosen
+        if generator is not None:
+            sectors = chosen.shape[2]
+            shift = torch.randint(sectors, (len(chosen), 1), generator=generator, device=chosen.device)
+            column = (torch.arange(sectors, device=chosen.device) + shift) % sectors
+            column = column[:, None, :, None].expand(-1, chosen.shape[1], -1, chosen.shape[3])
+            chosen = chosen.gather(2, column)
+        return chosen.permute(0, 3, 1, 2).float() / 255.0
+
+
+Draw = Callable[[torch.Generator], Batch]
+Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
+
+
+def choose_device(name: str) -> torch.device:
+    """The device of this name; auto is CUDA where there is one."""
+    if name == "auto":
+        name = "cuda" if torch.cuda.is_available() else "cpu"
+    return torch.device(name)
+
+
+def has_fast_bfloat16(device: torch.device) -> bool:
+    """Whether matrix products in bfloat16 run in hardware."""
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported()
+    return torch.cpu._is_avx512_bf16_supported()
+
+
+def train(
+    network: nn.Module,
+    inputs: Inputs,
+    draw: Draw,
+    loss: Loss,
+    settings: TrainSettings,
+    seed: int,
+    folder: Path,
+    progress: Report = ignore,
+    label: str = "train",
+) -> nn.Module:
+    """Train ``network`` in place, or continue from the checkpoint in ``folder``.
+
+    Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), ``snapshot``
+    (K, n, outputs) predictions of the observations ``snapshot_index`` (n,) [m].
+
+    Args:
+        network: Starts from its present weights.
+        inputs: Training observations.
+        draw: Makes the batch of one step.
+        loss: (predictions shaped like the batch's index plus outputs, batch, fraction of the steps done) -> scalar.
+        settings: Steps, rate, device.
+        seed: Of the draws.
+        folder: Where checkpoint and history go.
+        progress: Told how far it is.
+        label: What it is told to be.
+    """
+    device = choose_device(settings.device)
+    network = network.to(device).train()
+    optimiser = torch.optim.AdamW(
+        network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+    )
+    generator = torch.Generator(device).manual_seed(seed)
+    fast = settings.bfloat16 and has_fast_bfloat16(device)
+    history = History.start(len(inputs.table), settings.steps)
+    done = load_checkpoint(folder, network, optimiser, generator, history.arrays)
+    running = torch.zeros((), device=device)
+    every = max(1, settings.steps // LOSS_POINTS)
+    for step in range(done, settings.steps):
+        if step in history.snapshot_steps:
+            history.add_snapshot(step, predict(network, inputs, history.index))
+        for group in optimiser.param_groups:
+            group["lr"] = settings.learning_rate * schedule(step, settings.steps)
+        batch = draw(generator)
+        with torch.autocast(device.type, torch.bfloat16, enabled=fast):
+            out = network(inputs.take(batch.index.flatten(), generator))
+        value = loss(out.unflatten(0, batch.index.shape), batch, step / settings.steps)
+        optimiser.zero_grad(set_to_none=True)
+        value.backward()
+        optimiser.step()
+        running += value.detach()
+        if (step + 1) % every == 0:
+            history.add_loss(step + 1, running.item() / every)
+            running.zero_()
+            progress(label, step + 1, settings.steps)
+        # A checkpoint falls on a loss point, so that the running mean need not be saved.
+        if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0:
+            save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays)
+    history.add_snapshot(settings.steps, predict(network, inputs, history.index))
+    write_arrays(folder / "history.npz", history.tables())
+    return network.eval()
+
+
+def schedule(step: int, steps: int) -> float:
+    """Rate at a step as a fraction of the highest: a straight rise, then a cosine to zero."""
+    done = step / steps
+    if done < WARM_UP:
+        return (step + 1) / (WARM_UP * steps + 1)
+    return 0.5 * (1.0 + float(np.cos(np.pi * (done - WARM_UP) / (1.0 - WARM_UP))))
+
+
+def predict(network: nn.Module, inputs: Inputs, index: torch.Tensor, chunk: int = 1000) -> torch.Tensor:
+    """Predictions in float32 (n, outputs) on the CPU, leaving the network in the mode it had."""
+    training = network.training
+    network.eval()
+    with torch.no_grad():
+        found = [network(inputs.take(part)).cpu() for part in index.to(inputs.table.device).split(chunk)]
+    network.train(training)
+    return torch.cat(found)
+
+
+@dataclass
+class History:
+    """Losses and snapshots of a training, kept in lists of arrays so that a checkpoint can hold them."""
+
+    index: torch.Tensor
+    snapshot_steps: frozenset[int]
+    arrays: dict[str, list]
+
+    @classmethod
+    def start(cls, observations: int, steps: int) -> "History":
+        """An empty history that will snapshot observations spread evenly over the recording."""
+        count = min(observations, SNAPSHOT_SAMPLES)
+        index = torch.linspace(0, observations - 1, count).round().long()
+        at = frozenset(round(steps * k / (SNAPSHOTS - 1)) for k in range(SNAPSHOTS - 1))
+        return cls(index, at, {"step": [], "loss": [], "snapshot_step": [], "snapshot": []})
+
+    def add_loss(self, step: int, value: float) -> None:
+        """Note the mean loss up to a step."""
+        self.arrays["step"].append(step)
+        self.arrays["loss"].append(value)
+
+    def add_snapshot(self, step: int, predictions: torch.Tensor) -> None:
+        """Keep the predictions before a step."""
+        self.arrays["snapshot_step"].append(step)
+        self.arrays["snapshot"].append(predictions)
+
+    def tables(self) -> dict[str, np.ndarray]:
+        """The history as arrays; snapshots of lifted predictions are turned to their principal axes."""
+        return {
+            "step": np.array(self.arrays["step"], np.int64),
+            "loss": np.array(self.arrays["loss"], np.float32),
+            "snapshot_step": np.array(self.arrays["snapshot_step"], np.int64),
+            "snapshot": np.stack([_flat(one.numpy()) for one in self.arrays["snapshot"]]).astype(np.float32),
+            "snapshot_index": self.index.numpy(),
+        }
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    if points.shape[1] == 2:
+        return points
+    _, _, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    return points @ axes[:2].T

@@ -1,0 +1,280 @@
+"""Collecting: drive the room, render what the camera sees, write the recording.
+
+The drive goes first, in chunks of segments; each chunk is a file that holds where the robot was and all it takes to
+drive on. Images are made from these states by worker processes. So a killed collection continues where it stopped, and
+ends with the same bytes under any number of workers.
+"""
+
+import json
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from functools import lru_cache
+from importlib.metadata import version
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+
+from sim.drive import Segment, next_segment
+from sim.encoder import read_encoders, ticks_to_distance
+from sim.errors import WorkError
+from sim.files import write_array, write_arrays, write_atomic
+from sim.records import finish_recording, save_free_space
+from sim.render import Fisheye
+from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
+from sim.settings import SimSettings
+from sim.streams import stream
+from sim.world import RoomWorld
+
+CHUNK = 256
+"""New observations in a chunk, at least."""
+PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
+Report = Callable[[str, int, int], None]
+
+
+class Drive(NamedTuple):
+    """What has been driven: chunks in order, and beside them the file that each chunk's images go to.
+
+    A chunk holds ``state`` (n, nq) of its new observations, and of its readings ``segment`` (r,), ``observation`` (r,),
+    both counted over the whole drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
+    """
+
+    chunks: list[dict[str, np.ndarray]]
+    images: list[Path]
+
+
+def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
+    """Make a recording, or what is missing of it.
+
+    Args:
+        settings: World, robot, sensors, drive and test grid.
+        seed: Driving and encoder draw from streams of this number.
+        folder: The recording's folder; finished once it holds ``manifest.json``.
+        progress: Told how many samples are driven and how many images rendered.
+        workers: Rendering processes; none: one for each core.
+
+    Raises:
+        InputError: The room cannot be used.
+        WorkError: No renderer, or physics failed.
+    """
+    from sim.mesh import write_scene  # the workers, which import this file too, do without it
+
+    start = time.perf_counter()
+    work = folder / "collecting"
+    work.mkdir(parents=True, exist_ok=True)
+    world = RoomWorld(settings)
+    test_pose = lay_grid(world, settings)
+    pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
+    try:
+        tests, jobs = _render_grid(pool, world, settings, test_pose, work)
+        drive, drive_jobs = _drive_and_render(pool, world, settings, stream(seed, "drive"), work, progress)
+        renderer = _watch([*jobs, *drive_jobs], progress)
+    except BrokenProcessPool:
+        raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+    counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
+    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2])
+    write_array(folder / "truth" / "test_pose.npy", test_pose)
+    save_free_space(folder / "truth" / "free_space.npz", world.free_space)
+    write_scene(world.model, folder / "scene.glb")
+    manifest = {
+        "settings": settings.model_dump(mode="json"),
+        "seed": seed,
+        **counts,
+        "odometry": {
+            "wheel_radius_m": WHEEL_RADIUS_M,
+            "track_m": TRACK_M * (1.0 + settings.encoder.track_error),
+            "ticks_per_rev": settings.encoder.ticks_per_rev,
+        },
+        "gl_renderer": renderer,
+        "packages": {name: version(name) for name in PACKAGES},
+        "collect_s": round(time.perf_counter() - start, 2),
+    }
+    finish_recording(folder, manifest)
+    shutil.rmtree(work)
+
+
+def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
+    """Poses (C, H, 3) of the test grid: every reachable position, the headings spread evenly from +x."""
+    spacing, headings = settings.grid.spacing_m, settings.grid.headings
+    (low_x, low_y), (high_x, high_y) = world.bounds
+    x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
+    points = points[world.free_space.is_reachable(points[:, 0])]
+    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
+    return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
+
+
+def drive_chunk(
+    world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
+) -> dict[str, np.ndarray]:
+    """Drive the next chunk after the chunk ``before``, which holds all that it depends on."""
+    if before is None:
+        world.start(rng)
+        segments = observations = 0
+        continues = False
+    else:
+        world.set_state(before["world_state"])
+        rng.bit_generator.state = json.loads(str(before["rng_state"]))
+        segments, observations = int(before["segments"]), int(before["observations"])
+        continues = bool(before["continues"])
+    first, driven, dropped = observations, list[dict[str, np.ndarray]](), 0
+    while observations - first < CHUNK:
+        segment = next_segment(world, settings.drive, rng, continues)
+        driven.append(_number(segment, segments, observations))
+        observations += len(driven[-1]["state"])
+        segments, continues = segments + 1, segment.reached_end
+        dropped += segment.dropped
+    return {
+        **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
+        "dropped": np.array(dropped),
+        "segments": np.array(segments),
+        "observations": np.array(observations),
+        "continues": np.array(continues),
+        "world_state": world.state(),
+        "rng_state": np.array(json.dumps(rng.bit_generator.state)),
+    }
+
+
+def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator) -> dict[str, float]:
+    """Write what was driven, cut to the samples wanted, and return what the manifest says of it."""
+    samples = settings.drive.samples
+    joined = {
+        name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
+    }
+    kept = joined["observation"] < samples
+    segment, angle = joined["segment"][kept], joined["wheel_angle"][kept]
+    ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
+    reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
+    state = joined["state"][:samples]
+    _write_images(folder / "observation.npy", drive.images, (samples,))
+    write_array(folder / "reading.npy", reading[arrived])
+    write_array(folder / "time.npy", joined["time"][kept][arrived])
+    write_array(folder / "truth" / "reading.npy", reading[:, :2])
+    write_array(folder / "truth" / "wheel_angle.npy", angle)
+    write_array(folder / "truth" / "state.npy", state)
+    write_array(folder / "truth" / "pose.npy", planar_pose(state))
+    way_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
+    driven = np.diff(way_m)[np.diff(segment) == 0]
+    return {
+        "samples": samples,
+        "segments": int(segment[-1]) + 1,
+        "readings": len(reading),
+        "readings_lost": int((~arrived).sum()),
+        "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
+        "distance_driven_m": round(float(np.abs(driven).sum()), 3),
+    }
+
+
+JOINED = ("state", "segment", "observation", "wheel_angle", "time")
+
+
+def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
+    """A segment's new states and its readings, numbered over the whole drive."""
+    first = observations - 1 if segment.continues else observations
+    count = len(segment.time)
+    return {
+        "state": segment.state[1:] if segment.continues else segment.state,
+        "segment": np.full(count, number),
+        "observation": np.arange(first, first + count),
+        "wheel_angle": segment.wheel_angle,
+        "time": segment.time,
+    }
+
+
+def _drive_and_render(
+    pool: ProcessPoolExecutor,
+    world: RoomWorld,
+    settings: SimSettings,
+    rng: np.random.Generator,
+    work: Path,
+    progress: Report,
+) -> tuple[Drive, list[Future]]:
+    """Drive until there are enough samples, handing each chunk to the renderers; chunks that stand are read."""
+    drive, jobs, chunk = Drive([], []), [], None
+    driven, wanted = 0, settings.drive.samples
+    while driven < wanted:
+        index = len(drive.chunks)
+        path = work / f"drive-{index:06d}.npz"
+        if not path.is_file():
+            write_arrays(path, drive_chunk(world, settings, rng, chunk))
+        with np.load(path, allow_pickle=False) as stored:
+            chunk = dict(stored)
+        drive.chunks.append(chunk)
+        drive.images.append(work / f"image-{index:06d}.npy")
+        jobs.append(pool.submit(_render, settings, chunk["state"], drive.images[-1]))
+        driven = int(chunk["observations"])
+        progress("drive", min(driven, wanted), wanted)
+    return drive, jobs
+
+
+def _render_grid(
+    pool: ProcessPoolExecutor, world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path
+) -> tuple[list[Path], list[Future]]:
+    """Hand the test grid to the renderers: the robot settled and at rest at each pose."""
+    parts = np.split(test_pose.reshape(-1, 3), range(CHUNK, test_pose.size // 3, CHUNK))
+    paths = [work / f"test-{index:06d}.npy" for index in range(len(parts))]
+    states = [world.rest_states(part) for part in parts]
+    return paths, [pool.submit(_render, settings, state, path) for state, path in zip(states, paths, strict=True)]
+
+
+def _watch(jobs: Sequence[Future], progress: Report) -> str:
+    """Wait for all images; returns the name of the renderer that made them."""
+    renderer = ""
+    for done, job in enumerate(as_completed(jobs), start=1):
+        renderer = job.result() or renderer
+        progress("render", done * CHUNK, len(jobs) * CHUNK)
+    return renderer
+
+
+def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
+    """In a worker: write the polar images of states (n, nq) to ``path``, if they do not stand; name the renderer."""
+    model, data, fisheye = _open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    if not path.is_file():
+        images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
+        for image, state in zip(images, states, strict=True):
+            data.qpos[:] = state
+            mujoco.mj_kinematics(model, data)
+            image[:] = fisheye.polar(data)
+        write_array(path, images)
+    return fisheye.renderer_string
+
+
+@lru_cache(maxsize=1)
+def _open_camera(settings: SimSettings) -> tuple[mujoco.MjModel, mujoco.MjData, Fisheye]:
+    """The scene and its camera, opened once in each worker: a context belongs to its process."""
+    os.environ.setdefault("LP_NUM_THREADS", "1")  # the workers share the cores already
+    threading.Thread(target=_die_with_parent, args=(os.getppid(),), daemon=True).start()
+    world = RoomWorld(settings)
+    return world.model, world.data, Fisheye(world.model, settings.camera)
+
+
+def _die_with_parent(parent: int) -> None:
+    """End this worker when the process that started it was killed."""
+    while os.getppid() == parent:
+        time.sleep(0.5)
+    os._exit(1)
+
+
+def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...]) -> None:
+    """Join image files into one array whose leading axes have this shape; what goes beyond it is left out."""
+
+    def write(part: Path) -> None:
+        count, written = int(np.prod(shape)), 0
+        image = np.load(parts[0], mmap_mode="r").shape[1:]
+        whole = np.lib.format.open_memmap(part, mode="w+", dtype=np.uint8, shape=(*shape, *image))
+        flat = whole.reshape(count, *image)
+        for images in map(np.load, parts):
+            flat[written : written + len(images)] = images[: count - written]
+            written += len(images)
+        whole.flush()
+
+    write_atomic(path, write)

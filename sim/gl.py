@@ -1,0 +1,151 @@
+"""The OpenGL backend for off-screen images: EGL first, OSMesa second, chosen before mujoco is imported.
+
+Every way in which it can be missing becomes one line that names the cure. Libraries are tried in this process through
+ctypes: that costs some ten milliseconds and, unlike a failed import of PyOpenGL, can be tried again.
+"""
+
+import ctypes
+import importlib
+import os
+from typing import Any
+
+from sim.errors import InputError, WorkError
+
+_BACKENDS = ("egl", "osmesa")
+_EGL_CURE = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+_OSMESA_CURE = "apt-get install libosmesa6"
+_EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device
+_MOST_DEVICES = 32
+
+
+def choose_backend() -> str:
+    """Set MUJOCO_GL and PYOPENGL_PLATFORM to a backend that works, and return it: ``egl`` or ``osmesa``.
+
+    Call it before mujoco is imported. A backend that the user's environment names is the only one tried.
+
+    Raises:
+        InputError: An environment variable names no backend of this project, or two of them disagree.
+        WorkError: Nothing usable is installed; the text names the package that is missing.
+    """
+    wanted = _read_environment()
+    problems = {}
+    for backend in [wanted] if wanted else _BACKENDS:
+        problems[backend] = _PROBES[backend]()
+        if problems[backend] is None:
+            os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = backend
+            return backend
+    raise WorkError(_explain(wanted, problems))
+
+
+def open_context(width: int, height: int) -> Any:
+    """Open an off-screen OpenGL context and make it current; its owner calls ``free()``.
+
+    Args:
+        width: Width of the largest picture [px]; EGL ignores it.
+        height: Its height [px].
+
+    Raises:
+        InputError, WorkError: As ``choose_backend``, or the driver refuses a context.
+    """
+    backend = choose_backend()
+    try:
+        context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
+        context.make_current()
+    except Exception as error:  # ImportError, AttributeError, RuntimeError, GLError: each driver fails in its own way
+        cure = _EGL_CURE if backend == "egl" else _OSMESA_CURE
+        raise WorkError(f"{backend} cannot open an OpenGL context ({_one_line(error)}): {cure}") from error
+    return context
+
+
+def read_renderer() -> str:
+    """Name of the renderer behind the current context, e.g. ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
+    gl = importlib.import_module("OpenGL.GL")
+    return gl.glGetString(gl.GL_RENDERER).decode()
+
+
+def describe() -> tuple[str, str]:
+    """Backend and renderer of this machine, found by opening a context; raises as ``open_context``."""
+    context = open_context(16, 16)
+    try:
+        return os.environ["MUJOCO_GL"], read_renderer()
+    finally:
+        context.free()
+
+
+def _read_environment() -> str | None:
+    named = {}
+    for variable in ("MUJOCO_GL", "PYOPENGL_PLATFORM"):
+        value = os.environ.get(variable, "").strip().lower()
+        if value and value not in _BACKENDS:
+            raise InputError(f"{variable}={value}: must be egl or osmesa, or unset")
+        if value:
+            named[variable] = value
+    if len(set(named.values())) > 1:
+        raise InputError(
+            f"MUJOCO_GL={named['MUJOCO_GL']} and PYOPENGL_PLATFORM={named['PYOPENGL_PLATFORM']} disagree: "
+            "unset PYOPENGL_PLATFORM"
+        )
+    return next(iter(named.values()), None)
+
+
+def _explain(wanted: str | None, problems: dict[str, str | None]) -> str:
+    if wanted is None:
+        return f"no OpenGL for images: {problems['egl']}, and {problems['osmesa']}: {_EGL_CURE}"
+    if wanted == "osmesa":
+        return f"MUJOCO_GL=osmesa, but {problems['osmesa']}: {_OSMESA_CURE}, or unset MUJOCO_GL to use EGL"
+    return f"MUJOCO_GL=egl, but {problems['egl']}: {_EGL_CURE}"
+
+
+def _probe_osmesa() -> str | None:
+    """What is wrong with OSMesa here, if anything."""
+    names = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+    return None if any(_load(name) for name in names) else "libOSMesa is missing"
+
+
+def _probe_egl() -> str | None:
+    """What is wrong with EGL here, if anything: opens a display on each device as mujoco.egl does."""
+    # NVIDIA's driver wants libOpenGL before libEGL, as mujoco.egl loads them
+    _load("libOpenGL.so.0", ctypes.RTLD_GLOBAL)
+    egl = _load("libEGL.so.1")
+    if egl is None:
+        return "libEGL is missing"
+    egl.eglGetProcAddress.restype = ctypes.c_void_p
+    egl.eglGetProcAddress.argtypes = [ctypes.c_char_p]
+    egl.eglInitialize.argtypes = [ctypes.c_void_p] * 3
+    query = egl.eglGetProcAddress(b"eglQueryDevicesEXT")
+    display = egl.eglGetProcAddress(b"eglGetPlatformDisplayEXT")
+    if not query or not display:
+        return "libEGL knows no devices"
+    query_devices = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
+    get_display = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)(display)
+
+    devices, count = (ctypes.c_void_p * _MOST_DEVICES)(), ctypes.c_int()
+    query_devices(_MOST_DEVICES, devices, ctypes.byref(count))
+    for device in _select(list(devices[: count.value])):
+        handle = get_display(_EGL_PLATFORM_DEVICE, device, None)
+        if handle and egl.eglInitialize(handle, None, None):
+            return None
+    return f"EGL has no driver for any of its {count.value} devices"
+
+
+def _select(devices: list[int | None]) -> list[int | None]:
+    wish = os.environ.get("MUJOCO_EGL_DEVICE_ID")
+    if wish is None or not devices:
+        return devices
+    if not wish.isdecimal() or int(wish) >= len(devices):
+        raise InputError(f"MUJOCO_EGL_DEVICE_ID={wish}: must be a whole number from 0 to {len(devices) - 1}")
+    return [devices[int(wish)]]
+
+
+def _load(name: str, mode: int = ctypes.DEFAULT_MODE) -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL(name, mode=mode)
+    except OSError:
+        return None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+_PROBES = {"egl": _probe_egl, "osmesa": _probe_osmesa}

@@ -1,0 +1,326 @@
+"""Where things stand: the outline of a room, its walls, and a search for places that a person would choose.
+
+The floor is a grid of cells; each piece takes its footprint, keeps the floor before it open, and may stand only where
+a person can still walk from the door to everything that is used.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from sim.furniture import Footprint
+from sim.settings import RoomShape
+
+CELL_M = 0.05
+PATH_RADIUS_M = 0.3
+"""Half the width that a person needs to walk."""
+OPEN_SHARE = 0.9
+"""The part of all walkable floor that must hang together with the door."""
+NEAR_WALL_M = 0.3
+"""What stands nearer to a wall than this hides what hangs there."""
+
+
+class Pose(NamedTuple):
+    """Where a piece stands: the middle of its footprint [m] and its turn; at yaw 0 it faces -y."""
+
+    x: float
+    y: float
+    yaw: float
+
+    @property
+    def front(self) -> np.ndarray:
+        """The direction in which it faces (2,)."""
+        return np.array((np.sin(self.yaw), -np.cos(self.yaw)))
+
+    def ahead(self, forward_m: float, right_m: float = 0.0) -> np.ndarray:
+        """The point (2,) that lies so far before it and to its own right."""
+        right = np.array((-np.cos(self.yaw), -np.sin(self.yaw)))
+        return np.array((self.x, self.y)) + forward_m * self.front + right_m * right
+
+
+Cost = Callable[[Pose], float]
+"""What a person would rather not: the place with the least is tried first [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """One straight wall; the room lies to the left of the way from start to end.
+
+    Attributes:
+        start: First corner (2,) [m].
+        end: Last corner (2,) [m].
+        taken: Rectangles (left, right, bottom, top) [m] of what hangs on it, in its own frame: x along it from its
+            middle, seen as a piece that stands with its back to it.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    taken: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    @property
+    def length_m(self) -> float:
+        """Its length [m]."""
+        return float(np.abs(self.end - self.start).sum())
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Its middle (2,) [m]."""
+        return (self.start + self.end) / 2
+
+    @property
+    def normal(self) -> np.ndarray:
+        """The direction (2,) into the room."""
+        along = (self.end - self.start) / self.length_m
+        return np.array((-along[1], along[0]))
+
+    @property
+    def yaw(self) -> float:
+        """Turn of a piece that stands with its back to this wall."""
+        return float(np.arctan2(self.normal[0], -self.normal[1]))
+
+    @property
+    def along(self) -> np.ndarray:
+        """The direction (2,) of x in its own frame."""
+        return np.array((np.cos(self.yaw), np.sin(self.yaw)))
+
+
+def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; L and U lack a piece of seeded size."""
+    w, d = width_m / 2, depth_m / 2
+    if shape == "l":
+        x, y = w - rng.uniform(0.34, 0.42) * width_m, d - rng.uniform(0.34, 0.42) * depth_m
+        corners = [(-w, -d), (w, -d), (w, y), (x, y), (x, d), (-w, d)]
+    elif shape == "u":
+        middle, half = rng.uniform(-0.06, 0.06) * width_m, rng.uniform(0.13, 0.16) * width_m
+        y = d - rng.uniform(0.36, 0.44) * depth_m
+        corners = [(-w, -d), (w, -d), (w, d), (middle + half, d), (middle + half, y)]
+        corners += [(middle - half, y), (middle - half, d), (-w, d)]
+    else:
+        corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
+    points = np.array(corners)
+    if shape in ("l", "u") and rng.random() < 0.5:
+        points = -points
+    return points
+
+
+def slabs(corners: np.ndarray) -> list[tuple[float, float, float, float]]:
+    """The room as rectangles (left, right, bottom, top) [m] side by side along x."""
+    found = []
+    for left, right in pairwise(np.unique(corners[:, 0])):
+        x = (left + right) / 2
+        crossings = sorted(
+            float(a[1])
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+            if min(a[0], b[0]) < x < max(a[0], b[0])
+        )
+        for bottom, top in zip(crossings[::2], crossings[1::2], strict=True):
+            found.append((float(left), float(right), bottom, top))
+    return found
+
+
+class Layout:
+    """The floor and the walls of one room, and what of them is taken.
+
+    Args:
+        corners: The room's corners (V, 2), counter-clockwise [m].
+    """
+
+    def __init__(self, corners: np.ndarray) -> None:
+        self.corners = corners
+        self.walls = [Wall(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+        self.low = corners.min(axis=0)
+        size = corners.max(axis=0) - self.low
+        columns, rows = np.rint(size / CELL_M).astype(int)
+        self.inside = np.zeros((rows, columns), bool)
+        for left, right, bottom, top in slabs(corners):
+            self._cells(left, right, bottom, top, self.inside)[:] = True
+        self.taken = np.zeros_like(self.inside)
+        self.kept = np.zeros_like(self.inside)
+        self.overhead = ~self.inside
+        self.tall = np.zeros(self.inside.shape)
+        self.entrance: np.ndarray | None = None
+
+    def against_wall(
+        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
+    ) -> Pose | None:
+        """Find a place with the back to a wall; without a cost anywhere, a little rather in a corner."""
+        poses = []
+        for wall in self.walls if walls is None else walls:
+            reach = (wall.length_m - piece.width_m) / 2 - 0.02
+            if reach < 0:
+                continue
+            for x in np.linspace(-reach, reach, max(int(2 * reach / 0.1), 1) + 1):
+                at = wall.middle + x * wall.along + (piece.depth_m / 2 + 0.02) * wall.normal
+                poses.append(Pose(float(at[0]), float(at[1]), wall.yaw))
+        return self._first_good(piece, poses, rng, cost)
+
+    def in_the_open(
+        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, turns: Sequence[float] = (0.0,)
+    ) -> Pose | None:
+        """Find a place anywhere on the floor, at one of the given turns."""
+        rows, columns = np.nonzero(self.inside[::3, ::3])
+        poses = [
+            Pose(float(self.low[0] + 3 * c * CELL_M), float(self.low[1] + 3 * r * CELL_M), turn)
+            for r, c in zip(rows, columns, strict=True)
+            for turn in turns
+        ]
+        return self._first_good(piece, poses, rng, cost)
+
+    def at(self, piece: Footprint, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
+        """Take the first of the given places that is good."""
+        return next((pose for pose in poses if self._good(piece, pose, walkable)), None)
+
+    def take(self, piece: Footprint, pose: Pose) -> None:
+        """Let a piece stand there."""
+        self._footprint(piece, pose, self.taken)[:] = True
+        self._front(piece, pose, self.kept)[:] = True
+        area = self._footprint(piece, pose, self.tall)
+        area[:] = np.maximum(area, piece.height_m)
+        for wall, rectangle in self._behind(piece, pose):
+            wall.taken.append(rectangle)
+
+    def hang(
+        self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
+    ) -> float | None:
+        """Find x [m] on a wall where (width, bottom, top) covers nothing, and take it."""
+        width, bottom, top = cover
+        reach = (wall.length_m - width) / 2 - 0.05
+        if reach < 0:
+            return None
+        places = rng.permutation(np.linspace(-reach, reach, max(int(2 * reach / 0.08), 1) + 1))
+        if cost is not None:
+            places = sorted(places, key=lambda x: cost(Pose(*(wall.middle + x * wall.along), wall.yaw)))
+        for x in places:
+            rectangle = (x - width / 2 - 0.04, x + width / 2 + 0.04, bottom, top)
+            if not any(_overlap(rectangle, other) for other in wall.taken):
+                wall.taken.append(rectangle)
+                return float(x)
+        return None
+
+    def keep_open(self, wall: Wall, x: float, width_m: float, depth_m: float) -> None:
+        """Keep the floor before a place on a wall open, as before a door; the first is the entrance."""
+        at = wall.middle + x * wall.along + depth_m / 2 * wall.normal
+        self._footprint(Footprint(width_m, depth_m, 0.0), Pose(at[0], at[1], wall.yaw), self.kept)[:] = True
+        if self.entrance is None:
+            self.entrance = wall.middle + x * wall.along + (PATH_RADIUS_M + 2 * CELL_M) * wall.normal
+
+    def overhang(
+        self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
+    ) -> np.ndarray | None:
+        """Find a place (2,) on the ceiling for something of ``size`` along x and y whose lowest point is at ``drop_m``."""
+        spread = 0.15
+        piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
+        rows, columns = np.nonzero(self.inside[::2, ::2])
+        order = rng.permutation(len(rows))
+        poses = [Pose(*(self.low + 2 * CELL_M * np.array((columns[i], rows[i]))), 0.0) for i in order]
+        for pose in poses if cost is None else sorted(poses, key=cost):
+            if not self._whole(piece, pose) or self._footprint(piece, pose, self.overhead).any():
+                continue
+            if (self._footprint(piece, pose, self.tall) > drop_m).any():
+                continue
+            self._footprint(piece, pose, self.overhead)[:] = True
+            return np.array((pose.x, pose.y))
+        return None
+
+    def cover_ceiling(self, at: tuple[float, float], size: tuple[float, float]) -> None:
+        """Take a part of the ceiling, at its middle [m] and of a size along x and y [m]."""
+        self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
+
+    def inside_room(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint lies in the room on floor that nothing else stands on or keeps open."""
+        return self._whole(piece, pose) and not self._footprint(piece, pose, self.kept).any()
+
+    def _first_good(
+        self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None
+    ) -> Pose | None:
+        chance = rng.uniform(0.0, 0.25 if cost is not None else 1.0, len(poses))
+        costs = [float(extra) + (cost(pose) if cost is not None else 0.0) for pose, extra in zip(poses, chance, strict=True)]
+        return self.at(piece, [poses[i] for i in np.argsort(costs, kind="stable")])
+
+    def _good(self, piece: Footprint, pose: Pose, walkable: bool) -> bool:
+        if not self._whole(piece, pose):
+            return False
+        if self._footprint(piece, pose, self.taken | self.kept).any():
+            return False
+        front = self._front(piece, pose, self.taken)
+        if front.any():
+            return False
+        for wall, rectangle in self._behind(piece, pose):
+            if any(_overlap(rectangle, other) and other[3] - other[2] > 0 for other in wall.taken):
+                return False
+        return not walkable or self._leaves_paths(piece, pose)
+
+    def _whole(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether the footprint lies in the room."""
+        left, right, bottom, top = _rectangle(piece, pose)
+        high = self.low + np.array(self.inside.shape[::-1]) * CELL_M
+        tolerance = 1e-6
+        if left < self.low[0] - tolerance or bottom < self.low[1] - tolerance:
+            return False
+        if right > high[0] + tolerance or top > high[1] + tolerance:
+            return False
+        return bool(self._footprint(piece, pose, self.inside).all())
+
+    def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a person can still walk from the entrance to nearly all open floor and to the piece's front."""
+        taken = self.taken | ~self.inside
+        self._footprint(piece, pose, taken)[:] = True
+        far = ndimage.distance_transform_edt(np.pad(~taken, 1))[1:-1, 1:-1] * CELL_M
+        walkable = far > PATH_RADIUS_M - CELL_M / 2
+        label, _ = ndimage.label(walkable)
+        if self.entrance is None:
+            return True
+        column, row = ((self.entrance - self.low) / CELL_M).astype(int)
+        if label[row, column] == 0:
+            return False
+        joined = label == label[row, column]
+        if joined.sum() < OPEN_SHARE * walkable.sum():
+            return False
+        if piece.front_m == 0.0:
+            return True
+        reachable = ndimage.distance_transform_edt(~joined) * CELL_M <= PATH_RADIUS_M
+        return bool(self._front(piece, pose, reachable).any())
+
+    def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
+        """The walls that a piece stands close to, with the rectangle it hides on each."""
+        left, right, bottom, top = _rectangle(piece, pose)
+        corners = np.array(((left, bottom), (right, bottom), (right, top), (left, top)))
+        hidden = []
+        for wall in self.walls:
+            away = (corners - wall.middle) @ wall.normal
+            x = (corners - wall.middle) @ wall.along
+            beside = x.max() < -wall.length_m / 2 or x.min() > wall.length_m / 2
+            if -0.01 < away.min() < NEAR_WALL_M and not beside:
+                hidden.append((wall, (float(x.min()), float(x.max()), 0.0, piece.height_m)))
+        return hidden
+
+    def _footprint(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
+        return self._cells(*_rectangle(piece, pose), grid)
+
+    def _front(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
+        if piece.front_m == 0.0:
+            return grid[:0]
+        ahead = pose.ahead((piece.depth_m + piece.front_m) / 2)
+        strip = Footprint(piece.width_m, piece.front_m, 0.0)
+        return self._cells(*_rectangle(strip, Pose(ahead[0], ahead[1], pose.yaw)), grid)
+
+    def _cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
+        """The part of a grid that a rectangle covers, as a view."""
+        first = np.clip(np.floor((np.array((left, bottom)) - self.low) / CELL_M + 0.01).astype(int), 0, None)
+        last = np.clip(np.ceil((np.array((right, top)) - self.low) / CELL_M - 0.01).astype(int), 0, None)
+        return grid[first[1] : last[1], first[0] : last[0]]
+
+
+def _rectangle(piece: Footprint, pose: Pose) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top [m] of the world-aligned rectangle about a footprint."""
+    c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
+    x, y = (c * piece.width_m + s * piece.depth_m) / 2, (s * piece.width_m + c * piece.depth_m) / 2
+    return pose.x - x, pose.x + x, pose.y - y, pose.y + y
+
+
+def _overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> bool:
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]

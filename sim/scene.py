@@ -1,0 +1,76 @@
+"""The scene: a room with the robot in it, its physics and its picture quality the same whatever the room says."""
+
+import mujoco
+
+from sim.robot import PREFIX, load_robot
+from sim.settings import SimSettings
+
+AMBIENT = 0.4
+"""Brightness of the light that comes from everywhere; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
+AMBIENT_WITHOUT_LAMPS = 0.9
+NEAR_M = 0.01
+FAR_M = 60.0
+
+
+def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
+    """Attach the robot to a copy of a room, force physics and picture quality, and compile.
+
+    Args:
+        room: The room, without moving parts; it is not changed.
+        settings: Physics step, wheel error and camera height are used.
+    """
+    spec = freeze(room)
+    _force_physics(spec, settings.robot.timestep_s)
+    _force_picture(spec)
+    spec.attach(load_robot(settings.robot, settings.camera), prefix=PREFIX, frame=spec.worldbody.add_frame())
+    return spec.compile()
+
+
+def empty_room() -> mujoco.MjSpec:
+    """Nothing but an endless floor."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 0.05))
+    return spec
+
+
+def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy a room without all that moves, drives or measures, and what would alter contacts with the robot."""
+    spec = room.copy()
+    removed = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
+    for element in [e for group in (*removed, spec.joints) for e in group]:
+        spec.delete(element)
+    for body in spec.bodies:
+        body.mocap = False
+    for geom in spec.geoms:
+        # The robot's geoms have priority 2: their friction and stiffness count. Margins would add up.
+        geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
+    return spec
+
+
+def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
+    defaults = mujoco.MjSpec()
+    spec.option = defaults.option
+    spec.option.timestep = timestep_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # A state that went wrong must be seen, not silently set back to the start.
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.compiler.settotalmass = -1.0
+    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
+    spec.compiler.inertiafromgeom = defaults.compiler.inertiafromgeom
+    spec.memory = defaults.memory
+
+
+def _force_picture(spec: mujoco.MjSpec) -> None:
+    # Coarse primitives, no oversampling and no shadows: pictures cost by geometry, not by pixels.
+    quality = spec.visual.quality
+    quality.numslices, quality.numstacks, quality.numquads = 12, 6, 4
+    quality.offsamples, quality.shadowsize = 0, 0
+    # A headlight that follows the view would leave seams between the faces of the fisheye.
+    headlight = spec.visual.headlight
+    headlight.active = 1
+    headlight.ambient = [AMBIENT if spec.lights else AMBIENT_WITHOUT_LAMPS] * 3
+    headlight.diffuse = headlight.specular = [0.0] * 3
+    # Clip planes scale with the extent: fixed, so that they do not depend on the room's size.
+    spec.stat.extent = 1.0
+    spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M

@@ -1,0 +1,245 @@
+"""Who may import whom: every import is parsed, type-only ones and those inside functions too."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in ("sim", "deepgps")
+    for path in sorted((ROOT / package).rglob("*.py"))
+}
+
+NOT_IN_SIM = {"deepgps", "torch", "rerun", "tyro"}
+WITHOUT_MUJOCO = {
+    *("sim", "sim.settings", "sim.records", "sim.geometry", "sim.lens", "sim.encoder"),
+    *("sim.files", "sim.errors", "sim.paths", "sim.streams"),
+}
+ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
+FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl"}
+ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.engine"}
+OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "viz", "figures")}
+GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
+GLOBAL_SEEDS = {
+    "torch.manual_seed",
+    "torch.seed",
+    "torch.cuda.manual_seed",
+    "torch.cuda.manual_seed_all",
+    "random.seed",
+}
+
+
+@dataclass(frozen=True)
+class Import:
+    """One import: the module that is taken, and whether that happens inside a function."""
+
+    module: str
+    line: int
+    in_function: bool
+
+
+def find_imports(tree: ast.AST, modules: set[str], in_function: bool = False) -> Iterator[Import]:
+    """Every import below ``tree``; ``from a import b`` counts as ``a.b`` where ``modules`` has that."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            for name in node.names:
+                yield Import(name.name, node.lineno, in_function)
+        elif isinstance(node, ast.ImportFrom):
+            base = "." * node.level + (node.module or "")
+            for name in node.names:
+                part = f"{base}.{name.name}"
+                yield Import(part if part in modules else base, node.lineno, in_function)
+        inside = in_function or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        yield from find_imports(node, modules, inside)
+
+
+def break_import_law(module: str, source: str) -> list[str]:
+    """What in a module's imports is not allowed, one line each."""
+    faults = []
+    for taken in find_imports(ast.parse(source), set(MODULES)):
+        top = taken.module.partition(".")[0]
+        if fault := judge_import(module, taken, top):
+            faults.append(f"{module}:{taken.line} imports {taken.module}: {fault}")
+    return faults
+
+
+def judge_import(module: str, taken: Import, top: str) -> str | None:
+    """Why a module may not take this import, or None."""
+    if taken.module.startswith("."):
+        return "relative imports hide where a name comes from"
+    never = NOT_IN_SIM if module.startswith("sim") else {"mujoco", "dm_control"}
+    if top in never:
+        return f"{module.partition('.')[0]} never imports {top}"
+    if top in ONLY_IN and module != ONLY_IN[top]:
+        return f"only {ONLY_IN[top]} may"
+    if module.startswith("sim") or top != "sim" or taken.module in WITHOUT_MUJOCO:
+        return None
+    if module in ENTRY_POINTS and taken.module in FOR_ENTRY_POINTS:
+        return None if taken.in_function else "only inside a function"
+    return "deepgps takes of sim only the modules without MuJoCo"
+
+
+def break_truth_law(module: str, source: str) -> list[str]:
+    """Where a module of deepgps opens a recording's truth though it is not one of those that may."""
+    if not module.startswith("deepgps") or module in OPENS_TRUTH:
+        return []
+    tree = ast.parse(source)
+    texts = find_docstrings(tree)
+    faults = []
+    for node in ast.walk(tree):
+        names = {getattr(node, "id", None), getattr(node, "attr", None), getattr(node, "name", None)}
+        text = node.value if isinstance(node, ast.Constant) and id(node) not in texts else None
+        if names & {"open_truth", "load_free_space", "TRUTH"} or is_truth_path(text):
+            faults.append(f"{module}:{getattr(node, 'lineno', 0)} opens the truth")
+    return faults
+
+
+def is_truth_path(text: object) -> bool:
+    """Whether a string names the folder ``truth`` or a file in it."""
+    return isinstance(text, str) and "truth" in text.split("/") and " " not in text and text != "truth"
+
+
+def find_docstrings(tree: ast.AST) -> set[int]:
+    """Identities of the constants that are docstrings or stand alone as a statement."""
+    return {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+
+
+def break_seed_law(module: str, source: str) -> list[str]:
+    """Where a global generator is seeded or used."""
+    faults = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Attribute):
+            name = ast.unparse(node)
+            numpy_random = name.startswith(("np.random.", "numpy.random.")) and name.count(".") == 2
+            if name in GLOBAL_SEEDS or (numpy_random and node.attr not in GENERATORS):
+                faults.append(f"{module}:{node.lineno} uses {name}: randomness is an argument")
+        elif isinstance(node, ast.ImportFrom) and node.module in {"random", "numpy.random"}:
+            taken = {name.name for name in node.names}
+            if node.module == "random" or taken - GENERATORS:
+                faults.append(
+                    f"{module}:{node.lineno} takes {sorted(taken)} from {node.module}: randomness is an argument"
+                )
+        elif isinstance(node, ast.Import) and "random" in {name.name for name in node.names}:
+            faults.append(f"{module}:{node.lineno} imports random: randomness is an argument")
+    return faults
+
+
+def find_cycle(sources: dict[str, str]) -> list[str]:
+    """The modules of one import cycle, imports inside functions included; empty where there is none."""
+    graph = {
+        module: {taken.module for taken in find_imports(ast.parse(source), set(sources))} & sources.keys() - {module}
+        for module, source in sources.items()
+    }
+    try:
+        tuple(TopologicalSorter(graph).static_order())
+    except CycleError as error:
+        return list(error.args[1])
+    return []
+
+
+def read(module: str) -> str:
+    return MODULES[module].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("module", MODULES)
+@pytest.mark.parametrize("law", [break_import_law, break_truth_law, break_seed_law])
+def test_module_keeps_the_law(law, module):
+    assert law(module, read(module)) == []
+
+
+@pytest.mark.parametrize("package", ["sim", "deepgps"])
+def test_package_has_no_import_cycle(package):
+    assert find_cycle({module: read(module) for module in MODULES if module.startswith(package)}) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "fault"),
+    [
+        ("sim.render", "import torch", "sim never imports torch"),
+        ("sim.render", "def f():\n    from deepgps import train", "sim never imports deepgps"),
+        (
+            "sim.render",
+            "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rerun as rr",
+            "never imports rerun",
+        ),
+        ("sim.render", "from . import lens", "relative"),
+        ("deepgps.train", "import rerun", "only deepgps.viz may"),
+        ("deepgps.train", "from tyro import cli", "only deepgps.cli may"),
+        ("deepgps.run", "import ray", "only deepgps.engine may"),
+        ("deepgps.train", "import mujoco.viewer", "never imports mujoco"),
+        ("deepgps.train", "def f():\n    import sim.collect", "only the modules without MuJoCo"),
+        ("deepgps.run", "import sim.collect", "only inside a function"),
+        ("deepgps.run", "def f():\n    import sim.world", "only the modules without MuJoCo"),
+    ],
+)
+def test_import_law_can_fail(module, source, fault):
+    (line,) = break_import_law(module, source)
+    assert fault in line
+
+
+def test_import_law_allows_what_it_should():
+    assert break_import_law("deepgps.viz", "import rerun\nfrom sim.records import open_recording") == []
+    assert break_import_law("deepgps.run", "def f():\n    from sim.collect import collect") == []
+    assert break_import_law("sim.render", "import mujoco, cv2") == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from sim.records import open_truth",
+        "from sim import records\nrecords.open_truth(folder)",
+        "import numpy as np\nnp.load(folder / 'truth/pose.npy')",
+        "from sim.records import TRUTH",
+    ],
+)
+def test_truth_law_can_fail(source):
+    assert break_truth_law("deepgps.train", source)
+    assert not break_truth_law("deepgps.evaluate", source)
+    assert not break_truth_law("deepgps.train", '"""Never opens truth/pose.npy."""')
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import numpy as np\nnp.random.seed(0)",
+        "import numpy as np\nnp.random.normal(size=3)",
+        "from numpy.random import normal",
+        "import torch\ntorch.manual_seed(0)",
+        "import random",
+        "from random import shuffle",
+    ],
+)
+def test_seed_law_can_fail(source):
+    assert break_seed_law("sim.drive", source)
+    assert not break_seed_law("sim.drive", "import numpy as np\nrng = np.random.default_rng(np.random.SeedSequence(0))")
+
+
+def test_cycle_is_found():
+    assert set(find_cycle({"sim.a": "import sim.b", "sim.b": "def f():\n    from sim import a"})) == {"sim.a", "sim.b"}
+    assert find_cycle({"sim.a": "import sim.b", "sim.b": "import numpy"}) == []
+
+
+VIEWER_AND_CLI = {"deepgps.viz", "deepgps.cli"}
+LEARNING = sorted(module for module in MODULES if module.startswith("deepgps") and module not in VIEWER_AND_CLI)
+
+
+@pytest.mark.parametrize(
+    ("modules", "banned"),
+    [
+        (sorted(WITHOUT_MUJOCO), ("mujoco", "dm_control", "torch", "rerun", "tyro", "OpenGL")),
+        (LEARNING, ("mujoco", "dm_control", "rerun", "tyro", "OpenGL")),
+        (["deepgps.cli"], ("mujoco", "dm_control", "rerun", "torch", "OpenGL")),
+    ],
+    ids=["sim", "learning", "cli"],
+)
+def test_importing_leaves_out_what_is_not_needed(modules, banned):
+    code = f"import sys, {', '.join(modules)}; print(sorted(set({banned}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert (done.stdout.strip(), done.returncode) == ("[]", 0), done.stderr
