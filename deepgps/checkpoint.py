@@ -18,6 +18,7 @@ def save_checkpoint(
     optimiser: torch.optim.Optimizer,
     generator: torch.Generator,
     history: dict[str, list],
+    seconds: float,
 ) -> None:
     """Write everything the next step depends on: weights, optimiser, generator (the position in the data), history."""
     state = {
@@ -26,6 +27,7 @@ def save_checkpoint(
         "optimiser": optimiser.state_dict(),
         "generator": generator.get_state(),
         "history": history,
+        "seconds": seconds,
     }
     write_atomic(folder / NAME, lambda part: torch.save(state, part))
 
@@ -36,11 +38,11 @@ def load_checkpoint(
     optimiser: torch.optim.Optimizer,
     generator: torch.Generator,
     history: dict[str, list],
-) -> int:
-    """Restore a training in place and return the steps done; 0 where there is no checkpoint."""
+) -> tuple[int, float]:
+    """Restore a training in place; returns the steps done and the seconds they took, zeros where there is no checkpoint."""
     path = folder / NAME
     if not path.is_file():
-        return 0
+        return 0, 0.0
     device = next(network.parameters()).device
     state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
     network.load_state_dict(state["network"])
@@ -48,9 +50,4 @@ def load_checkpoint(
     generator.set_state(state["generator"].cpu())
     for name, values in state["history"].items():
         history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]
-    return int(state["step"])
-
-
-def remove_checkpoint(folder: Path) -> None:
-    """Remove a checkpoint that a finished method needs no more."""
-    (folder / NAME).unlink(missing_ok=True)
+    return int(state["step"]), float(state["seconds"])

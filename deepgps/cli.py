@@ -264,3 +264,7 @@ def _choose_renderer() -> None:
 def _plain(error: Exception) -> str:
     """One line that rich takes as it is."""
     return " ".join(str(error).split()).replace("[", "\\[")
+
+
+if __name__ == "__main__":
+    main()

@@ -34,9 +34,7 @@ class Segments:
 
     def to(self, device: torch.device) -> "Segments":
         """The same on a device."""
-        return Segments(
-            self.index.to(device), self.distance.to(device), self.count.to(device), self.skipped
-        )
+        return Segments(self.index.to(device), self.distance.to(device), self.count.to(device), self.skipped)
 
 
 def read_segments(recording: Recording) -> Segments:

@@ -1,30 +1,38 @@
-"""Spectral features of polar images: they do not change when the robot turns.
+"""Spectral features of polar images: they do not change when the robot turns, and change slowly as it drives.
 
-Turning shifts a polar image along its sectors, which multiplies every ring's Fourier coefficient of frequency f by the same
-phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature"), and so does the product of one ring's coefficient with the
-conjugate of the next ring's, which keeps how the rings lie to one another. Square roots even out the range.
+Turning shifts a polar image along its sectors, which multiplies every ring's Fourier coefficient of frequency f by the
+phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a ring's
+coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
+
+Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that vary
+much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
+aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors.torch import load_file, save
 
+from deepgps.data import Segments
 from deepgps.settings import FeatureSettings
 from sim.errors import InputError
+from sim.files import write_bytes
 
 CHUNK = 500
 
 
 @dataclass(frozen=True)
 class Features:
-    """Projection of spectra to standardised principal components, fitted on training observations.
+    """Projection of descriptions, fitted on training observations.
 
     Attributes:
         shape: Shape of one observation.
         frequencies: Highest frequency kept around the circle; unused for vectors.
         mean: Mean of the descriptions (K,).
-        basis: Principal axes, each divided by its standard deviation (K, components).
+        basis: Projection (K, components).
     """
 
     shape: tuple[int, ...]
@@ -34,8 +42,7 @@ class Features:
 
     def apply(self, observation: np.ndarray) -> torch.Tensor:
         """Features of observations (N, rings, sectors, 3) uint8 or (N, M) float: (N, components) float32."""
-        if tuple(observation.shape[1:]) != self.shape:
-            raise InputError(f"observations of shape {observation.shape[1:]}, but trained on {self.shape}")
+        check_shape(observation, self.shape)
         chunks = [
             (describe(observation[start : start + CHUNK], self.frequencies) - self.mean) @ self.basis
             for start in range(0, len(observation), CHUNK)
@@ -43,11 +50,17 @@ class Features:
         return torch.cat(chunks) if chunks else torch.zeros((0, self.basis.shape[1]))
 
 
+def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise InputError where observations are not of the shape trained on."""
+    if tuple(observation.shape[1:]) != shape:
+        raise InputError(f"observations of shape {tuple(observation.shape[1:])}, but trained on shape {shape}")
+
+
 def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
     """Heading-invariant description of each observation; vectors are taken as they are.
 
     Args:
-        observation: Polar images (N, rings, sectors, 3) uint8, or vectors (N, M).
+        observation: Polar images (N, rings, sectors, colours) uint8, or vectors (N, M).
         frequencies: Highest frequency kept.
 
     Returns:
@@ -72,14 +85,12 @@ def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
 
 
 def fit_features(
-    observation: np.ndarray, settings: FeatureSettings, generator: torch.Generator
+    observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
 ) -> tuple[Features, torch.Tensor]:
     """Fit the projection on training observations and apply it to them.
 
-    The principal axes come from randomised subspace iteration (Halko, Martinsson, Tropp 2011, algorithm 4.4).
-
     Returns:
-        The projection and the observations' features (N, components), each of mean 0 and variance 1.
+        The projection and the observations' features (N, components); their mean square over all is 1.
     """
     described = torch.cat(
         [
@@ -89,17 +100,63 @@ def fit_features(
     )
     mean = described.mean(dim=0)
     described -= mean
-    axes = _principal_axes(described, min(settings.components, *described.shape), generator)
-    projected = described @ axes
-    spread = projected.std(dim=0).clamp_min(1e-6)
+    basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
+    basis = basis @ _slow_axes(described @ basis, segments, settings.components)
+    projected = described @ basis
+    size = projected.square().mean().sqrt().clamp_min(1e-12)
+    return Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size), projected / size
+
+
+def cached_features(
+    path: Path,
+    key: str,
+    observation: np.ndarray,
+    segments: Segments,
+    settings: FeatureSettings,
+    generator: torch.Generator,
+) -> tuple[Features, torch.Tensor]:
+    """As ``fit_features``, but taken from the file at ``path`` where it was made with the same ``key``."""
     shape = tuple(observation.shape[1:])
-    return Features(shape, settings.frequencies, mean, axes / spread), projected / spread
+    if path.is_file() and path.with_suffix(".key").is_file() and path.with_suffix(".key").read_text() == key:
+        found = load_file(path)
+        return Features(shape, settings.frequencies, found["mean"], found["basis"]), found["features"]
+    path.with_suffix(".key").unlink(missing_ok=True)
+    fitted, features = fit_features(observation, segments, settings, generator)
+    write_bytes(
+        path, save({"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()})
+    )
+    write_bytes(path.with_suffix(".key"), key.encode())
+    return fitted, features
 
 
 def _principal_axes(centred: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
+    # Randomised subspace iteration (Halko, Martinsson, Tropp 2011, algorithm 4.4).
     width = min(count + 16, *centred.shape)
     guess = torch.randn((centred.shape[1], width), generator=generator)
     for _ in range(3):
         guess, _ = torch.linalg.qr(centred.T @ (centred @ guess))
     _, _, axes = torch.linalg.svd(centred @ guess, full_matrices=False)
     return (guess @ axes.T)[:, :count]
+
+
+def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
+    x = x.double()
+    triple = segments.valid[:, 2:]
+    if triple.sum() < 2 * x.shape[1]:
+        # Too few readings in a row to tell slow from fast, as with two readings a segment.
+        return torch.eye(x.shape[1])[:, :count]
+    first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
+    bend = x[first] - 2.0 * x[middle] + x[last]
+    noise = bend.T @ bend / len(bend)
+    ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
+    _, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
+    return axes.flip(1)[:, :count].float()
+
+
+def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Solve ``a v = w b v`` for symmetric a and positive b: w ascending, and v as columns with ``v.T b v = 1``."""
+    lower = torch.linalg.cholesky(b)
+    inner = torch.linalg.solve_triangular(lower, a, upper=False)
+    inner = torch.linalg.solve_triangular(lower, inner.T, upper=False)
+    w, v = torch.linalg.eigh((inner + inner.T) / 2.0)
+    return w, torch.linalg.solve_triangular(lower.T, v, upper=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from matplotlib import ticker
@@ -29,6 +30,7 @@ TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 COLOURS = LinearSegmentedColormap.from_list(
     "error", ["#2b5fd9", "#22a7d6", "#3fd0a5", "#c9e265", "#ffc13b", "#ff7a33", "#e8254f"]
 )
+DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 LINES = {
     "deepgps": "#0b62d6",
     "posenet": "#e07b00",
@@ -38,7 +40,7 @@ LINES = {
     "odometry": "#c2255c",
 }
 FLOOR, OUT_OF_REACH, OBSTACLE = "#161a22", "#2c323e", "#4a5261"
-STYLE = {"dpi": 160, "facecolor": "white"}
+DOTS_PER_INCH = 130
 
 
 @dataclass(frozen=True)
@@ -82,16 +84,14 @@ def make_figures(run: Path) -> dict[str, Figure]:
 def read_fields(run: Path) -> dict[str, WorstField]:
     """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
     path = run / "error_field.npz"
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            data = {name: arrays[name] for name in arrays.files}
-        truth = data.pop("truth")
-        data.pop("heading")
-    except FileNotFoundError:
-        raise InputError(f"{run} is no whole run: error_field.npz is missing") from None
-    except (ValueError, KeyError, OSError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None
-    return {name: worst_heading(truth, predicted) for name, predicted in data.items()}
+    if not path.is_file():
+        raise InputError(f"{run} is no whole run: error_field.npz is missing")
+    data = _read_arrays(path)
+    missing = {"truth", "heading"} - set(data)
+    if missing:
+        raise InputError(f"{path} cannot be read: it has no {' and no '.join(sorted(missing))}")
+    methods = (name for name in data if name not in {"truth", "heading"})
+    return {name: worst_heading(data["truth"], data[name]) for name in methods}
 
 
 def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
@@ -104,13 +104,7 @@ def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
 
 def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     """Read each method's history.npz; methods that were not trained step by step have none."""
-    histories = {}
-    for path in sorted(run.glob("*/history.npz")):
-        try:
-            with np.load(path, allow_pickle=False) as arrays:
-                histories[path.parent.name] = {name: arrays[name] for name in arrays.files}
-        except (ValueError, OSError) as error:
-            raise InputError(f"{path} cannot be read: {error}") from None
+    histories = {path.parent.name: _read_arrays(path) for path in run.glob("*/history.npz")}
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 
@@ -121,7 +115,7 @@ def colours_of(error: np.ndarray) -> np.ndarray:
 
 def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
     """One method's error field over the room."""
-    figure = Figure(figsize=(9, 6.2), layout="constrained")
+    figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
     _draw_field(axes, space, field)
     axes.set_title(f"{method_title(name)}: {_summary(field)}", fontsize=13)
@@ -133,10 +127,8 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
     """The methods' error fields side by side on one scale."""
     columns = 1 if len(fields) == 1 else 2
     rows = -(-len(fields) // columns)
-    low, high = limits(space)
-    aspect = (high[1] - low[1]) / (high[0] - low[0])
-    width = 6.4 * columns
-    figure = Figure(figsize=(width + 0.9, rows * (6.0 * aspect + 0.75) + 0.7), layout="constrained")
+    aspect, width = _aspect(space), 6.4 * columns
+    figure = Figure(figsize=(width + 0.9, rows * (5.75 * aspect + 0.45) + 0.85), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (name, field) in zip(grid.flat, fields.items(), strict=False):
         _draw_field(axes, space, field)
@@ -179,6 +171,9 @@ def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
         axes.plot(step, loss, color=line["color"], linewidth=0.7, alpha=0.35)
         axes.plot(step, smooth(loss), color=line["color"], linewidth=1.8)
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        axes.yaxis.set_minor_formatter(ticker.FormatStrFormatter("%g"))
+        axes.yaxis.set_minor_locator(ticker.LogLocator(subs=(2, 5)))
         axes.set_ylabel("loss")
         axes.set_title(line["label"], loc="left", fontsize=11)
         axes.grid(alpha=0.25)
@@ -189,19 +184,20 @@ def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
 
 def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     """The way driven over the free space, coloured from its start to its end."""
-    figure = Figure(figsize=(9, 6.2), layout="constrained")
+    space = truth.free_space
+    figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
-    _draw_room(axes, truth.free_space)
+    _draw_room(axes, space)
     segment, observation = reading[:, 0], reading[:, 1]
     joined = segment[1:] == segment[:-1]
     place = truth.pose[:, :2][observation]
     pieces = np.stack([place[:-1], place[1:]], axis=1)[joined]
-    lines = LineCollection(list(pieces), cmap="plasma", linewidths=0.8, alpha=0.8)
+    lines = LineCollection(list(pieces), cmap=DRIVE_COLOURS, linewidths=0.8, alpha=0.8)
     lines.set_array(np.arange(len(pieces)))
     axes.add_collection(lines)
     start = truth.pose[0, :2]
     axes.plot(*start, "o", color="white", markersize=7, markeredgecolor="black")
-    axes.annotate("start", start, xytext=(7, 6), textcoords="offset points", color="white", fontsize=10)
+    axes.annotate("start", (start[0], start[1]), xytext=(7, 6), textcoords="offset points", color="white", fontsize=10)
     length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
     count = len(np.unique(segment))
     axes.set_title(f"The drive: {len(truth.pose)} images, {count} straight segments, {length:.0f} m", fontsize=13)
@@ -214,7 +210,7 @@ def to_png(figure: Figure) -> bytes:
     """A figure as PNG; equal figures give equal bytes, since no date is written."""
     FigureCanvasAgg(figure)
     buffer = BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, **STYLE)
+    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -222,6 +218,22 @@ def smooth(values: np.ndarray) -> np.ndarray:
     """Running median of values (N,) over about a fortieth of them; the ends use what there is."""
     half = max(len(values) // 80, 1)
     return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))])
+
+
+def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+    """South-west and north-east corner (2,) [m] of the reachable area with a margin around it."""
+    row, column = np.nonzero(space.reachable)
+    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
+    low, high = space.origin + corner * space.cell_m
+    return low - margin_m, high + margin_m
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (ValueError, OSError, BadZipFile) as error:
+        raise InputError(f"{path} cannot be read: {error}") from None
 
 
 def _draw_field(axes: Axes, space: FreeSpace, field: WorstField) -> None:
@@ -268,11 +280,9 @@ def _draw_room(axes: Axes, space: FreeSpace) -> None:
         spine.set_color("#888888")
 
 
-def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    row, column = np.nonzero(space.reachable)
-    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
-    low, high = space.origin + corner * space.cell_m
-    return low - margin_m, high + margin_m
+def _aspect(space: FreeSpace) -> float:
+    low, high = limits(space)
+    return (high[1] - low[1]) / (high[0] - low[0])
 
 
 def _add_scale(figure: Figure, axes: list[Axes]) -> None:

@@ -95,9 +95,7 @@ def pad_circular(x: torch.Tensor, width: int, both_ways: bool) -> torch.Tensor:
     return functional.pad(x, (0, 0, width, width), mode="circular" if both_ways else "constant")
 
 
-def make_network(
-    settings: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator
-) -> nn.Module:
+def make_network(settings: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
     """Build a network and draw its weights from ``generator`` alone.
 
     Args:

@@ -18,7 +18,7 @@ TITLES = {
     "posenet_noisy": "PoseNet, noisy labels",
     "explicit": "Explicit positioning",
     "knn": "Nearest neighbour",
-    "odometry": "Dead-reckoned labels",
+    "odometry": "Odometry labels",
 }
 
 Row = tuple[str, ...]
@@ -120,13 +120,15 @@ def print_report(run: Path, console: Console) -> None:
     """Print a run's table and the sentences under it; raises InputError where the folder is no run."""
     metrics = read_metrics(run)
     headings, rows = tabulate(metrics)
-    table = Table(box=box.SIMPLE_HEAD, title=f"{metrics['scenario']}, seed {metrics['seed']}", title_justify="left")
+    title = f"{metrics['scenario']}, seed {metrics['seed']}"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=0, show_edge=False)
     for index, heading in enumerate(headings):
         # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
         table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
     for row in rows:
         table.add_row(*row, style="bold" if row[0] == TITLES["deepgps"] else None)
     console.print(table)
+    console.print()
     for sentence in describe(metrics):
         console.print(sentence, highlight=False)
 

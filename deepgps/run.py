@@ -58,15 +58,21 @@ def open_run(folder: Path) -> Scenario:
 def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
     """Hold a run folder for one process at a time and for one scenario."""
     with lock(folder):
-        if fresh:
+        if fresh or not (folder / "scenario.yaml").is_file():
             clear(folder)
         sweep(folder)
         path = folder / "scenario.yaml"
-        if not path.is_file():
-            write_text(path, write_out(scenario))
-        elif open_run(folder) != scenario:
+        begun = path.is_file()
+        if begun and open_run(folder) != scenario:
             raise InputError(f"--out {folder} holds a run of another scenario; --fresh replaces it")
-        yield
+        if not begun:
+            write_text(path, write_out(scenario))
+        try:
+            yield
+        except InputError:
+            if not begun:  # wrong input leaves nothing behind
+                shutil.rmtree(folder)
+            raise
 
 
 @contextmanager
@@ -89,7 +95,7 @@ def clear(folder: Path) -> None:
     """Empty a run folder; raises InputError for a folder that holds something else."""
     others = [path for path in folder.iterdir() if path.name != ".lock"]
     if others and not (folder / "scenario.yaml").is_file():
-        raise InputError(f"--out {folder} is not empty and no run folder; --fresh only replaces runs")
+        raise InputError(f"--out {folder} is neither empty nor a run folder")
     for path in others:
         if path.is_dir():
             shutil.rmtree(path)
@@ -101,10 +107,8 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and look: write the recording, if it does not stand yet."""
     from sim.collect import collect as collect_recording
 
-    recording = folder / "recording"
-    if not (recording / "manifest.json").is_file():
-        with timed(folder, "collect"):
-            collect_recording(scenario.sim, scenario.seed, recording, progress)
+    with timed(folder, "collect"):
+        collect_recording(scenario.sim, scenario.seed, folder / "recording", progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -8,16 +8,18 @@ from sim.settings import Group
 
 Architecture = Literal["spectral", "resnet", "resnet_paper"]
 Loss = Literal["absolute", "normalised"]
-Start = Literal["lines", "lifting", "random"]
+Start = Literal["auto", "lines", "lifting", "random"]
 
 
 class FeatureSettings(Group):
     """Spectral features, the input of the spectral network and of the nearest neighbour."""
 
-    frequencies: int = Field(24, ge=1, le=512)
+    frequencies: int = Field(16, ge=1, le=512)
     """Highest frequency kept around the circle."""
-    components: int = Field(384, ge=2, le=4096)
-    """Principal components kept."""
+    principal: int = Field(512, ge=2, le=4096)
+    """Principal components among which slow features are sought."""
+    components: int = Field(64, ge=2, le=4096)
+    """Slow features kept."""
 
 
 class NetworkSettings(Group):
@@ -72,10 +74,12 @@ class FoldSettings(Group):
 
     restarts: int = Field(2, ge=0, le=20)
     """How often training starts again from other weights when a fold is found."""
-    bend: float = Field(0.05, gt=0.0)
-    """A segment is bent when its ends lie closer than the distance driven by more than this fraction."""
-    bent: float = Field(0.02, gt=0.0, le=1.0)
-    """Fraction of bent segments above which the map counts as folded."""
+    bent: float = Field(0.10, gt=0.0, le=1.0)
+    """Fraction of the way on segments whose predicted ends do not fit the distance driven, above which the map is folded."""
+    doubled: float = Field(0.10, gt=0.0, le=1.0)
+    """Fraction of observations whose neighbours on the map look unlike them, above which the map is folded."""
+    torn: float = Field(0.10, gt=0.0, le=1.0)
+    """Fraction of look-alike observations that lie apart on the map, above which the map is folded."""
 
 
 class LearnSettings(Group):
@@ -86,7 +90,10 @@ class LearnSettings(Group):
     train: TrainSettings = TrainSettings()
     loss: Loss = "absolute"
     """absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
-    start: Start = "lines"
-    """How the map is unfolded before distances alone finish it: lines (closed form), lifting, or random."""
+    start: Start = "auto"
+    """How the map is unfolded before distances alone finish it: lines (closed form, needs three readings on most segments),
+    lifting, random (not at all), or auto: lines where they are possible, else lifting."""
+    neighbours: int = Field(4, ge=1, le=100)
+    """Nearest neighbours whose positions knn averages."""
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -4,9 +4,11 @@ On one machine the same seed gives the same weights to the byte: each random dra
 the checkpoint, and the schedule counts steps.
 """
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -15,12 +17,15 @@ from torch import nn
 from deepgps.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
+from sim.errors import InputError
 from sim.files import write_arrays
 
 SNAPSHOTS = 30
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP = 0.05
+
+Purpose = Literal["features", "start", "weights", "shuffling", "fold"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Batch:
 
 
 class Inputs:
-    """Training observations as the network takes them, on the device.
+    """Observations as the network takes them, on one device.
 
     Features (N, K) float32 are taken as they are. Polar images (N, rings, sectors, 3) uint8 become (N, 3, rings, sectors)
     float32, each shifted in a circle by a random number of sectors when a generator is given (paper section III-B2).
@@ -61,16 +66,43 @@ class Inputs:
             chosen = chosen.gather(2, column)
         return chosen.permute(0, 3, 1, 2).float() / 255.0
 
+    def __len__(self) -> int:
+        return len(self.table)
+
 
 Draw = Callable[[torch.Generator], Batch]
 Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
+
+
+def make_generator(seed: int, purpose: Purpose, attempt: int = 0) -> torch.Generator:
+    """A CPU generator of its own for each purpose and attempt, so that one's draws never shift another's."""
+    return torch.Generator().manual_seed(derive_seed(seed, purpose, attempt))
+
+
+def derive_seed(seed: int, purpose: Purpose, attempt: int = 0) -> int:
+    """The seed of one purpose and attempt."""
+    key = (get_args(Purpose).index(purpose), attempt)
+    # An offset keeps these streams apart from those of sim, which number their purposes from zero as well.
+    state = np.random.SeedSequence(seed, spawn_key=(1000, *key)).generate_state(2, np.uint32)
+    return int(state[0]) << 31 | int(state[1]) >> 1
 
 
 def choose_device(name: str) -> torch.device:
     """The device of this name; auto is CUDA where there is one."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
+    if name.startswith("cuda") and not torch.cuda.is_available():
+        raise InputError(f"learn.train.device {name!r}: this machine has no CUDA device; there are cpu and auto")
     return torch.device(name)
+
+
+def describe_device(name: str = "auto") -> str:
+    """One line about the device that training would use."""
+    device = choose_device(name)
+    fast = "bfloat16" if has_fast_bfloat16(device) else "float32"
+    if device.type == "cuda":
+        return f"{torch.cuda.get_device_name(device)}, {fast}"
+    return f"CPU, {torch.get_num_threads()} threads, {fast}"
 
 
 def has_fast_bfloat16(device: torch.device) -> bool:
@@ -90,7 +122,7 @@ def train(
     folder: Path,
     progress: Report = ignore,
     label: str = "train",
-) -> nn.Module:
+) -> float:
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
     Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), ``snapshot``
@@ -106,16 +138,18 @@ def train(
         folder: Where checkpoint and history go.
         progress: Told how far it is.
         label: What it is told to be.
+
+    Returns:
+        Seconds of training, earlier parts of a cut-off training counted in.
     """
     device = choose_device(settings.device)
     network = network.to(device).train()
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
-    )
+    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
     generator = torch.Generator(device).manual_seed(seed)
     fast = settings.bfloat16 and has_fast_bfloat16(device)
-    history = History.start(len(inputs.table), settings.steps)
-    done = load_checkpoint(folder, network, optimiser, generator, history.arrays)
+    history = History.start(len(inputs), settings.steps)
+    done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
+    start = time.perf_counter() - seconds
     running = torch.zeros((), device=device)
     every = max(1, settings.steps // LOSS_POINTS)
     for step in range(done, settings.steps):
@@ -136,11 +170,13 @@ def train(
             running.zero_()
             progress(label, step + 1, settings.steps)
         # A checkpoint falls on a loss point, so that the running mean need not be saved.
-        if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0:
-            save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays)
+        if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0 or step + 1 == settings.steps:
+            seconds = time.perf_counter() - start
+            save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays, seconds)
     history.add_snapshot(settings.steps, predict(network, inputs, history.index))
     write_arrays(folder / "history.npz", history.tables())
-    return network.eval()
+    network.eval()
+    return seconds
 
 
 def schedule(step: int, steps: int) -> float:

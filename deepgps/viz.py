@@ -6,6 +6,8 @@ and ``progress``, which runs through drive and training together from 0 to ``PRO
 """
 
 import hashlib
+import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,22 +15,18 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-import trimesh
-from matplotlib.colors import hsv_to_rgb, to_rgb
+from matplotlib.colors import to_rgb
 from rerun.chunk import RrdReader
 
-from deepgps import figures
+from deepgps import figures, playback
 from deepgps.alignment import fit_alignment
 from deepgps.figures import WorstField, colours_of
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, method_title, read_metrics
-from sim.encoder import ticks_to_distance
 from sim.errors import InputError, WorkError
 from sim.files import write_atomic
-from sim.lens import make_lens, project_polar, round_rays
 from sim.records import FreeSpace, Recording, Truth, open_recording, open_truth, sha256
 from sim.settings import CameraSettings
 
@@ -38,7 +36,6 @@ DRIVE_TIME, STEP, PROGRESS = "drive_time", "step", "progress"
 PROGRESS_END = 10_000
 IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
 ROUND_PX = 144
-JPEG_QUALITY = 85
 LAYER_M = 0.01  # height of one drawn layer above the next
 ROBOT = "world/drive/robot"
 FIELDS = "/world/error_field/"
@@ -86,17 +83,24 @@ def view(paths: Sequence[Path]) -> None:
         WorkError: The viewer is missing or cannot open a window.
     """
     recordings = [find_recording(path) for path in paths]
-    command = [sys.executable, "-m", "rerun_cli", *map(str, recordings)]
-    try:
-        ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
-    except OSError as error:
-        raise WorkError(f"the Rerun viewer does not start: {error}; pip install rerun-sdk") from None
+    # the viewer also listens for data; only this machine may send it any
+    command = [find_viewer(), "--bind", "127.0.0.1", *map(str, recordings)]
+    ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
     if ended.returncode != 0:
-        reason = (ended.stderr.strip().splitlines() or ["no reason given"])[-1]
+        lines = [line for line in ended.stderr.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
-            f"the Rerun viewer ended with {ended.returncode} ({reason}); without a display, copy "
+            f"the Rerun viewer ended with {ended.returncode} ({lines[-1]}); without a display, copy "
             f"{recordings[0]} to a machine that has one, or: rerun --serve-web --bind 127.0.0.1 {recordings[0]}"
         )
+
+
+def find_viewer() -> str:
+    """Path of the viewer that came with rerun-sdk, whether or not its environment is active; raises WorkError."""
+    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    viewer = shutil.which("rerun", path=places)
+    if viewer is None:
+        raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk brings it")
+    return viewer
 
 
 def find_recording(run: Path) -> Path:
@@ -148,9 +152,7 @@ def read_error_field(path: Path, method: str) -> WorstField:
     return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))
 
 
-def make_blueprint(
-    space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0
-) -> rrb.Blueprint:
+def make_blueprint(space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0) -> rrb.Blueprint:
     """How the viewer shows a run: what matters first, without a click."""
     return rrb.Blueprint(
         rrb.Tabs(
@@ -163,7 +165,7 @@ def make_blueprint(
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 60, play_state="paused"),
+        rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 100, play_state="paused"),
         auto_views=False,
     )
 
@@ -174,7 +176,7 @@ def _overview(space: FreeSpace, method: str) -> rrb.Horizontal:
             name=f"Error field of {method_title(method)}",
             origin="world",
             contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{method}/**"],
-            eye_controls=_eye(space, tilt=0.45),
+            eye_controls=_eye(space, tilt=0.45, reach=1.08),
             line_grid=False,
         ),
         rrb.TextDocumentView(name="Figures", origin="report/figures"),
@@ -214,7 +216,7 @@ def _drive(space: FreeSpace) -> rrb.Horizontal:
         name="Robot and path so far",
         origin="world",
         contents=["world/room", "world/drive/**"],
-        eye_controls=_eye(space, tilt=0.45),
+        eye_controls=_eye(space, tilt=0.45, reach=1.3),
         line_grid=False,
         overrides={"world/drive/path": rrb.VisibleTimeRanges(so_far)},
     )
@@ -284,11 +286,11 @@ def _whole_axis() -> rrb.TimeAxis:
     return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
 
 
-def _eye(space: FreeSpace, tilt: float = 0.0) -> rrb.EyeControls3D:
-    """An eye above the middle of the room, tilted towards the south by ``tilt`` [rad]."""
+def _eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0) -> rrb.EyeControls3D:
+    """An eye above the room, tilted towards the south by ``tilt`` [rad], ``reach`` times as far as for a plan."""
     low, high = figures.limits(space)
     middle = np.array([*(low + high) / 2, 0.0]) - [0, 0.25, 0]  # the scale lies before the room
-    distance = 1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + 0.8
+    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + 0.8)
     away = distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)])
     # an eye exactly above has no up direction of its own: north is up
     return rrb.EyeControls3D(
@@ -298,15 +300,14 @@ def _eye(space: FreeSpace, tilt: float = 0.0) -> rrb.EyeControls3D:
 
 def _log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    stream.log("world/room", rr.Asset3D(contents=open_room(scene, space), media_type="model/gltf-binary"), static=True)
-    kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
-    palette = [to_rgb(colour) for colour in (figures.FLOOR, figures.OUT_OF_REACH, figures.OBSTACLE)]
-    plan = (np.array(palette) * 255).astype(np.uint8)[kind]
-    corner = space.origin - space.cell_m / 2
+    stream.log(
+        "world/room", rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary"), static=True
+    )
+    plan, corner = playback.draw_floor_plan(space)
     stream.log(
         "world/floor_plan",
         rr.GridMap(
-            data=np.ascontiguousarray(plan[::-1]).tobytes(),
+            data=plan[::-1].tobytes(),  # Rerun wants the northern row first
             format=rr.components.ImageFormat(
                 width=plan.shape[1], height=plan.shape[0], color_model="RGB", channel_datatype="U8"
             ),
@@ -315,25 +316,8 @@ def _log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None
         ),
         static=True,
     )
-    contours, _ = cv2.findContours(space.reachable.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    strips = [_lift(space.origin + np.vstack([line, line[:1]])[:, 0] * space.cell_m, 0.0) for line in contours]
+    strips = [_lift(line, 0.0) for line in playback.find_outline(space)]
     stream.log("world/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), static=True)
-
-
-def open_room(scene: Path, space: FreeSpace) -> bytes:
-    """The room's mesh without what hangs in its upper quarter and without its south wall, so that one can see in."""
-    try:
-        loaded = trimesh.load_scene(scene)
-    except Exception as error:  # trimesh passes on whatever its readers raise
-        raise InputError(f"{scene} cannot be read: {error}") from None
-    roof = 0.75 * loaded.bounds[1, 2]
-    south = figures.limits(space, margin_m=0.0)[0][1]
-    for node in list(loaded.graph.nodes_geometry):
-        transform, name = loaded.graph[node]
-        corners = trimesh.transform_points(trimesh.bounds.corners(loaded.geometry[name].bounds), transform)
-        if corners[:, 2].min() > roof or (corners[:, 1].max() < south and corners[:, 2].max() > 0.1):
-            loaded.graph.transforms.remove_node(node)
-    return loaded.export(file_type="glb")
 
 
 def _log_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
@@ -391,20 +375,19 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -
             translation=_lift(truth.pose[seen, :2], 0.0), quaternion=_quaternions(truth.pose[seen, 2])
         ),
     )
-    begin = np.flatnonzero(np.r_[True, segment[1:] != segment[:-1]])
-    end = np.r_[begin[1:], len(segment)] - 1
-    begin_of = np.repeat(begin, np.diff(np.r_[begin, len(segment)]))
-    stream.log("world/drive/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[90, 160, 255]), static=True)
+    start = playback.find_starts(segment)
+    end = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+    stream.log("world/drive/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[90, 160, 255, 150]), static=True)
     stream.send_columns(
         "world/drive/path",
         _drive_index(recording.time[end], recording),
-        rr.LineStrips3D.columns(strips=np.stack([place[begin], place[end]], axis=1)),
+        rr.LineStrips3D.columns(strips=np.stack([place[start[end]], place[end]], axis=1)),
     )
     stream.log("world/drive/leg", rr.LineStrips3D.from_fields(radii=0.012, colors=[255, 196, 60]), static=True)
     stream.send_columns(
-        "world/drive/leg", indexes, rr.LineStrips3D.columns(strips=np.stack([place[begin_of], place], axis=1))
+        "world/drive/leg", indexes, rr.LineStrips3D.columns(strips=np.stack([place[start], place], axis=1))
     )
-    _log_distances(stream, recording, truth, begin_of)
+    _log_distances(stream, recording, truth)
     _log_images(stream, recording, seen, recording.time[first])
 
 
@@ -425,18 +408,13 @@ def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> N
     stream.log(f"{ROBOT}/lens", rr.Points3D([(0, 0, height_m)], radii=0.03, colors=[232, 37, 79]), static=True)
 
 
-def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth, begin_of: np.ndarray) -> None:
-    odometry = recording.manifest["odometry"]
-    ticks, observation = recording.reading[:, 2:], recording.reading[:, 1]
-    way = ticks_to_distance(ticks, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
-    encoder = way - way[begin_of]
-    place = truth.pose[observation, :2]
-    actual = np.linalg.norm(place - place[begin_of], axis=1)
-    difference_mm = 1000 * _accumulate(encoder - actual, begin_of)
+def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
+    encoder, true, difference = playback.measure_distances(recording, truth.pose)
+    ticks = recording.reading[:, 2:]
     series = {
         "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),
-        "drive/distance/truth": (actual, "true", (90, 160, 255)),
-        "drive/difference": (difference_mm, "encoder minus truth", (232, 37, 79)),
+        "drive/distance/truth": (true, "true", (90, 160, 255)),
+        "drive/difference": (1000 * difference, "encoder minus truth", (232, 37, 79)),
         "drive/ticks/left": (ticks[:, 0], "left", (90, 160, 255)),
         "drive/ticks/right": (ticks[:, 1], "right", (63, 208, 165)),
     }
@@ -445,39 +423,16 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
         _send_series(stream, path, indexes, values, label, colour)
 
 
-def _accumulate(on_segment: np.ndarray, begin_of: np.ndarray) -> np.ndarray:
-    """Sum over segments of a quantity that starts at zero on each."""
-    ends = np.flatnonzero(np.r_[begin_of[1:] != begin_of[:-1], True])
-    before = np.r_[0.0, np.cumsum(on_segment[ends])[:-1]]
-    return on_segment + before[np.searchsorted(ends, np.arange(len(on_segment)))]
-
-
 def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
     step = -(-len(seen) // IMAGES_AT_MOST)
     seen, indexes = seen[::step], _drive_index(time[::step], recording)
-    warp = make_warp(_camera(recording), *recording.observation.shape[1:3], ROUND_PX)
+    _, rings, sectors, _ = recording.observation.shape
+    warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
     polar = (np.asarray(recording.observation[observation]) for observation in seen)
-    pairs = [(_jpeg(image), _jpeg(warp_round(image, warp))) for image in polar]
+    pairs = [(playback.encode_jpeg(image), playback.encode_jpeg(playback.warp_round(image, warp))) for image in polar]
     for path, blobs in zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True):
         stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
         stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
-
-
-def make_warp(camera: CameraSettings, rings: int, sectors: int, size: int) -> np.ndarray:
-    """Place in the polar image of each pixel of the round picture (size, size, 2): column, row [px]; NaN outside."""
-    lens = make_lens(camera)
-    place = project_polar(lens, round_rays(lens, size), rings, sectors)
-    row, column = np.clip(place[..., 0], 0, rings - 1), place[..., 1] + 1  # one column more on either side
-    return np.stack([column, row], axis=-1).astype(np.float32)
-
-
-def warp_round(polar: np.ndarray, warp: np.ndarray) -> np.ndarray:
-    """The round picture (size, size, 3) of a polar image (rings, sectors, 3), black outside the rim."""
-    around = np.concatenate([polar[:, -1:], polar, polar[:, :1]], axis=1)
-    outside = np.isnan(warp[..., 0])
-    picture = cv2.remap(around, np.where(outside[..., None], 0, warp), None, cv2.INTER_LINEAR)
-    picture[outside] = 0
-    return picture
 
 
 def _log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np.ndarray) -> None:
@@ -495,18 +450,10 @@ def _log_training(stream: rr.RecordingStream, name: str, history: Data, truth: n
         path,
         _step_index(history["snapshot_step"], last),
         rr.Points3D.columns(
-            positions=_lift(np.concatenate(snapshot), LAYER_M), colors=np.tile(_place_colours(place), (len(snapshot), 1))
+            positions=_lift(np.concatenate(snapshot), LAYER_M),
+            colors=np.tile(playback.colours_of_places(place), (len(snapshot), 1)),
         ).partition([count] * len(snapshot)),
     )
-
-
-def _place_colours(place: np.ndarray) -> np.ndarray:
-    """Colours (N, 3) uint8 by where a point truly is: hue around the middle, paler towards it."""
-    middle = (place.min(axis=0) + place.max(axis=0)) / 2
-    offset = (place - middle) / np.maximum((np.ptp(place, axis=0)) / 2, 1e-9)
-    hue = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1
-    saturation = np.clip(0.15 + 0.85 * np.linalg.norm(offset, axis=1), 0, 1)
-    return (hsv_to_rgb(np.stack([hue, saturation, np.ones(len(place))], axis=1)) * 255).astype(np.uint8)
 
 
 def _log_report(
@@ -583,10 +530,6 @@ def _quaternions(yaw: np.ndarray) -> np.ndarray:
     """Quaternions (N, 4), x y z w as Rerun has them, of headings (N,) [rad]."""
     zero = np.zeros_like(yaw)
     return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)
-
-
-def _jpeg(image: np.ndarray) -> bytes:
-    return cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
 def _hash(run: Path) -> str:

@@ -67,7 +67,10 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     from sim.mesh import write_scene  # the workers, which import this file too, do without it
 
     start = time.perf_counter()
-    work = folder / "collecting"
+    work = folder.with_name(f"{folder.name}.collecting")
+    if (folder / "manifest.json").is_file():
+        shutil.rmtree(work, ignore_errors=True)  # killed just before it was removed
+        return
     work.mkdir(parents=True, exist_ok=True)
     world = RoomWorld(settings)
     test_pose = lay_grid(world, settings)

@@ -23,14 +23,17 @@ STRAIGHTEN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of their speeds over difference of their angles [1/s]."""
 REST_S = 0.12
 """The robot stands this long after it has stopped, so that it no longer rocks [s]."""
-TURN_PATIENCE_S = 20.0
+PATIENCE_TURNS = 4
+"""A turn that takes longer than this many whole turns would is given up."""
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""In a narrow place the robot is content with less and less of SHORTEST_M and of the stopping distance."""
 FURTHER_RAD = 0.3
-"""A robot that had to turn on goes on by up to this after the first clear heading, not to graze what it just missed."""
+"""After the first clear heading the robot turns on by up to this [rad], not to graze what it just missed."""
 CLOSE_M = 0.002
 CLOSE_RAD = 0.01
 """Nearer than this to its goal the robot stops: a controller that decides in periods cannot do better."""
 SHORTEST_M = 0.16
-"""A heading is taken when at least this is clear ahead [m]; less where all around is nearer."""
+"""A heading is taken when at least this is clear ahead [m]."""
 DOUBT_M = 0.12
 """A contact or stall makes the samples of this last stretch of wheel way doubtful: they are dropped [m]."""
 STALL_M = 0.02
@@ -116,8 +119,8 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
         WorkError: the robot is stuck.
     """
     for _ in range(TRIES):
-        _turn_to_clear(robot, settings, rng)
-        segment = _go_straight(robot, settings, settings.longest_m, continues)
+        stop_m = _turn_to_clear(robot, settings, rng)
+        segment = _go_straight(robot, settings, stop_m, continues)
         if not segment.reached_end:
             _back_off(robot, settings)
         if len(segment.time) >= 2:
@@ -126,25 +129,31 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
 
-def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> None:
-    """Turn by a random angle, and on in the same direction until enough is clear ahead."""
+def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> float:
+    """Turn by a random angle, and on in the same direction until enough is clear ahead.
+
+    Returns:
+        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear.
+    """
     angle = rng.uniform(-np.pi, np.pi)
     _turn(robot, settings, angle)
-    enough_m = SHORTEST_M
-    while _look_ahead(robot, settings, REACH_M) < enough_m:
-        further = np.copysign(rng.uniform(0.0, FURTHER_RAD), angle)
-        if not _turn(robot, settings, further, until_clear_m=enough_m):
-            enough_m /= 2
+    for share in SHARES:
+        enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
+        found = True
+        while found and _look_ahead(robot, REACH_M) - stop_m < enough_m:
+            further = np.copysign(rng.uniform(0.0, FURTHER_RAD), angle)
+            found = _turn(robot, settings, further, until_clear_m=enough_m + stop_m)
+        if found:
+            return stop_m
+    raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
 
 
-def _look_ahead(robot: Robot, settings: DriveSettings, reach_m: float) -> float:
-    """How far the robot may go straight ahead [m], as far as rays of a reach tell."""
-    return clear_length(robot.ranges(reach_m)) - settings.stop_distance_m
+def _look_ahead(robot: Robot, reach_m: float) -> float:
+    """How far the robot may go straight ahead before it touches [m], as far as rays of a reach tell."""
+    return clear_length(robot.ranges(reach_m))
 
 
-def _turn(
-    robot: Robot, settings: DriveSettings, angle: float, until_clear_m: float | None = None
-) -> bool:
+def _turn(robot: Robot, settings: DriveSettings, angle: float, until_clear_m: float | None = None) -> bool:
     """Turn in place by an angle [rad], closed on the wheel angles.
 
     Args:
@@ -158,13 +167,12 @@ def _turn(
     """
     period, start = settings.control_period_s, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
-    rate, deadline = 0.0, robot.time() + TURN_PATIENCE_S
+    rate, deadline = 0.0, robot.time() + PATIENCE_TURNS * 2 * np.pi / settings.turn_rate_rps
     while robot.time() < deadline:
         left, right = robot.wheel_angle() - start
         turned = abs(right - left) * WHEEL_RADIUS_M / TRACK_M
         if until_clear_m is not None and goal == np.inf:
-            reach_m = until_clear_m + settings.stop_distance_m + RADIUS_M + SEEN_M
-            if _look_ahead(robot, settings, reach_m) >= until_clear_m:
+            if _look_ahead(robot, until_clear_m + RADIUS_M + SEEN_M) >= until_clear_m:
                 goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
             elif turned > 2 * np.pi:
                 break
@@ -176,21 +184,28 @@ def _turn(
     return goal < np.inf
 
 
-def _go_straight(robot: Robot, settings: DriveSettings, length_m: float, continues: bool) -> Segment:
-    """Drive straight by a length [m] or until ranges, bumper or a stall stop it, and take the samples."""
+def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues: bool) -> Segment:
+    """Drive straight until the length, the ranges, the bumper or a stall stop it, and take the samples.
+
+    Args:
+        robot: Stands still.
+        settings: How fast, how far, when to look.
+        stop_m: Room to leave before the body [m].
+        continues: See `next_segment`.
+    """
     period, spacing = settings.control_period_s, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
     speed = told_m = way_m = slip_from_m = 0.0
     seen_m = np.inf
-    # Near rays are enough to stop in time; the far ones have told the length.
+    # Near rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
-    reach_m = blind_m + settings.stop_distance_m + RADIUS_M + SEEN_M
+    reach_m = blind_m + stop_m + RADIUS_M + SEEN_M
     ended: Ended | None = None
     while True:
-        clear_m = _look_ahead(robot, settings, reach_m)
+        clear_m = _look_ahead(robot, reach_m) - stop_m
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
             seen_m, slip_from_m = clear_m, way_m
-        rest_m = min(length_m - way_m, clear_m)
+        rest_m = min(settings.longest_m - way_m, clear_m)
         if ended := _why_stop(robot.bumped(), told_m - way_m, way_m - slip_from_m, clear_m, rest_m):
             break
         speed = _ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
@@ -205,6 +220,8 @@ def _go_straight(robot: Robot, settings: DriveSettings, length_m: float, continu
     taken = len(samples)
     if ended in ("contact", "stall"):
         samples = [sample for sample in samples if sample.way_m <= way_m - DOUBT_M]
+    elif way_m < CLOSE_M:
+        samples = []
     else:
         samples.append(_sample(robot, _way(robot, start)))
         # The end is the next segment's start: a regular sample just before it gives way.

@@ -1,4 +1,4 @@
-"""Where the robot fits: a cylinder of its radius and height, stood on the floor of a compiled room, against every geom."""
+"""Where the robot fits: a cylinder of its radius and height on the floor, against every geom of a compiled room."""
 
 import mujoco
 import numpy as np
@@ -15,9 +15,7 @@ START = "start"
 _FLAT = 1e-6
 
 
-def find_free_space(
-    model: mujoco.MjModel, radius_m: float, height_m: float, cell_m: float = 0.02
-) -> FreeSpace:
+def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cell_m: float = 0.02) -> FreeSpace:
     """Find the cells in which an upright cylinder of the robot's size touches no colliding geom.
 
     A block of cells is decided at once where the cylinder in its middle is further from a geom than the block's
@@ -40,7 +38,8 @@ def find_free_space(
     for terrain in probe.terrains:
         _block_terrain(blocked, probe, terrain, origin, cell_m)
     free = ~blocked
-    label, _ = ndimage.label(free)
+    label = np.zeros(free.shape, np.int32)
+    ndimage.label(free, output=label)
     region, start = _enclosed_region(model, label, origin, cell_m)
     return FreeSpace(
         origin=origin,
@@ -67,13 +66,11 @@ class _Probe:
         self.room, self.room_data = model, rest
         reach_m = height_m - CLEARANCE_M
         spec = mujoco.MjSpec()
-        spec.worldbody.add_geom(
-            name="probe", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(radius_m, reach_m / 2, 0.0)
-        )
+        spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(radius_m, reach_m / 2, 0.0))
         self.terrains: list[int] = []
-        for geom in np.flatnonzero(collides(model)):
+        for geom in map(int, np.flatnonzero(collides(model))):
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD:
-                self.terrains.append(int(geom))
+                self.terrains.append(geom)
             elif not _below(model, rest, geom, CLEARANCE_M):
                 _copy_geom(spec, model, rest, geom)
         self.model = spec.compile()
@@ -109,8 +106,9 @@ def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.n
 def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> None:
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
-    copy = spec.worldbody.add_geom(type=model.geom_type[geom], pos=data.geom_xpos[geom], quat=quat)
-    if model.geom_type[geom] in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
+    kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+    copy = spec.worldbody.add_geom(type=kind, pos=data.geom_xpos[geom], quat=quat)
+    if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
         mesh = model.geom_dataid[geom]
         name = f"mesh_{mesh}"
         if not any(known.name == name for known in spec.meshes):
@@ -192,7 +190,6 @@ def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.nda
     above = np.zeros(blocked.shape, bool)
     ray_from = max(high[2], probe.top_m) + 1.0
     rows, columns = blocked.shape
-    hit = np.zeros(1, np.int32)
     for row in range(rows):
         for column in range(columns):
             x, y = origin + np.array((column, row)) * cell_m
@@ -202,7 +199,6 @@ def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.nda
                 model, data, geom, np.array((x, y, ray_from)), np.array((0.0, 0.0, -1.0)), None
             )
             above[row, column] = distance >= 0 and ray_from - distance > CLEARANCE_M
-    del hit
     offset = np.arange(-reach, reach + 1) * cell_m
     disc = offset[:, None] ** 2 + offset[None, :] ** 2 <= probe.radius_m**2
     blocked |= ndimage.binary_dilation(above, disc)
@@ -242,7 +238,8 @@ def _start_site(model: mujoco.MjModel) -> np.ndarray | None:
 
 def _roomiest(region: np.ndarray, origin: np.ndarray, cell_m: float) -> np.ndarray:
     """Middle of the cell that is furthest from all that is not in the region."""
-    row, column = np.unravel_index(ndimage.distance_transform_edt(region).argmax(), region.shape)
+    inner = np.asarray(ndimage.distance_transform_edt(region))
+    row, column = np.unravel_index(inner.argmax(), region.shape)
     return origin + np.array((column, row)) * cell_m
 
 

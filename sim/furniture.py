@@ -14,6 +14,9 @@ from sim.textures import Colour
 
 VISUAL_GROUP = 2
 COLLISION_GROUP = 3
+Point = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+UPRIGHT: Quaternion = (1.0, 0.0, 0.0, 0.0)
 WOODS = ((0.62, 0.42, 0.24), (0.45, 0.28, 0.16), (0.76, 0.58, 0.38), (0.3, 0.19, 0.13), (0.68, 0.5, 0.34))
 
 
@@ -84,9 +87,7 @@ def paper(spec: mujoco.MjSpec, image: np.ndarray, glow: float = 0.0) -> str:
     """Add a material from a picture (rows, columns, 3) uint8 that covers every face once."""
     name = f"paper_{len(spec.materials)}"
     rows, columns = image.shape[:2]
-    texture = spec.add_texture(
-        name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3
-    )
+    texture = spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3)
     texture.data = np.ascontiguousarray(image).tobytes()
     material = spec.add_material(name=name, emission=glow, specular=0.0, shininess=0.0)
     roles = material.textures
@@ -97,11 +98,11 @@ def paper(spec: mujoco.MjSpec, image: np.ndarray, glow: float = 0.0) -> str:
 
 def box(
     body: mujoco.MjsBody,
-    middle: tuple[float, float, float],
-    size: tuple[float, float, float],
+    middle: Point,
+    size: Point,
     material: str,
     solid: bool = False,
-    quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    quat: Quaternion = UPRIGHT,
 ) -> None:
     """Draw a box of full ``size`` [m]; a solid one collides as well."""
     half = tuple(side / 2 for side in size)
@@ -112,9 +113,9 @@ def box(
 
 def block(
     body: mujoco.MjsBody,
-    middle: tuple[float, float, float],
-    size: tuple[float, float, float],
-    quat: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    middle: Point,
+    size: Point,
+    quat: Quaternion = UPRIGHT,
 ) -> None:
     """Add a box of full ``size`` [m] that collides and is not drawn."""
     half = tuple(side / 2 for side in size)
@@ -123,7 +124,7 @@ def block(
 
 def pole(
     body: mujoco.MjsBody,
-    middle: tuple[float, float, float],
+    middle: Point,
     radius_m: float,
     height_m: float,
     material: str,
@@ -133,26 +134,22 @@ def pole(
     size = (radius_m, height_m / 2, 0.0)
     _draw(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, material)
     if solid:
-        _collide(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, (1.0, 0.0, 0.0, 0.0))
+        _collide(body, mujoco.mjtGeom.mjGEOM_CYLINDER, middle, size, UPRIGHT)
 
 
-def ball(
-    body: mujoco.MjsBody, middle: tuple[float, float, float], radii: tuple[float, float, float], material: str
-) -> None:
+def ball(body: mujoco.MjsBody, middle: Point, radii: tuple[float, float, float], material: str) -> None:
     """Draw an ellipsoid; dear to draw, so used rarely."""
     _draw(body, mujoco.mjtGeom.mjGEOM_ELLIPSOID, middle, radii, material)
 
 
-def legs(
-    body: mujoco.MjsBody, width_m: float, depth_m: float, top_m: float, side_m: float, material: str
-) -> None:
+def legs(body: mujoco.MjsBody, width_m: float, depth_m: float, top_m: float, side_m: float, material: str) -> None:
     """Draw four legs under the corners of a ``width_m`` x ``depth_m`` plate at height ``top_m``; they collide."""
     x, y = (width_m - side_m) / 2, (depth_m - side_m) / 2
     for at in ((-x, -y), (x, -y), (-x, y), (x, y)):
         box(body, (*at, top_m / 2), (side_m, side_m, top_m), material, solid=True)
 
 
-def turned(angle_rad: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> tuple[float, float, float, float]:
+def turned(angle_rad: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Quaternion:
     """Quaternion wxyz of a turn about a unit axis."""
     s = float(np.sin(angle_rad / 2))
     return float(np.cos(angle_rad / 2)), s * axis[0], s * axis[1], s * axis[2]

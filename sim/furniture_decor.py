@@ -35,15 +35,15 @@ def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
         for _ in range(2):
             at = (*rng.uniform(-0.08, 0.08, 2), 0.36 + height * rng.uniform(0.45, 0.8))
             ball(body, (float(at[0]), float(at[1]), float(at[2])), (0.26, 0.26, 0.32 * height / 1.2), look.leaves)
-        return Footprint(0.5, 0.5, 0.36 + height)
-    for leaf in np.arange(7) * 2 * np.pi / 7 + rng.uniform(0, 1):
+        return Footprint(0.56, 0.56, 0.36 + height)
+    for leaf in np.arange(6) * 2 * np.pi / 6 + rng.uniform(0, 1):
         # A blade, lifted about its own y axis and then turned about z.
         tilt, quat = turned(-rng.uniform(0.2, 1.1), (0.0, 1.0, 0.0)), np.empty(4)
         mujoco.mju_mulQuat(quat, np.array(turned(float(leaf))), np.array(tilt))
         lift = 0.36 + height * rng.uniform(0.5, 0.75)
-        at = (0.2 * np.cos(leaf), 0.2 * np.sin(leaf), lift)
-        box(body, at, (0.5, 0.11, 0.012), look.leaves, quat=(quat[0], quat[1], quat[2], quat[3]))
-    return Footprint(0.5, 0.5, 0.36 + height)
+        at = (0.12 * np.cos(leaf), 0.12 * np.sin(leaf), lift)
+        box(body, at, (0.34, 0.1, 0.012), look.leaves, quat=(quat[0], quat[1], quat[2], quat[3]))
+    return Footprint(0.56, 0.56, 0.36 + height)
 
 
 def coat_stand(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:

@@ -69,9 +69,7 @@ def radiator(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
     return width_m + 0.1, 0.0, 0.74
 
 
-def picture(
-    body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float, size: tuple[float, float]
-) -> Cover:
+def picture(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float, size: tuple[float, float]) -> Cover:
     """A framed painting; no two are alike."""
     width, tall = size
     image = textures_pictures.painting(rng, (96, int(np.clip(96 * width / tall, 48, 192))))

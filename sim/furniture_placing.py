@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -9,10 +10,14 @@ import numpy as np
 from sim import textures
 from sim.furniture import Footprint, Look, paper, turned
 from sim.furniture_decor import rug
-from sim.layout import Cost, Layout, Pose, Wall
+from sim.layout import CELL_M, Cost, Layout, Pose
+from sim.outline import Wall
 
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
+WALK_M = 0.5
+"""Left on each side of what stands freely, where the room allows it."""
+Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
 Overhead = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float]]
 
 
@@ -54,8 +59,14 @@ def stand(
 def centre(
     room: Room, name: str, piece: Piece, cost: Cost | None = None, turns: Sequence[float] = (0.0, np.pi / 2)
 ) -> Pose | None:
-    """Stand a piece freely on the floor."""
-    return _settle(room, name, piece, lambda it: room.layout.in_the_open(it, room.rng, cost, turns))
+    """Stand a piece freely on the floor, where one can walk around it if there is such a place."""
+
+    def find(it: Footprint) -> Pose | None:
+        roomy = Footprint(it.width_m + 2 * WALK_M, it.depth_m + 2 * WALK_M, it.height_m)
+        pose = room.layout.in_the_open(roomy, room.rng, cost, turns)
+        return pose if pose is not None else room.layout.in_the_open(it, room.rng, cost, turns)
+
+    return _settle(room, name, piece, find)
 
 
 def put(room: Room, name: str, piece: Piece, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
@@ -99,7 +110,9 @@ def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
     low, high = room.layout.corners.min(axis=0) + 0.1, room.layout.corners.max(axis=0) - 0.1
     extent = np.minimum(extent, high - low)
     middle = np.clip(middle, low + extent / 2, high - extent / 2)
-    body = room.spec.worldbody.add_body(name=_name(room, "rug"), pos=(middle[0], middle[1], 0.0))
+    body = room.spec.worldbody.add_body(name=_name(room, "rug"))
+    # Where two rugs overlap, the later lies on the other.
+    body.pos = (middle[0], middle[1], 0.001 * room.names["rug"])
     rug(body, room.rng, room.look, (float(extent[0]), float(extent[1])))
 
 
@@ -122,8 +135,8 @@ def beams(room: Room, name: str, draw: Callable[..., tuple[float, float]], count
         layout.cover_ceiling(at, size)
 
 
-def near(point: np.ndarray) -> Cost:
-    """A cost: the distance from a point (2,)."""
+def near(point: Pose | np.ndarray) -> Cost:
+    """A cost: the distance from a pose or a point (2,)."""
     return lambda pose: float(np.hypot(pose.x - point[0], pose.y - point[1]))
 
 
@@ -132,8 +145,10 @@ def facing(other: Pose) -> Cost:
 
     def cost(pose: Pose) -> float:
         away = np.array((pose.x - other.x, pose.y - other.y))
-        ahead, aside = away @ other.front, abs(away @ other.ahead(0.0, 1.0) - np.array((other.x, other.y)) @ other.ahead(0.0, 1.0))
-        return float(aside - 2.0 * (pose.front @ other.front < -0.9) + 3.0 * (ahead < 1.2) + 0.2 * abs(ahead - 3.0))
+        ahead = float(away @ other.front)
+        aside = abs(float(away[0] * other.front[1] - away[1] * other.front[0]))
+        turned_away = pose.front @ other.front > -0.9
+        return float(aside + 2.0 * turned_away + 3.0 * (ahead < 1.2) + 0.2 * abs(ahead - 3.0))
 
     return cost
 
@@ -178,11 +193,12 @@ def set_at(room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_ra
     return done
 
 
-def surface(room_look: Look, rng: np.random.Generator, finish: str, size_m: tuple[float, float]) -> str:
-    """A wall's own material, as large as the wall (width, height) [m]; finish: plaster, wallpaper, brick, tile, boards."""
+def surface(
+    look: Look, rng: np.random.Generator, finish: Finish, size_m: tuple[float, float], colour: np.ndarray
+) -> str:
+    """A wall's own material, as large as the wall (width, height) [m]."""
     width, height = size_m
     shape = (int(np.clip(72 * height, 64, 256)), int(np.clip(72 * width, 64, 640)))
-    colour = textures.muted(rng) * 0.6 + 0.4 * rng.uniform(0.6, 0.95)
     if finish == "wallpaper":
         image = textures.wallpaper(rng, shape, colour, textures.vivid(rng), max(int(2 * width), 2))
     elif finish == "brick":
@@ -192,10 +208,12 @@ def surface(room_look: Look, rng: np.random.Generator, finish: str, size_m: tupl
         grid = (int(height / 0.2), max(int(width / 0.2), 2))
         image = textures.tile(rng, shape, 0.5 * colour + 0.45, textures.vivid(rng), grid)
     elif finish == "boards":
-        image = textures.wood(rng, shape[::-1], colour * (0.95, 0.8, 0.6), max(int(width / 0.2), 3)).transpose(1, 0, 2)
+        image = textures.wood(rng, (shape[1], shape[0]), colour * (0.95, 0.8, 0.6), max(int(width / 0.2), 3)).transpose(
+            1, 0, 2
+        )
     else:
-        image = textures.plaster(rng, shape, colour)
-    return paper(room_look.spec, image)
+        image = textures.plaster(rng, shape, colour, colour[[2, 0, 1]] if rng.random() < 0.3 else None)
+    return paper(look.spec, image)
 
 
 def _settle(room: Room, name: str, piece: Piece, find: Callable[[Footprint], Pose | None]) -> Pose | None:
@@ -219,8 +237,6 @@ def _by_length(room: Room) -> list[int]:
 
 def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float] | None:
     """The longest stretch of room along a line at ``place`` on the given axis [m]."""
-    from sim.layout import CELL_M
-
     index = int((place - layout.low[axis]) / CELL_M)
     line = layout.inside[index] if axis == 1 else layout.inside[:, index]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))

@@ -10,6 +10,7 @@ from sim import furniture_fittings as wall
 from sim import furniture_seating as seating
 from sim import furniture_storage as storage
 from sim import furniture_tables as tables
+from sim.furniture import Footprint
 from sim.furniture_placing import (
     Room,
     around,
@@ -26,7 +27,7 @@ from sim.furniture_placing import (
     spread,
     stand,
 )
-from sim.layout import Pose
+from sim.layout import Cost
 
 
 def enter(room: Room, windows: int, roller: bool = False) -> None:
@@ -93,15 +94,14 @@ def furnish_kitchen(room: Room) -> None:
     longest = max(w.length_m for w in room.layout.walls)
     width = float(np.clip(rng.uniform(2.4, 3.0), 1.2, 0.6 * longest))
     counter = stand(room, "counter", partial(tables.counter, width_m=width))
-    beside = None if counter is None else near(np.array((counter.x, counter.y)))
+    beside = None if counter is None else near(counter)
     stand(room, "fridge", storage.fridge, beside)
     stand(room, "oven", storage.oven, beside)
     _dine(room, 4)
     if counter is not None and room.area_m2 > 16:
-        ahead = counter.ahead(1.9)
-        island = centre(room, "island", tables.island, near(ahead))
+        island = centre(room, "island", tables.island, near(counter.ahead(1.9)))
         if island is not None:
-            set_at(room, "stool", seating.stool, [Pose(*island.ahead(0.6, x), island.yaw) for x in (-0.3, 0.3)])
+            set_at(room, "stool", seating.stool, [island.ahead(0.6, x) for x in (-0.3, 0.3)])
     stand(room, "cabinet", partial(storage.cabinet, width_m=1.2))
     stand(room, "shelving", partial(storage.shelving, width_m=0.9))
     hang(room, "wall_shelf", wall.wall_shelf)
@@ -117,7 +117,7 @@ def furnish_studio(room: Room) -> None:
     _sleep(room, 1.4)
     _sit(room, 1.7)
     counter = stand(room, "counter", partial(tables.counter, width_m=1.8))
-    stand(room, "fridge", storage.fridge, None if counter is None else near(np.array((counter.x, counter.y))))
+    stand(room, "fridge", storage.fridge, None if counter is None else near(counter))
     stand(room, "wardrobe", partial(storage.wardrobe, width_m=1.2), in_a_corner(room))
     _dine(room, 2)
     _work(room, 1.2)
@@ -133,13 +133,15 @@ def furnish_workshop(room: Room) -> None:
     for _ in range(2):
         bench = stand(room, "workbench", partial(tables.workbench, width_m=float(rng.uniform(1.6, 2.1))))
         if bench is not None:
-            hang(room, "tool_wall", wall.tool_wall, near(np.array((bench.x, bench.y))))
-            set_at(room, "stool", seating.stool, [Pose(*bench.ahead(0.75, rng.uniform(-0.4, 0.4)), bench.yaw)])
+            hang(room, "tool_wall", wall.tool_wall, near(bench))
+            set_at(room, "stool", seating.stool, [bench.ahead(0.75, rng.uniform(-0.4, 0.4))])
     for _ in range(2):
         stand(room, "shelving", partial(storage.shelving, width_m=float(rng.uniform(1.1, 1.5))))
     centre(room, "workbench", partial(tables.workbench, width_m=1.6))
     stand(room, "tool_chest", storage.tool_chest)
+    stand(room, "wardrobe", partial(storage.wardrobe, width_m=1.2))
     stand(room, "filing_cabinet", storage.filing_cabinet)
+    stand(room, "cabinet", partial(storage.cabinet, width_m=1.3))
     for _ in range(2):
         stand(room, "barrel", decor.barrel, in_a_corner(room))
     stand(room, "ladder", decor.ladder)
@@ -161,7 +163,7 @@ def finish_ceiling(room: Room, kind: str) -> None:
         lamps = [ceiling.globe, ceiling.dish, ceiling.spots, ceiling.chandelier, ceiling.pendant]
         if height > 2.55:
             lamps.append(ceiling.fan)
-    count = int(np.clip(round(room.area_m2 / 6.5), 3, 8))
+    count = int(np.clip(round(room.area_m2 / 7.5), 3, 6))
     order = [lamps[i % len(lamps)] for i in rng.permutation(max(count, len(lamps)))[:count]]
     for lamp in order:
         fix(room, lamp.__name__, lamp, height - 1.0)
@@ -192,18 +194,17 @@ def _sit(room: Room, width_m: float) -> None:
     if sofa is None:
         return
     stand(room, "television", storage.television, facing(sofa))
-    ahead = sofa.ahead(1.25)
-    table = put(room, "coffee_table", tables.coffee_table, [Pose(*sofa.ahead(d), sofa.yaw) for d in (1.25, 1.4)], False)
+    table = put(room, "coffee_table", tables.coffee_table, [sofa.ahead(d) for d in (1.25, 1.4)], False)
     if table is not None:
-        spread(room, Pose(*ahead, sofa.yaw), (float(rng.uniform(2.2, 2.6)), float(rng.uniform(1.5, 1.8))))
+        spread(room, sofa.ahead(1.25), (float(rng.uniform(2.2, 2.6)), float(rng.uniform(1.5, 1.8))))
     sides = rng.permutation((-1.0, 1.0))
     chairs = [
-        Pose(*sofa.ahead(0.5 + d, float(side) * (width_m / 2 + 0.55)), sofa.yaw - float(side) * np.pi / 2)
+        sofa.ahead(0.5 + d, float(side) * (width_m / 2 + 0.55), float(side) * np.pi / 2)
         for side in sides
         for d in (0.9, 0.6, 0.3)
     ]
     put(room, "armchair", seating.armchair, chairs)
-    lamps = [Pose(*sofa.ahead(-0.15, float(side) * (width_m / 2 + 0.3)), sofa.yaw) for side in sides]
+    lamps = [sofa.ahead(-0.15, float(side) * (width_m / 2 + 0.3)) for side in sides]
     put(room, "floor_lamp", decor.floor_lamp, lamps, False)
 
 
@@ -213,17 +214,21 @@ def _sleep(room: Room, width_m: float) -> None:
     if bed is None:
         return
     for side in (-1, 1):
-        put(room, "bedside_table", tables.bedside_table, [Pose(*bed.ahead(-0.8, side * (width_m / 2 + 0.29)), bed.yaw)], False)
-    spread(room, Pose(*bed.ahead(0.75), bed.yaw), (width_m + 1.0, 1.6))
+        put(
+            room,
+            "bedside_table",
+            tables.bedside_table,
+            [bed.ahead(-0.8, side * (width_m / 2 + 0.29))],
+            False,
+        )
+    spread(room, bed.ahead(0.75), (width_m + 1.0, 1.6))
 
 
 def _dine(room: Room, seats: int) -> None:
     """A table in the open with chairs around it."""
     rng = room.rng
     size = (float(rng.uniform(1.35, 1.7)), 0.85) if seats > 2 else (0.85, 0.8)
-    table = centre(
-        room, "dining_table", partial(_with_chairs, size=size), _open_cost(room), turns=(0.0, np.pi / 2)
-    )
+    table = centre(room, "dining_table", partial(_with_chairs, size=size), _open_cost(room), turns=(0.0, np.pi / 2))
     if table is not None:
         set_at(room, "chair", seating.chair, around(table, size, seats, rng), jitter_rad=0.15)
 
@@ -231,7 +236,7 @@ def _dine(room: Room, seats: int) -> None:
 def _with_chairs(body, rng, look, size):
     """A dining table whose footprint leaves room for its chairs."""
     it = tables.dining_table(body, rng, look, width_m=size[0], depth_m=size[1])
-    return tables.Footprint(it.width_m + 0.1, it.depth_m + 0.7, it.height_m)
+    return Footprint(it.width_m + 0.1, it.depth_m + 0.7, it.height_m)
 
 
 def _work(room: Room, width_m: float) -> None:
@@ -239,7 +244,7 @@ def _work(room: Room, width_m: float) -> None:
     desk = stand(room, "desk", partial(tables.desk, width_m=width_m))
     if desk is None:
         return
-    pose = Pose(*desk.ahead(0.55, float(room.rng.uniform(-0.1, 0.1))), desk.yaw + np.pi)
+    pose = desk.ahead(0.55, float(room.rng.uniform(-0.1, 0.1)), np.pi)
     set_at(room, "office_chair", seating.office_chair, [pose], jitter_rad=0.5)
 
 
@@ -259,7 +264,8 @@ def _not_in_a_corner(room: Room):
     return away_from(*room.layout.corners)
 
 
-def _open_cost(room: Room):
-    """As far as may be from what stands already, and not quite in the middle."""
-    target = room.layout.low + room.rng.uniform(0.25, 0.75, 2) * np.ptp(room.layout.corners, axis=0)
-    return near(target)
+def _open_cost(room: Room) -> Cost:
+    """A cost: standing close to anything."""
+    layout = room.layout
+    clear = layout.clearance()
+    return lambda pose: -float(min(clear[layout.cell(pose)], 1.6))

@@ -14,7 +14,7 @@ def sofa(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: fl
     box(body, (0, 0.03, 0.2), (width_m - 0.04, depth - 0.06, 0.26), look.fabric)
     box(body, (0, depth / 2 - 0.11, (0.3 + back_top) / 2), (inner, 0.22, back_top - 0.3), look.fabric)
     for side in (-1, 1):
-        box(body, (side * (width_m - arm) / 2, 0, 0.34), (arm, depth, 0.56), look.second_fabric)
+        box(body, (side * (width_m - arm) / 2, 0, 0.34), (arm, depth, 0.56), look.fabric)
     seats = 3 if inner > 1.5 else 2
     for seat in range(seats):
         x = (seat - (seats - 1) / 2) * inner / seats

@@ -1,5 +1,7 @@
 """To keep things in: bookshelf, wardrobe, cabinet, television bench, fridge, oven, shelving, filing cabinet."""
 
+import itertools
+
 import mujoco
 import numpy as np
 
@@ -18,7 +20,7 @@ def bookshelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_
     box(body, (0, 0, 0.04), (width_m, depth, 0.08), wood)
     box(body, (0, 0, height - board / 2), (width_m, depth, board), wood)
     heights = np.linspace(0.08, height - board, shelves + 1)
-    for low, high in zip(heights[:-1], heights[1:], strict=True):
+    for low, high in itertools.pairwise(heights):
         spines = paper(look.spec, textures_pictures.books(rng, (56, 160)))
         inset = rng.uniform(0.02, 0.06)
         box(body, (0, inset / 2, (low + high) / 2), (width_m - 2 * board, depth - inset - 0.02, high - low), spines)
@@ -47,7 +49,12 @@ def cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m:
     doors = max(int(width_m / 0.45), 2)
     for door in range(doors):
         x = ((door + 0.5) / doors - 0.5) * width_m
-        box(body, (x, -depth / 2 + 0.005, height / 2 + 0.03), (width_m / doors - 0.03, 0.02, height - 0.14), look.cabinet)
+        box(
+            body,
+            (x, -depth / 2 + 0.005, height / 2 + 0.03),
+            (width_m / doors - 0.03, 0.02, height - 0.14),
+            look.cabinet,
+        )
     block(body, (0, 0, height / 2), (width_m, depth, height))
     side = rng.choice((-1, 1))
     pole(body, (side * 0.3 * width_m, 0, height + 0.14), 0.07, 0.28, look.cushion)
@@ -66,9 +73,8 @@ def television(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Fo
     block(body, (0, 0, top / 2), (width, depth, top))
     box(body, (0, 0.02, top + 0.02), (0.5, 0.24, 0.04), look.black)
     box(body, (0, 0.06, top + 0.07), (0.1, 0.05, 0.1), look.black)
-    box(body, (0, 0.05, top + 0.1 + tall / 2), (wide, 0.05, tall), look.black, solid=True)
-    picture = paper(look.spec, textures_pictures.screen(rng, (96, 160)), glow=0.6)
-    box(body, (0, 0.022, top + 0.1 + tall / 2), (wide - 0.06, 0.01, tall - 0.06), picture)
+    lit = textures.framed(textures_pictures.screen(rng, (96, 160)), (0.05, 0.05, 0.05), 0.05)
+    box(body, (0, 0.05, top + 0.1 + tall / 2), (wide, 0.05, tall), paper(look.spec, lit, glow=0.6), solid=True)
     return Footprint(width, depth, top + 0.1 + tall, front_m=0.4)
 
 
@@ -120,10 +126,8 @@ def shelving(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
 def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
     """A steel cabinet of four drawers."""
     width, depth, height = 0.5, 0.6, 1.32
-    box(body, (0, 0.01, height / 2), (width, depth - 0.02, height), look.metal, solid=True)
-    for z in np.linspace(0.19, height - 0.19, 4):
-        box(body, (0, -depth / 2 + 0.005, z), (width - 0.05, 0.02, 0.28), look.cabinet)
-        box(body, (0, -depth / 2 - 0.015, z + 0.06), (0.14, 0.02, 0.03), look.black)
+    drawers = paper(look.spec, textures.drawers(rng, (128, 48), 0.4 + 0.4 * textures.muted(rng), 4))
+    box(body, (0, 0, height / 2), (width, depth, height), drawers, solid=True)
     if rng.random() < 0.6:
         box(body, (0, 0, height + 0.14), (0.4, 0.36, 0.28), look.cushion)
     return Footprint(width, depth, height + 0.28, front_m=0.5)
@@ -132,7 +136,7 @@ def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -
 def tool_chest(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
     """A painted chest of drawers on castors, as mechanics have."""
     width, depth, height = 0.7, 0.5, rng.uniform(0.95, 1.15)
-    drawers = paper(look.spec, textures.fins(rng, (64, 64), textures.vivid(rng), 6).transpose(1, 0, 2))
+    drawers = paper(look.spec, textures.drawers(rng, (96, 64), textures.vivid(rng), 6))
     box(body, (0, 0, height / 2 + 0.04), (width, depth, height - 0.08), drawers)
     box(body, (0, 0, height + 0.01), (width + 0.02, depth + 0.02, 0.03), look.black)
     block(body, (0, 0, height / 2), (width, depth, height))

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 
-from sim import textures_pictures
+from sim import textures, textures_pictures
 from sim.furniture import Footprint, Look, ball, block, box, legs, paper, pole, turned
 
 TABLE_TOP_M = 0.74
@@ -47,9 +47,8 @@ def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: fl
     depth, top = 0.7, 0.74
     side = rng.choice((-1, 1))
     box(body, (0, 0, top - 0.02), (width_m, depth, 0.04), look.wood, solid=True)
-    box(body, (side * (width_m / 2 - 0.22), 0, 0.35), (0.4, depth - 0.08, 0.68), look.cabinet, solid=True)
-    for z in (0.14, 0.36, 0.58):
-        box(body, (side * (width_m / 2 - 0.22), -depth / 2 + 0.03, z), (0.34, 0.02, 0.19), look.wood)
+    drawers = paper(look.spec, textures.drawers(rng, (96, 64), 0.5 + 0.4 * textures.muted(rng), 3))
+    box(body, (side * (width_m / 2 - 0.22), 0, 0.35), (0.4, depth - 0.08, 0.68), drawers, solid=True)
     box(body, (-side * (width_m / 2 - 0.03), 0, 0.35), (0.05, depth - 0.06, 0.7), look.dark_wood, solid=True)
     _computer(body, rng, look, rng.uniform(-0.15, 0.15) * width_m, top)
     return Footprint(width_m, depth, top + 0.5, front_m=0.0)
@@ -78,7 +77,6 @@ def counter(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m:
     for door in range(doors):
         x = (door + 0.5) * width_m / doors - width_m / 2
         box(body, (x, -depth / 2 + 0.03, 0.46), (width_m / doors - 2 * gap, 0.025, 0.72), look.wood)
-        box(body, (x, -depth / 2 + 0.01, 0.76), (0.16, 0.02, 0.02), look.metal)
     hob, sink = rng.permutation((-0.28, 0.28)) * width_m
     box(body, (hob, 0, top + 0.004), (0.56, 0.5, 0.012), look.black)
     box(body, (sink, 0.0, top + 0.004), (0.5, 0.4, 0.012), look.metal)
@@ -113,9 +111,8 @@ def _cupboards(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width
 
 
 def _computer(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, x: float, top_m: float) -> None:
-    picture = paper(look.spec, textures_pictures.screen(rng, (64, 96)), glow=0.5)
+    lit = textures.framed(textures_pictures.screen(rng, (64, 96)), (0.05, 0.05, 0.05), 0.06)
     wide = rng.uniform(0.5, 0.68)
-    box(body, (x, 0.16, top_m + 0.3), (wide, 0.03, 0.36), look.black)
-    box(body, (x, 0.142, top_m + 0.3), (wide - 0.03, 0.01, 0.33), picture)
+    box(body, (x, 0.16, top_m + 0.3), (wide, 0.04, 0.36), paper(look.spec, lit, glow=0.5))
     box(body, (x, 0.18, top_m + 0.07), (0.08, 0.04, 0.14), look.black)
     box(body, (x, -0.1, top_m + 0.01), (0.42, 0.14, 0.02), look.black)

@@ -75,7 +75,7 @@ def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
     view = mujoco.MjvCamera()
     view.azimuth, view.elevation = _VIEW["azimuth"], _VIEW["elevation"]
     view.lookat[:] = (*(low + high)[:2] / 2, 0.6)
-    view.distance = 0.95 * float(np.hypot(*(high - low)[:2])) + 0.6
+    view.distance = 1.02 * float(np.hypot(*(high - low)[:2])) + 0.7
     azimuth, elevation = np.radians((view.azimuth, view.elevation))
     ahead = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
     eye = view.lookat - view.distance * ahead
@@ -104,7 +104,7 @@ def _draw_top(model: mujoco.MjModel, space: FreeSpace) -> np.ndarray:
     row, column = np.mgrid[0:ROW_PX, 0:TOP_PX] + 0.5
     points = np.stack((column - TOP_PX / 2, ROW_PX / 2 - row), axis=-1) * metres / ROW_PX + middle
     tint = space.is_reachable(points)[..., None]
-    image = np.where(tint, 0.6 * image + 0.4 * _REACHABLE, image)
+    image = np.where(tint, 0.75 * image + 0.25 * _REACHABLE, image)
     start = np.hypot(*(points - space.start).transpose(2, 0, 1)) < 0.105
     return np.where(start[..., None], (230, 40, 40), image).astype(np.uint8)
 

@@ -1,25 +1,23 @@
-"""Where things stand: the outline of a room, its walls, and a search for places that a person would choose.
+"""Where things stand: the floor and the walls of a room, and a search for places that a person would choose.
 
 The floor is a grid of cells; each piece takes its footprint, keeps the floor before it open, and may stand only where
 a person can still walk from the door to everything that is used.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from sim.furniture import Footprint
-from sim.settings import RoomShape
+from sim.outline import Wall, slabs
 
 CELL_M = 0.05
 PATH_RADIUS_M = 0.3
 """Half the width that a person needs to walk."""
-OPEN_SHARE = 0.9
-"""The part of all walkable floor that must hang together with the door."""
+CUT_OFF_SHARE = 0.1
+"""Floor wide enough to walk on but cut off from the door may be this part of what is not."""
 NEAR_WALL_M = 0.3
 """What stands nearer to a wall than this hides what hangs there."""
 
@@ -36,90 +34,15 @@ class Pose(NamedTuple):
         """The direction in which it faces (2,)."""
         return np.array((np.sin(self.yaw), -np.cos(self.yaw)))
 
-    def ahead(self, forward_m: float, right_m: float = 0.0) -> np.ndarray:
-        """The point (2,) that lies so far before it and to its own right."""
-        right = np.array((-np.cos(self.yaw), -np.sin(self.yaw)))
-        return np.array((self.x, self.y)) + forward_m * self.front + right_m * right
+    def ahead(self, forward_m: float, right_m: float = 0.0, turn_rad: float = 0.0) -> "Pose":
+        """The pose so far before it and to its own right, turned by so much."""
+        s, c = float(np.sin(self.yaw)), float(np.cos(self.yaw))
+        x, y = self.x + forward_m * s - right_m * c, self.y - forward_m * c - right_m * s
+        return Pose(x, y, self.yaw + turn_rad)
 
 
 Cost = Callable[[Pose], float]
 """What a person would rather not: the place with the least is tried first [m]."""
-
-
-@dataclass(frozen=True, eq=False)
-class Wall:
-    """One straight wall; the room lies to the left of the way from start to end.
-
-    Attributes:
-        start: First corner (2,) [m].
-        end: Last corner (2,) [m].
-        taken: Rectangles (left, right, bottom, top) [m] of what hangs on it, in its own frame: x along it from its
-            middle, seen as a piece that stands with its back to it.
-    """
-
-    start: np.ndarray
-    end: np.ndarray
-    taken: list[tuple[float, float, float, float]] = field(default_factory=list)
-
-    @property
-    def length_m(self) -> float:
-        """Its length [m]."""
-        return float(np.abs(self.end - self.start).sum())
-
-    @property
-    def middle(self) -> np.ndarray:
-        """Its middle (2,) [m]."""
-        return (self.start + self.end) / 2
-
-    @property
-    def normal(self) -> np.ndarray:
-        """The direction (2,) into the room."""
-        along = (self.end - self.start) / self.length_m
-        return np.array((-along[1], along[0]))
-
-    @property
-    def yaw(self) -> float:
-        """Turn of a piece that stands with its back to this wall."""
-        return float(np.arctan2(self.normal[0], -self.normal[1]))
-
-    @property
-    def along(self) -> np.ndarray:
-        """The direction (2,) of x in its own frame."""
-        return np.array((np.cos(self.yaw), np.sin(self.yaw)))
-
-
-def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:
-    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; L and U lack a piece of seeded size."""
-    w, d = width_m / 2, depth_m / 2
-    if shape == "l":
-        x, y = w - rng.uniform(0.34, 0.42) * width_m, d - rng.uniform(0.34, 0.42) * depth_m
-        corners = [(-w, -d), (w, -d), (w, y), (x, y), (x, d), (-w, d)]
-    elif shape == "u":
-        middle, half = rng.uniform(-0.06, 0.06) * width_m, rng.uniform(0.13, 0.16) * width_m
-        y = d - rng.uniform(0.36, 0.44) * depth_m
-        corners = [(-w, -d), (w, -d), (w, d), (middle + half, d), (middle + half, y)]
-        corners += [(middle - half, y), (middle - half, d), (-w, d)]
-    else:
-        corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
-    points = np.array(corners)
-    if shape in ("l", "u") and rng.random() < 0.5:
-        points = -points
-    return points
-
-
-def slabs(corners: np.ndarray) -> list[tuple[float, float, float, float]]:
-    """The room as rectangles (left, right, bottom, top) [m] side by side along x."""
-    found = []
-    for left, right in pairwise(np.unique(corners[:, 0])):
-        x = (left + right) / 2
-        crossings = sorted(
-            float(a[1])
-            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
-            if min(a[0], b[0]) < x < max(a[0], b[0])
-        )
-        for bottom, top in zip(crossings[::2], crossings[1::2], strict=True):
-            found.append((float(left), float(right), bottom, top))
-    return found
 
 
 class Layout:
@@ -142,7 +65,8 @@ class Layout:
         self.kept = np.zeros_like(self.inside)
         self.overhead = ~self.inside
         self.tall = np.zeros(self.inside.shape)
-        self.entrance: np.ndarray | None = None
+        self.entrance: Pose | None = None
+        self.cut_off = 0
 
     def against_wall(
         self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
@@ -154,8 +78,7 @@ class Layout:
             if reach < 0:
                 continue
             for x in np.linspace(-reach, reach, max(int(2 * reach / 0.1), 1) + 1):
-                at = wall.middle + x * wall.along + (piece.depth_m / 2 + 0.02) * wall.normal
-                poses.append(Pose(float(at[0]), float(at[1]), wall.yaw))
+                poses.append(wall_pose(wall, float(x), piece.depth_m / 2 + 0.02))
         return self._first_good(piece, poses, rng, cost)
 
     def in_the_open(
@@ -182,6 +105,8 @@ class Layout:
         area[:] = np.maximum(area, piece.height_m)
         for wall, rectangle in self._behind(piece, pose):
             wall.taken.append(rectangle)
+        if self.entrance is not None:
+            self.cut_off = self._walk(self.taken)[1]
 
     def hang(
         self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
@@ -193,7 +118,7 @@ class Layout:
             return None
         places = rng.permutation(np.linspace(-reach, reach, max(int(2 * reach / 0.08), 1) + 1))
         if cost is not None:
-            places = sorted(places, key=lambda x: cost(Pose(*(wall.middle + x * wall.along), wall.yaw)))
+            places = sorted(places, key=lambda x: cost(wall_pose(wall, x)))
         for x in places:
             rectangle = (x - width / 2 - 0.04, x + width / 2 + 0.04, bottom, top)
             if not any(_overlap(rectangle, other) for other in wall.taken):
@@ -203,20 +128,23 @@ class Layout:
 
     def keep_open(self, wall: Wall, x: float, width_m: float, depth_m: float) -> None:
         """Keep the floor before a place on a wall open, as before a door; the first is the entrance."""
-        at = wall.middle + x * wall.along + depth_m / 2 * wall.normal
-        self._footprint(Footprint(width_m, depth_m, 0.0), Pose(at[0], at[1], wall.yaw), self.kept)[:] = True
+        front = Footprint(width_m, depth_m, 0.0)
+        self._footprint(front, wall_pose(wall, x, depth_m / 2), self.kept)[:] = True
         if self.entrance is None:
-            self.entrance = wall.middle + x * wall.along + (PATH_RADIUS_M + 2 * CELL_M) * wall.normal
+            self.entrance = wall_pose(wall, x, PATH_RADIUS_M + 2 * CELL_M)
 
     def overhang(
         self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
     ) -> np.ndarray | None:
-        """Find a place (2,) on the ceiling for something of ``size`` along x and y whose lowest point is at ``drop_m``."""
+        """Find a place (2,) on the ceiling for something of ``size`` (x, y) that hangs down to ``drop_m``."""
         spread = 0.15
         piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
         rows, columns = np.nonzero(self.inside[::2, ::2])
         order = rng.permutation(len(rows))
-        poses = [Pose(*(self.low + 2 * CELL_M * np.array((columns[i], rows[i]))), 0.0) for i in order]
+        poses = [
+            Pose(float(self.low[0] + 2 * CELL_M * columns[i]), float(self.low[1] + 2 * CELL_M * rows[i]), 0.0)
+            for i in order
+        ]
         for pose in poses if cost is None else sorted(poses, key=cost):
             if not self._whole(piece, pose) or self._footprint(piece, pose, self.overhead).any():
                 continue
@@ -225,6 +153,17 @@ class Layout:
             self._footprint(piece, pose, self.overhead)[:] = True
             return np.array((pose.x, pose.y))
         return None
+
+    def clearance(self) -> np.ndarray:
+        """Distance (rows, columns) from each cell to the nearest wall or thing that stands [m]."""
+        return _clearance(self.inside & ~self.taken)
+
+    def cell(self, pose: Pose) -> tuple[int, int]:
+        """Row and column of the cell in which a pose lies."""
+        column, row = np.clip(
+            (np.array((pose.x, pose.y)) - self.low) / CELL_M, 0, np.array(self.inside.shape[::-1]) - 1
+        )
+        return int(row), int(column)
 
     def cover_ceiling(self, at: tuple[float, float], size: tuple[float, float]) -> None:
         """Take a part of the ceiling, at its middle [m] and of a size along x and y [m]."""
@@ -238,7 +177,9 @@ class Layout:
         self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None
     ) -> Pose | None:
         chance = rng.uniform(0.0, 0.25 if cost is not None else 1.0, len(poses))
-        costs = [float(extra) + (cost(pose) if cost is not None else 0.0) for pose, extra in zip(poses, chance, strict=True)]
+        costs = [
+            float(extra) + (cost(pose) if cost is not None else 0.0) for pose, extra in zip(poses, chance, strict=True)
+        ]
         return self.at(piece, [poses[i] for i in np.argsort(costs, kind="stable")])
 
     def _good(self, piece: Footprint, pose: Pose, walkable: bool) -> bool:
@@ -250,7 +191,7 @@ class Layout:
         if front.any():
             return False
         for wall, rectangle in self._behind(piece, pose):
-            if any(_overlap(rectangle, other) and other[3] - other[2] > 0 for other in wall.taken):
+            if any(_overlap(rectangle, other) for other in wall.taken):
                 return False
         return not walkable or self._leaves_paths(piece, pose)
 
@@ -267,23 +208,27 @@ class Layout:
 
     def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
         """Whether a person can still walk from the entrance to nearly all open floor and to the piece's front."""
-        taken = self.taken | ~self.inside
-        self._footprint(piece, pose, taken)[:] = True
-        far = ndimage.distance_transform_edt(np.pad(~taken, 1))[1:-1, 1:-1] * CELL_M
-        walkable = far > PATH_RADIUS_M - CELL_M / 2
-        label, _ = ndimage.label(walkable)
         if self.entrance is None:
             return True
-        column, row = ((self.entrance - self.low) / CELL_M).astype(int)
-        if label[row, column] == 0:
-            return False
-        joined = label == label[row, column]
-        if joined.sum() < OPEN_SHARE * walkable.sum():
+        taken = self.taken.copy()
+        self._footprint(piece, pose, taken)[:] = True
+        joined, cut_off = self._walk(taken)
+        # Where something had to stand in the way before, it must not become worse.
+        if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
             return False
         if piece.front_m == 0.0:
             return True
-        reachable = ndimage.distance_transform_edt(~joined) * CELL_M <= PATH_RADIUS_M
+        reachable = np.asarray(ndimage.distance_transform_edt(~joined)) * CELL_M <= PATH_RADIUS_M
         return bool(self._front(piece, pose, reachable).any())
+
+    def _walk(self, taken: np.ndarray) -> tuple[np.ndarray, int]:
+        """Where a person can walk to from the entrance, and how many cells of wide enough floor are cut off."""
+        walkable = _clearance(self.inside & ~taken) > PATH_RADIUS_M - CELL_M / 2
+        label = np.zeros(walkable.shape, np.int32)
+        ndimage.label(walkable, output=label)
+        first = 0 if self.entrance is None else label[self.cell(self.entrance)]
+        joined = (label == first) & (first > 0)
+        return joined, int(walkable.sum() - joined.sum())
 
     def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
         """The walls that a piece stands close to, with the rectangle it hides on each."""
@@ -304,15 +249,25 @@ class Layout:
     def _front(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
         if piece.front_m == 0.0:
             return grid[:0]
-        ahead = pose.ahead((piece.depth_m + piece.front_m) / 2)
         strip = Footprint(piece.width_m, piece.front_m, 0.0)
-        return self._cells(*_rectangle(strip, Pose(ahead[0], ahead[1], pose.yaw)), grid)
+        return self._cells(*_rectangle(strip, pose.ahead((piece.depth_m + piece.front_m) / 2)), grid)
 
     def _cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
         """The part of a grid that a rectangle covers, as a view."""
         first = np.clip(np.floor((np.array((left, bottom)) - self.low) / CELL_M + 0.01).astype(int), 0, None)
         last = np.clip(np.ceil((np.array((right, top)) - self.low) / CELL_M - 0.01).astype(int), 0, None)
         return grid[first[1] : last[1], first[0] : last[0]]
+
+
+def wall_pose(wall: Wall, x: float, off_m: float = 0.0) -> Pose:
+    """The pose with its back to a wall at ``x`` along it, ``off_m`` into the room."""
+    at = wall.middle + x * wall.along + off_m * wall.normal
+    return Pose(float(at[0]), float(at[1]), wall.yaw)
+
+
+def _clearance(clear: np.ndarray) -> np.ndarray:
+    """Distance [m] from each cell to the nearest that is not clear, or to the grid's edge."""
+    return np.asarray(ndimage.distance_transform_edt(np.pad(clear, 1)))[1:-1, 1:-1] * CELL_M
 
 
 def _rectangle(piece: Footprint, pose: Pose) -> tuple[float, float, float, float]:

@@ -14,8 +14,8 @@ from sim.scene import freeze
 
 REACH_M = 3.5
 """Longest distance measured [m] (LDS-01: 3.5 m); nothing nearer reads as this."""
-LOWEST_M = 0.03
-"""Height of the lowest fan [m]: sees table legs and skirting, not rugs."""
+LOWEST_M = 0.015
+"""Height of the lowest fan [m]: sees the foot of a lamp, not a rug."""
 HIGHEST_GAP_M = 0.25
 """Largest distance between two fans [m]."""
 SIDE_M = 0.008
@@ -26,6 +26,7 @@ _SIDE = np.linspace(_FRONT[-1], np.radians(85.0), 9)[1:]
 ANGLE = np.concatenate([-_SIDE[::-1], _FRONT, _SIDE])
 """Angles of a fan's rays from straight ahead [rad]: in the middle 19 mm apart at 0.3 m, the others watch the flanks."""
 _COS, _SIN = np.cos(ANGLE), np.sin(ANGLE)
+_AHEAD = np.stack([_COS, _SIN, np.zeros_like(ANGLE)], axis=1)
 # Beyond this distance a ray has left the strip that the body sweeps.
 _LEAVES_M = (RADIUS_M + SIDE_M) / np.maximum(np.abs(_SIN), 1e-9)
 
@@ -48,20 +49,18 @@ class RangeFinder:
         self.heights_m = fan_heights(height_m)
         self._distance = np.empty((len(self.heights_m), len(ANGLE)))
         self._geom = np.empty(len(ANGLE), np.int32)
-        self._ray = np.zeros((len(ANGLE), 3))
+        self._ray = np.empty((len(ANGLE), 3))
 
     def measure(self, x: float, y: float, yaw: float, reach_m: float) -> np.ndarray:
         """Distances (K,) [m] from the robot's axis when it stands at a pose, fan after fan; at most ``reach_m``."""
         cos, sin = math.cos(yaw), math.sin(yaw)
-        self._ray[:, 0] = cos * _COS - sin * _SIN
-        self._ray[:, 1] = sin * _COS + cos * _SIN
-        rays, model, data = self._ray.ravel(), self._model, self._data
+        np.matmul(_AHEAD, ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)), out=self._ray)
+        rays, model, data, geom = self._ray.reshape(-1), self._model, self._data, self._geom
         for distance, height in zip(self._distance, self.heights_m, strict=True):
             point = np.array((x, y, height))
-            mujoco.mj_multiRay(
-                model, data, point, rays, None, 1, -1, self._geom, distance, None, len(ANGLE), reach_m
-            )
-        return np.where(self._distance < 0, reach_m, self._distance).ravel()
+            mujoco.mj_multiRay(model, data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
+        # MuJoCo says -1 where a ray meets nothing.
+        return np.where(self._distance < 0, reach_m, self._distance).reshape(-1)
 
 
 def fan_heights(height_m: float) -> np.ndarray:

@@ -23,13 +23,15 @@ ROBOT = "robot/"
 CAMERA_SITE = "robot/camera"
 DRAWN_GROUPS = (0, 1, 2)
 _NEAR_M = 0.01
+# Points read per face pixel along each axis: more costs time and gains nothing that can be measured.
+_READ_DENSITY = 1.0
 _UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
 _OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 
 @dataclass(frozen=True)
 class _Warp:
-    """Fixed-point maps from the strip of faces to an image ``finer`` times as large as the one wanted."""
+    """Fixed-point maps from the strip of faces to a finer image, which is averaged to ``shape`` rows and columns."""
 
     column_row: np.ndarray
     fraction: np.ndarray
@@ -144,10 +146,6 @@ class Fisheye:
         reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
         inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
         return inside & ~self._robot[geoms]
-
-
-# Points read per face pixel along each axis: more costs time and gains nothing that can be measured.
-_READ_DENSITY = 1.0
 
 
 def _make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:

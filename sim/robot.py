@@ -43,7 +43,7 @@ def robot_height(camera: CameraSettings) -> float:
 
 
 def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
-    """Wheel speeds (2,) left, right [rad/s] that give a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
+    """Wheel speeds (2,) left, right [rad/s] for a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
     half = turn_rate_rps * TRACK_M / 2
     return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
 

@@ -8,9 +8,10 @@ import numpy as np
 
 from sim import textures
 from sim.furniture import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
-from sim.furniture_placing import Room, surface
+from sim.furniture_placing import Finish, Room, surface
 from sim.furniture_plans import FURNISH, finish_ceiling
-from sim.layout import Layout, outline, slabs
+from sim.layout import Layout
+from sim.outline import outline, slabs
 from sim.settings import RoomKind, RoomSettings, RoomShape
 
 FLOOR = "floor"
@@ -27,7 +28,7 @@ SIZE_M: dict[RoomKind, tuple[float, float, float]] = {
 }
 """Width, depth and height of each kind of room [m]."""
 
-FINISHES: dict[RoomKind, tuple[str, ...]] = {
+FINISHES: dict[RoomKind, tuple[Finish, ...]] = {
     "living_room": ("plaster", "wallpaper", "plaster", "brick"),
     "bedroom": ("wallpaper", "plaster", "boards", "plaster"),
     "office": ("plaster", "plaster", "boards", "plaster"),
@@ -35,6 +36,7 @@ FINISHES: dict[RoomKind, tuple[str, ...]] = {
     "studio": ("brick", "plaster", "plaster", "wallpaper"),
     "workshop": ("brick", "plaster", "boards", "brick"),
 }
+PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
 
 
 def build_room(settings: RoomSettings) -> mujoco.MjSpec:
@@ -94,18 +96,18 @@ def _lay_floor(room: Room, kind: RoomKind) -> None:
 
 def _raise_walls(room: Room, kind: RoomKind) -> None:
     finishes = FINISHES[kind]
-    shift = int(room.rng.integers(len(finishes)))
+    shift, first_hue = int(room.rng.integers(len(finishes))), float(room.rng.random())
     walls = room.layout.walls
     for number, wall in enumerate(walls):
-        body = room.spec.worldbody.add_body(
-            name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw)
-        )
+        body = room.spec.worldbody.add_body(name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw))
         # Out over an outer corner by the thickness; at an inner one a little short, so that no two faces coincide.
         before, after = (_overlap(walls[number - 1], wall), _overlap(wall, walls[(number + 1) % len(walls)]))
         length = wall.length_m + before + after
         middle = (before - after) / 2
         finish = finishes[(number + shift) % len(finishes)]
-        material = surface(room.look, room.rng, finish, (length, room.height_m))
+        # The golden section keeps the hues of neighbours apart, however many walls there are.
+        colour = textures.muted(room.rng, first_hue + 0.382 * number) * 0.7 + 0.28 * room.rng.uniform(0.6, 1.0)
+        material = surface(room.look, room.rng, finish, (length, room.height_m), colour)
         size = (length, WALL_M, room.height_m)
         box(body, (middle, WALL_M / 2, room.height_m / 2), size, material, solid=True)
         room.wall_bodies.append(body)
@@ -124,8 +126,8 @@ def _close_ceiling(room: Room, kind: RoomKind) -> None:
     if kind in ("studio", "bedroom") and rng.random() < 0.5:
         image = textures.wood(rng, shape, (0.8, 0.68, 0.52), int(rng.integers(14, 24)))
     else:
-        colour = 0.75 + 0.2 * textures.muted(rng)
-        image = textures.plaster(rng, shape, colour, stains=int(rng.integers(8, 14)), cracks=9, depth=0.35)
+        colour, second = 0.4 + 0.55 * textures.muted(rng), 0.35 + 0.6 * textures.muted(rng)
+        image = textures.plaster(rng, shape, colour, second, stains=int(rng.integers(8, 14)), cracks=9, depth=0.35)
     body = room.spec.worldbody.add_body(name="ceiling", pos=(0, 0, room.height_m))
     middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
     box(body, (middle[0], middle[1], 0.05), (width, depth, 0.1), paper(room.spec, image))
@@ -143,8 +145,8 @@ def _raise_pillars(room: Room) -> None:
             continue
         room.layout.take(it, pose)
         body = room.spec.worldbody.add_body(name=f"pillar_{number}", pos=(pose.x, pose.y, 0.0))
-        finish = ("brick", "plaster", "boards")[rng.integers(3)]
-        material = surface(room.look, rng, finish, (side, room.height_m))
+        finish: Finish = PILLAR_FINISHES[rng.integers(len(PILLAR_FINISHES))]
+        material = surface(room.look, rng, finish, (side, room.height_m), textures.muted(rng))
         box(body, (0, 0, room.height_m / 2), (side, side, room.height_m), material)
         block(body, (0, 0, room.height_m / 2), (side, side, room.height_m))
 

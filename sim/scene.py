@@ -22,7 +22,9 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     spec = freeze(room)
     _force_physics(spec, settings.robot.timestep_s)
     _force_picture(spec)
-    spec.attach(load_robot(settings.robot, settings.camera), prefix=PREFIX, frame=spec.worldbody.add_frame())
+    robot = load_robot(settings.robot, settings.camera)
+    robot.option = spec.option
+    spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
     return spec.compile()
 
 
@@ -64,7 +66,7 @@ def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
 def _force_picture(spec: mujoco.MjSpec) -> None:
     # Coarse primitives, no oversampling and no shadows: pictures cost by geometry, not by pixels.
     quality = spec.visual.quality
-    quality.numslices, quality.numstacks, quality.numquads = 12, 6, 4
+    quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
     quality.offsamples, quality.shadowsize = 0, 0
     # A headlight that follows the view would leave seams between the faces of the fisheye.
     headlight = spec.visual.headlight

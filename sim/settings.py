@@ -60,7 +60,7 @@ class CameraSettings(Group):
     """Rows of the polar image, zenith to rim."""
     sectors: int = Field(default=128, ge=8, le=1024)
     """Columns of the polar image, once around."""
-    face_px: int = Field(default=64, ge=16, le=512)
+    face_px: int = Field(default=96, ge=16, le=512)
     """Side of each pinhole face that is rendered [px]."""
 
 

@@ -1,9 +1,10 @@
-"""Procedural textures of surfaces: wood, plaster, brick, tile, cloth; each from a generator, as (rows, columns, 3) uint8.
+"""Procedural textures of surfaces, as of wood, plaster and cloth, from a generator: (rows, columns, 3) uint8.
 
 A texture covers a whole face; a wall's is as large as the wall, so that nothing on it repeats. All is computed
 element by element, without libraries whose sums depend on the number of threads: same seed, same bytes.
 """
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -36,12 +37,12 @@ def clouds(rng: np.random.Generator, shape: Shape, cells: tuple[float, float], o
 
 def vivid(rng: np.random.Generator) -> np.ndarray:
     """A strong colour (3,) in [0, 1], of any hue."""
-    return _hue(rng, rng.uniform(0.5, 0.9), rng.uniform(0.5, 0.95))
+    return _hue(rng.random(), rng.uniform(0.5, 0.9), rng.uniform(0.5, 0.95))
 
 
-def muted(rng: np.random.Generator) -> np.ndarray:
-    """A calm colour (3,) in [0, 1], as of walls and cloth."""
-    return _hue(rng, rng.uniform(0.15, 0.5), rng.uniform(0.5, 0.9))
+def muted(rng: np.random.Generator, hue: float | None = None) -> np.ndarray:
+    """A calm colour (3,) in [0, 1], as of walls and cloth; of the given hue in [0, 1), or of any."""
+    return _hue(rng.random() if hue is None else hue, rng.uniform(0.15, 0.5), rng.uniform(0.5, 0.9))
 
 
 def to_bytes(image: np.ndarray) -> np.ndarray:
@@ -54,7 +55,7 @@ def wood(rng: np.random.Generator, shape: Shape, colour: Colour, planks: int = 1
     rows, columns = shape
     image = np.empty((rows, columns, 3))
     edges = np.linspace(0, rows, planks + 1).astype(int)
-    for top, bottom in zip(edges[:-1], edges[1:], strict=True):
+    for top, bottom in itertools.pairwise(edges):
         part = (int(bottom - top), columns)
         bend = clouds(rng, part, (1.5, 3), 2)
         rings = 0.5 + 0.5 * np.sin(2 * np.pi * (rng.uniform(3, 5) * bend + np.linspace(0, 2, part[0])[:, None]))
@@ -68,14 +69,21 @@ def wood(rng: np.random.Generator, shape: Shape, colour: Colour, planks: int = 1
 
 
 def plaster(
-    rng: np.random.Generator, shape: Shape, colour: Colour, stains: int = 6, cracks: int = 3, depth: float = 0.3
+    rng: np.random.Generator,
+    shape: Shape,
+    colour: Colour,
+    second: Colour | None = None,
+    stains: int = 6,
+    cracks: int = 3,
+    depth: float = 0.3,
 ) -> np.ndarray:
-    """Painted plaster with light and dark regions, some stains of another hue and a few cracks."""
+    """Painted plaster: light and dark regions, regions of a second colour, some stains and a few cracks."""
     rows, columns = shape
     ratio = columns / rows
     shade = 1.0 + depth * 2.0 * (clouds(rng, shape, (2.2, 2.2 * ratio), 3) - 0.5)
     shade += 0.1 * (noise(rng, shape, (rows / 4, columns / 4)) - 0.5)
-    image = shade[..., None] * np.asarray(colour)
+    mix = np.clip(2.5 * clouds(rng, shape, (1.3, 1.3 * ratio), 2) - 0.75, 0, 1)[..., None]
+    image = shade[..., None] * (np.asarray(colour) * (1 - mix) + np.asarray(colour if second is None else second) * mix)
     down, across = np.mgrid[0:rows, 0:columns] / rows
     for _ in range(stains):
         middle = rng.random(2) * (1.0, ratio)
@@ -185,6 +193,16 @@ def fins(rng: np.random.Generator, shape: Shape, colour: Colour, count: int) -> 
     return to_bytes(image * (0.95 + 0.1 * clouds(rng, shape, (2, 2), 2))[..., None])
 
 
+def drawers(rng: np.random.Generator, shape: Shape, colour: Colour, count: int) -> np.ndarray:
+    """Fronts of drawers, one above the other, each with a handle and a shaded joint."""
+    rows, columns = shape
+    v = (np.arange(rows) * count / rows % 1.0)[:, None]
+    u = (np.arange(columns) / columns)[None, :]
+    shade = np.where((v < 0.07) | (u < 0.05) | (u > 0.95), 0.55, 1.0)
+    shade = np.where((np.abs(v - 0.4) < 0.07) & (np.abs(u - 0.5) < 0.16), 0.3, shade)
+    return to_bytes((shade * (0.9 + 0.2 * clouds(rng, shape, (3, 3), 2)))[..., None] * np.asarray(colour))
+
+
 def panels(rng: np.random.Generator, shape: Shape, colour: Colour, grid: tuple[int, int]) -> np.ndarray:
     """A panelled leaf, as of a door: ``grid`` recessed fields with a lit and a shaded edge."""
     rows, columns = shape
@@ -213,8 +231,8 @@ def framed(image: np.ndarray, colour: Colour, share: float, bars: Sequence[float
     return whole
 
 
-def _hue(rng: np.random.Generator, strength: float, value: float) -> np.ndarray:
-    hue = rng.random() * 6.0
+def _hue(turn: float, strength: float, value: float) -> np.ndarray:
+    hue = turn % 1.0 * 6.0
     pure = np.array((abs(hue - 3.0) - 1.0, 2.0 - abs(hue - 2.0), 2.0 - abs(hue - 4.0)))
     return value * (1.0 - strength * (1.0 - np.clip(pure, 0.0, 1.0)))
 

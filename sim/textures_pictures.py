@@ -1,5 +1,7 @@
 """Procedural pictures: paintings, the view from a window, a screen, rows of books, leaves; (rows, columns, 3) uint8."""
 
+import itertools
+
 import numpy as np
 
 from sim.textures import Shape, clouds, noise, to_bytes, vivid
@@ -138,8 +140,8 @@ def _blocks(rng: np.random.Generator, shape: Shape) -> np.ndarray:
     image = np.ones((rows, columns, 3)) * 0.93
     down = np.concatenate([[0], np.sort(rng.uniform(0.1, 0.9, 3)), [1]]) * rows
     across = np.concatenate([[0], np.sort(rng.uniform(0.1, 0.9, 3)), [1]]) * columns
-    for top, bottom in zip(down[:-1], down[1:], strict=True):
-        for left, right in zip(across[:-1], across[1:], strict=True):
+    for top, bottom in itertools.pairwise(down):
+        for left, right in itertools.pairwise(across):
             if rng.random() < 0.65:
                 image[int(top) + 2 : int(bottom), int(left) + 2 : int(right)] = vivid(rng)
     return image

@@ -11,6 +11,7 @@ from sim.free_space import find_free_space
 from sim.ranges import REACH_M, RangeFinder
 from sim.records import FreeSpace
 from sim.robot import BASE, BUMPER, PREFIX, RADIUS_M, WHEELS, robot_height
+from sim.room import build_room
 from sim.scene import compile_scene, empty_room
 from sim.settings import SimSettings
 
@@ -29,10 +30,7 @@ class RoomWorld:
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None) -> None:
         """Build the room of the settings, or take a ready one, and put the robot into it at rest."""
-        if room is None:
-            from sim.room import build_room
-
-            room = build_room(settings.room)
+        room = build_room(settings.room) if room is None else room
         self.settings = settings
         self.model = compile_scene(room, settings)
         self.data = mujoco.MjData(self.model)

@@ -50,7 +50,7 @@ def make_free_space() -> FreeSpace:
     empty = (np.abs(grid_x) < WIDTH_M / 2) & (np.abs(grid_y) < DEPTH_M / 2)
     for middle_x, middle_y, width, depth, _, _ in FURNITURE.values():
         empty &= (np.abs(grid_x - middle_x) > width / 2) | (np.abs(grid_y - middle_y) > depth / 2)
-    free = distance_transform_edt(empty) * CELL_M > RADIUS_M
+    free = np.asarray(distance_transform_edt(empty)) * CELL_M > RADIUS_M
     return FreeSpace(np.array([x[0], y[0]]), CELL_M, free, free.copy(), np.zeros(2), DEPTH_M)
 
 
@@ -215,4 +215,4 @@ def _write_scene(path: Path) -> None:
         box.apply_translation((x, y, z))
         box.visual = trimesh.visual.ColorVisuals(box, face_colors=[*colour, 255])
         scene.add_geometry(box, geom_name=name, node_name=name)
-    path.write_bytes(scene.export(file_type="glb"))
+    path.write_bytes(bytes(scene.export(file_type="glb")))  # pyright: ignore[reportArgumentType]

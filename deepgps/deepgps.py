@@ -1,0 +1,169 @@
+"""DeepGPS: a network that learns positions from images and distances driven along straight segments, and nothing else.
+
+The loss of the paper (Eq. 2, 3, 5) has many minima in which the map lies folded on itself. So training starts unfolded: from
+the map in closed form of ``lines``, which the network first imitates, or, where segments have only two readings, from more
+output dimensions than two ("lifting"), which are flattened later. A fold that is found all the same restarts training.
+"""
+
+import shutil
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+
+from deepgps import losses
+from deepgps.data import Segments, draw
+from deepgps.fold import Signs, find_signs
+from deepgps.lines import has_lines, map_by_lines
+from deepgps.material import Material, as_positioner, new_network, prepare
+from deepgps.network import count_parameters
+from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
+from deepgps.progress import Report, ignore
+from deepgps.settings import LearnSettings, LiftSettings, Start
+from deepgps.train import Batch, Loss, derive_seed, make_generator, predict, train
+from sim.errors import InputError
+from sim.files import write_bytes
+from sim.records import Recording
+
+IMITATE = 0.2
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One training and its map.
+
+    Attributes:
+        positioner: What was learned.
+        signs: Signs of a fold in it.
+        seconds: What the training took.
+    """
+
+    positioner: NetworkPositioner
+    signs: Signs
+    seconds: float
+
+
+def fit(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """Train DeepGPS into ``folder``; done work is loaded, cut-off work continued."""
+    if not is_finished(folder):
+        material = prepare(recording, settings, seed, folder.parent)
+        attempts = run_attempts(material, settings, seed, folder, progress)
+        best = min(range(len(attempts)), key=lambda number: attempts[number].signs.worst(settings.fold))
+        chosen = attempts[best]
+        write_bytes(folder / "history.npz", (_attempt_folder(folder, best) / "history.npz").read_bytes())
+        training = {
+            "steps": settings.train.steps * len(attempts),
+            "train_s": round(sum(attempt.seconds for attempt in attempts), 1),
+            "parameters": count_parameters(chosen.positioner.network),
+            "attempts": len(attempts),
+            "fold": {"found": chosen.signs.folded(settings.fold), **asdict(chosen.signs)},
+            "segments_skipped": material.segments.skipped,
+        }
+        save_positioner(folder, chosen.positioner, training)
+    for left in folder.glob("attempt*"):
+        shutil.rmtree(left)
+    return load_positioner(folder)
+
+
+def run_attempts(
+    material: Material, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> list[Attempt]:
+    """Train until a map shows no fold, or the restarts are used up."""
+    attempts = []
+    for number in range(settings.fold.restarts + 1):
+        label = "deepgps" if number == 0 else f"deepgps, restart {number}"
+        attempts.append(run_attempt(material, settings, seed, number, _attempt_folder(folder, number), progress, label))
+        if not attempts[-1].signs.folded(settings.fold):
+            break
+    return attempts
+
+
+def run_attempt(
+    material: Material,
+    settings: LearnSettings,
+    seed: int,
+    number: int,
+    folder: Path,
+    progress: Report = ignore,
+    label: str = "deepgps",
+) -> Attempt:
+    """Train once, from the weights and draws of attempt ``number``, and look for folds."""
+    start = choose_start(settings, material.segments)
+    network = new_network(material, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
+    device = material.inputs.table.device
+    segments = material.segments.to(device)
+
+    def draw_batch(generator: torch.Generator) -> Batch:
+        return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
+
+    def loss(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        return losses.dense(out, batch.target, batch.valid, settings.loss)
+
+    if start == "lines":
+        first = map_by_lines(material.features, material.segments, make_generator(seed, "start", number))
+        loss = imitate_first(loss, first.to(device))
+    elif start == "lifting":
+        loss = flatten_later(loss, settings.lift)
+    draws = derive_seed(seed, "shuffling", number)
+    seconds = train(network, material.inputs, draw_batch, loss, settings.train, draws, folder, progress, label)
+    out = predict(network, material.inputs, torch.arange(len(material.inputs)))
+    centre, axes = find_plane(out)
+    positions = ((out - centre) @ axes).double().numpy()
+    signs = find_signs(positions, material.features, material.segments, make_generator(seed, "fold", number))
+    return Attempt(as_positioner(material, settings, network, centre, axes), signs, seconds)
+
+
+def choose_start(settings: LearnSettings, segments: Segments) -> Start:
+    """How to unfold: lines where most readings stand at least three to a segment, lifting elsewhere."""
+    if settings.start == "auto":
+        return "lines" if has_lines(segments) else "lifting"
+    if settings.start == "lines" and not has_lines(segments):
+        raise InputError(
+            "learn.start 'lines': most segments have only two readings; auto and lifting can learn from those"
+        )
+    return settings.start
+
+
+def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
+    """Pull predictions towards a first map ``known`` (N, 2) [m], less and less until ``IMITATE`` of the steps."""
+
+    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        pull = max(0.0, 1.0 - done / IMITATE)
+        if pull == 0.0:
+            return loss(out, batch, done)
+        away = losses.distance(out, known[batch.index])[batch.valid].mean()
+        return (1.0 - pull) * loss(out, batch, done) + pull * away
+
+    return both
+
+
+def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
+    """Add, more and more, the mean distance of predictions from the plane of their two principal axes."""
+
+    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        push = lift.penalty * min(
+            1.0, max(0.0, (done - lift.flatten_from) / max(lift.flatten_to - lift.flatten_from, 1e-9))
+        )
+        if push == 0.0:
+            return loss(out, batch, done)
+        points = out[batch.valid]
+        centre, axes = find_plane(points.detach())
+        points = points - centre
+        return loss(out, batch, done) + push * losses.distance(points, points @ axes @ axes.T).mean()
+
+    return both
+
+
+def find_plane(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Centre (D,) and two principal axes (D, 2) of points (n, D); two dimensions stay as they are."""
+    if points.shape[1] == 2:
+        return torch.zeros_like(points[0]), torch.eye(2, dtype=points.dtype, device=points.device)
+    centre = points.mean(dim=0)
+    _, axes = torch.linalg.eigh((points - centre).T @ (points - centre))
+    return centre, axes[:, -2:]
+
+
+def _attempt_folder(folder: Path, number: int) -> Path:
+    return folder / f"attempt{number}"

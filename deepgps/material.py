@@ -1,0 +1,71 @@
+"""What every method learns from: a recording's segments, its observations' features, and the network's input."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from deepgps.data import Segments, read_segments
+from deepgps.features import Features, cached_features
+from deepgps.network import make_network
+from deepgps.positioner import NetworkPositioner
+from deepgps.settings import LearnSettings
+from deepgps.train import Inputs, choose_device, make_generator
+from sim.records import Recording
+
+
+@dataclass(frozen=True)
+class Material:
+    """A recording made ready for learning.
+
+    Attributes:
+        segments: Weak constraints.
+        projection: From observations to features.
+        features: Features of the training observations (N, components).
+        inputs: What the network takes, on the device.
+        shape: Shape of one observation.
+    """
+
+    segments: Segments
+    projection: Features
+    features: torch.Tensor
+    inputs: Inputs
+    shape: tuple[int, ...]
+
+
+def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:
+    """Read the segments and make the features, or take these from ``folder``, where another method has left them."""
+    segments = read_segments(recording)
+    key = hashlib.sha256(f"{settings.features} {seed} {_mark(recording)}".encode()).hexdigest()
+    generator = make_generator(seed, "features")
+    projection, features = cached_features(
+        folder / "features.safetensors", key, recording.observation, segments, settings.features, generator
+    )
+    table = features
+    if settings.network.architecture != "spectral":
+        table = torch.from_numpy(np.array(recording.observation))
+    inputs = Inputs(table.to(choose_device(settings.train.device)))
+    return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+
+
+def new_network(material: Material, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:
+    """A network for this material with weights of this seed and attempt."""
+    generator = make_generator(seed, "weights", attempt)
+    return make_network(settings.network, material.features.shape[1], outputs, generator)
+
+
+def as_positioner(
+    material: Material, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
+) -> NetworkPositioner:
+    """The trained network as a positioner on the CPU."""
+    features = material.projection if settings.network.architecture == "spectral" else None
+    network = network.cpu().eval()
+    return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())
+
+
+def _mark(recording: Recording) -> str:
+    # The manifest holds checksums of every array; readings are cheap to sum and cover recordings without.
+    return str(recording.manifest.get("sha256")) + hashlib.sha256(np.asarray(recording.reading).tobytes()).hexdigest()

@@ -1,0 +1,14 @@
+"""The methods by name."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from deepgps import deepgps, knn, odometry, posenet
+from deepgps.positioner import Positioner
+from deepgps.progress import Report
+from deepgps.settings import LearnSettings
+from sim.records import Recording
+
+Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
+
+METHODS: dict[str, Fit] = {"deepgps": deepgps.fit, "posenet": posenet.fit, "odometry": odometry.fit, "knn": knn.fit}

@@ -1,0 +1,153 @@
+"""What a method learned: from observations to positions, saved as weights and JSON, loaded from its folder alone."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import nn
+
+from deepgps.features import Features, check_shape
+from deepgps.network import make_network
+from deepgps.settings import NetworkSettings
+from deepgps.train import Inputs, predict
+from sim.errors import InputError
+from sim.files import read_json, write_bytes, write_json
+
+SCHEMA = 1
+CHUNK = 500
+
+
+@dataclass(frozen=True)
+class NetworkPositioner:
+    """Positions by a trained network.
+
+    Attributes:
+        shape: Shape of one observation.
+        features: What turns observations into the network's input; none: the network takes images.
+        settings: Which network.
+        network: Its weights, in evaluation mode, on the CPU.
+        centre: Middle of the plane in the network's output space (D,) [m].
+        axes: Axes of the plane (D, 2).
+    """
+
+    shape: tuple[int, ...]
+    features: Features | None
+    settings: NetworkSettings
+    network: nn.Module
+    centre: torch.Tensor
+    axes: torch.Tensor
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+        check_shape(observations, self.shape)
+        chunks = [self._position(np.asarray(observations[i : i + CHUNK])) for i in range(0, len(observations), CHUNK)]
+        return np.concatenate([np.zeros((0, 2)), *chunks])
+
+    def _position(self, observations: np.ndarray) -> np.ndarray:
+        table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
+        out = predict(self.network, Inputs(table), torch.arange(len(table)))
+        return ((out - self.centre).double() @ self.axes.double()).numpy()
+
+
+@dataclass(frozen=True)
+class NeighbourPositioner:
+    """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared.
+
+    Attributes:
+        features: What turns observations into features.
+        known: Features of the training observations (N, components).
+        places: Their positions (N, 2) float64 [m].
+        neighbours: How many are averaged.
+    """
+
+    features: Features
+    known: torch.Tensor
+    places: torch.Tensor
+    neighbours: int
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m] of observations (B, ...)."""
+        found = [self._position(part) for part in self.features.apply(observations).split(CHUNK)]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+    def _position(self, features: torch.Tensor) -> np.ndarray:
+        nearest = torch.cdist(features, self.known).topk(min(self.neighbours, len(self.known)), largest=False)
+        weight = nearest.values.double().square().clamp_min(1e-12).reciprocal()
+        weight = weight / weight.sum(dim=1, keepdim=True)
+        return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
+
+
+Positioner = NetworkPositioner | NeighbourPositioner
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a method's folder holds a whole positioner."""
+    return (folder / "positioner.json").is_file()
+
+
+def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str, Any]) -> None:
+    """Write ``weights.safetensors``, ``training.json`` (what the training was) and, last, ``positioner.json``."""
+    tensors, description = _take_apart(positioner)
+    write_bytes(folder / "weights.safetensors", save({name: t.contiguous() for name, t in tensors.items()}))
+    write_json(folder / "training.json", training)
+    write_json(folder / "positioner.json", {"schema": SCHEMA, **description})
+
+
+def load_positioner(folder: Path) -> Positioner:
+    """Load what ``save_positioner`` wrote; raises InputError where it is missing or broken."""
+    path = folder / "positioner.json"
+    if not path.is_file():
+        raise InputError(f"{folder} holds no trained method: it has no positioner.json")
+    try:
+        description = read_json(path)
+        if description["schema"] != SCHEMA:
+            raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
+        return _put_together(description, load_file(folder / "weights.safetensors"))
+    except InputError:
+        raise
+    except (json.JSONDecodeError, ValidationError, KeyError, TypeError) as error:
+        raise InputError(f"{path} is broken: {_one_line(error)}") from None
+    except (SafetensorError, OSError, RuntimeError) as error:
+        raise InputError(f"{folder / 'weights.safetensors'} is broken: {_one_line(error)}") from None
+
+
+def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    features = positioner.features
+    tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
+    frequencies = None if features is None else features.frequencies
+    if isinstance(positioner, NeighbourPositioner):
+        assert features is not None
+        tensors |= {"known": positioner.known, "places": positioner.places}
+        kind = {"kind": "neighbours", "neighbours": positioner.neighbours, "shape": list(features.shape)}
+    else:
+        tensors |= {f"network.{name}": tensor for name, tensor in positioner.network.state_dict().items()}
+        tensors |= {"centre": positioner.centre, "axes": positioner.axes}
+        network = positioner.settings.model_dump(mode="json")
+        kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
+    return tensors, {**kind, "frequencies": frequencies}
+
+
+def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> Positioner:
+    shape = tuple(description["shape"])
+    features = None
+    if description["frequencies"] is not None:
+        features = Features(shape, description["frequencies"], tensors["features.mean"], tensors["features.basis"])
+    if description["kind"] == "neighbours" and features is not None:
+        return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])
+    settings = NetworkSettings.model_validate(description["network"])
+    inputs = 0 if features is None else features.basis.shape[1]
+    network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
+    own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
+    network.load_state_dict(own)
+    return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"])
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

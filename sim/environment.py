@@ -1,0 +1,120 @@
+"""The room as a ``dm_env.Environment``: wheel speeds in; polar image, encoder ticks and ranges out.
+
+It runs on dm_control's ``Physics`` over the compiled room, so dm_control's tools (named access, cameras, its viewer)
+see the same state. There is no task: the reward is always zero. Call ``sim.gl.choose_backend`` before this module is
+imported.
+"""
+
+import mujoco
+import numpy as np
+
+from sim.encoder import count_ticks, scale_wheels
+from sim.errors import InputError, WorkError
+from sim.gl import choose_backend
+from sim.ranges import REACH_M
+from sim.render import Fisheye
+from sim.robot import PREFIX, WHEELS
+from sim.settings import SimSettings
+from sim.world import RoomWorld
+
+try:
+    import dm_env
+    from dm_env import specs
+except ModuleNotFoundError:
+    raise WorkError(
+        "sim.environment needs dm-control, which has no wheels for this Python: use Python 3.11 or 3.12 "
+        "and pip install dm-control"
+    ) from None
+
+_DRAWN_FAULTS = ("slip_per_m", "gap_noise", "lost")
+
+
+class RoomEnvironment(dm_env.Environment):
+    """A robot in a room; one step is one control period, an episode starts anywhere the robot can get to.
+
+    Attributes:
+        physics: dm_control's view of the model and its state.
+
+    Args:
+        settings: Room, robot, camera, encoder resolution and control period.
+        rng: Draws where each episode starts.
+        episode_s: Length of an episode [s]; it ends with discount 1, as it is cut off, not lost.
+
+    Raises:
+        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings).
+        WorkError: No OpenGL context can be opened, or physics fails.
+    """
+
+    def __init__(self, settings: SimSettings, rng: np.random.Generator, episode_s: float = 60.0) -> None:
+        for fault in _DRAWN_FAULTS:
+            if getattr(settings.encoder, fault) != 0.0:
+                raise InputError(
+                    f"encoder.{fault} {getattr(settings.encoder, fault)} must be 0 in the environment: "
+                    "it is drawn for a whole drive, after it"
+                )
+        if episode_s < settings.drive.control_period_s:
+            raise InputError(
+                f"episode_s {episode_s} must be at least drive.control_period_s {settings.drive.control_period_s} s"
+            )
+        choose_backend()
+        from dm_control.mujoco import Physics, wrapper
+
+        self._settings, self._rng = settings, rng
+        self._world = RoomWorld(settings)
+        self.physics = Physics.from_model(wrapper.MjModel(self._world.model))
+        self._world.data = self.physics.data.ptr
+        self._fisheye = Fisheye(self._world.model, settings.camera)
+        self._steps = round(episode_s / settings.drive.control_period_s)
+        self._step: int | None = None
+
+    def reset(self) -> dm_env.TimeStep:
+        """Stand the robot, settled, at a random reachable place with a random heading."""
+        space = self._world.free_space
+        cells = np.argwhere(space.reachable)
+        row, column = cells[self._rng.integers(len(cells))]
+        place = space.origin + np.array([column, row]) * space.cell_m
+        self._world.place(np.array([*place, self._rng.uniform(-np.pi, np.pi)]))
+        self._step = 0
+        return dm_env.restart(self._observe())
+
+    def step(self, action: np.ndarray) -> dm_env.TimeStep:
+        """Drive the wheels at speeds (2,) left, right [rad/s] for one control period."""
+        if self._step is None:
+            return self.reset()
+        self._world.step(np.asarray(action, float))
+        self._step += 1
+        if self._step >= self._steps:
+            self._step = None
+            return dm_env.truncation(0.0, self._observe())
+        return dm_env.transition(0.0, self._observe())
+
+    def action_spec(self) -> specs.BoundedArray:
+        """Wheel speeds (2,) left, right within the motors' limits [rad/s]."""
+        model = self._world.model
+        limits = np.array([model.actuator(PREFIX + wheel).ctrlrange for wheel in WHEELS])
+        return specs.BoundedArray((2,), np.float64, limits[:, 0], limits[:, 1], "wheel_speed")
+
+    def observation_spec(self) -> dict[str, specs.Array]:
+        """``polar`` image, cumulative ``ticks`` left and right, forward ``ranges`` [m]."""
+        camera = self._settings.camera
+        return {
+            "polar": specs.BoundedArray((camera.rings, camera.sectors, 3), np.uint8, 0, 255, "polar"),
+            "ticks": specs.Array((2,), np.int64, "ticks"),
+            "ranges": specs.BoundedArray(self._world.ranges().shape, np.float64, 0.0, REACH_M, "ranges"),
+        }
+
+    def close(self) -> None:
+        """Free the OpenGL context and the physics."""
+        self._fisheye.close()
+        self.physics.free()
+
+    def _observe(self) -> dict[str, np.ndarray]:
+        mujoco.mj_kinematics(self._world.model, self._world.data)
+        encoder = self._settings.encoder
+        since_start = np.stack([np.zeros(2), self._world.wheel_angle()])  # an episode starts at wheel angle zero
+        angle = scale_wheels(since_start, encoder.radius_error_left, encoder.radius_error_right)[1]
+        return {
+            "polar": self._fisheye.polar(self._world.data),
+            "ticks": count_ticks(angle, encoder),
+            "ranges": np.minimum(self._world.ranges(), REACH_M),
+        }

@@ -1,0 +1,84 @@
+"""The outline of a room: its corners by shape, its walls, and the rectangles that make up its floor."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from sim.settings import RoomShape
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """One straight wall; the room lies to the left of the way from start to end.
+
+    Attributes:
+        start: First corner (2,) [m].
+        end: Last corner (2,) [m].
+        taken: Rectangles (left, right, bottom, top) [m] of what hangs on it, in its own frame: x along it from its
+            middle, seen as a piece that stands with its back to it.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    taken: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    @property
+    def length_m(self) -> float:
+        """Its length [m]."""
+        return float(np.abs(self.end - self.start).sum())
+
+    @property
+    def middle(self) -> np.ndarray:
+        """Its middle (2,) [m]."""
+        return (self.start + self.end) / 2
+
+    @property
+    def normal(self) -> np.ndarray:
+        """The direction (2,) into the room."""
+        along = (self.end - self.start) / self.length_m
+        return np.array((-along[1], along[0]))
+
+    @property
+    def yaw(self) -> float:
+        """Turn of a piece that stands with its back to this wall."""
+        return float(np.arctan2(self.normal[0], -self.normal[1]))
+
+    @property
+    def along(self) -> np.ndarray:
+        """The direction (2,) of x in its own frame."""
+        return np.array((np.cos(self.yaw), np.sin(self.yaw)))
+
+
+def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:
+    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; L and U lack a piece of seeded size."""
+    w, d = width_m / 2, depth_m / 2
+    if shape == "l":
+        x, y = w - rng.uniform(0.34, 0.42) * width_m, d - rng.uniform(0.34, 0.42) * depth_m
+        corners = [(-w, -d), (w, -d), (w, y), (x, y), (x, d), (-w, d)]
+    elif shape == "u":
+        middle, half = rng.uniform(-0.06, 0.06) * width_m, rng.uniform(0.13, 0.16) * width_m
+        y = d - rng.uniform(0.36, 0.44) * depth_m
+        corners = [(-w, -d), (w, -d), (w, d), (middle + half, d), (middle + half, y)]
+        corners += [(middle - half, y), (middle - half, d), (-w, d)]
+    else:
+        corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
+    points = np.array(corners)
+    if shape in ("l", "u") and rng.random() < 0.5:
+        points = -points
+    return points
+
+
+def slabs(corners: np.ndarray) -> list[tuple[float, float, float, float]]:
+    """The room as rectangles (left, right, bottom, top) [m] side by side along x."""
+    found = []
+    for left, right in pairwise(np.unique(corners[:, 0])):
+        x = (left + right) / 2
+        crossings = sorted(
+            float(a[1])
+            for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)
+            if min(a[0], b[0]) < x < max(a[0], b[0])
+        )
+        for bottom, top in zip(crossings[::2], crossings[1::2], strict=True):
+            found.append((float(left), float(right), bottom, top))
+    return found

@@ -1,0 +1,32 @@
+"""What many tests share: the renderer chosen before MuJoCo is imported, and a small recording."""
+
+from pathlib import Path
+
+import pytest
+
+from sim.gl import choose_backend
+from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
+
+choose_backend()
+
+SMALL = SimSettings(
+    room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8),
+    camera=CameraSettings(rings=8, sectors=32, face_px=16),
+    drive=DriveSettings(samples=300),
+    grid=GridSettings(spacing_m=0.4, headings=2),
+)
+
+
+@pytest.fixture(scope="session")
+def small_settings() -> SimSettings:
+    return SMALL
+
+
+@pytest.fixture(scope="session")
+def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a small room, driven and rendered for real by one worker."""
+    from sim.collect import collect
+
+    folder = tmp_path_factory.mktemp("small") / "recording"
+    collect(SMALL, 0, folder, lambda *_: None, workers=1)
+    return folder
