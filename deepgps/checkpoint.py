@@ -39,7 +39,7 @@ def load_checkpoint(
     generator: torch.Generator,
     history: dict[str, list],
 ) -> tuple[int, float]:
-    """Restore a training in place; returns the steps done and the seconds they took, zeros where there is no checkpoint."""
+    """Restore a training in place; returns steps done and seconds they took, zeros where there is no checkpoint."""
     path = folder / NAME
     if not path.is_file():
         return 0, 0.0

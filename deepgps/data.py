@@ -1,4 +1,4 @@
-"""Weak constraints from a recording: which observations lie on one straight segment, and how far along it. Never the truth."""
+"""Weak constraints from a recording: what lies on one straight segment, and how far along it. Never the truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -74,15 +74,13 @@ def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
 def dead_reckon(recording: Recording) -> np.ndarray:
     """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
 
-    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading. The
-    robot turns in place only between segments, where nothing is read, so a turn between two readings at one place
-    moves nothing.
+    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
+    between segments the robot turns in place first, and then drives.
     """
     way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
     turn = (way[:, 1] - way[:, 0]) / _odometry(recording.manifest)["track_m"]
     yaw = np.concatenate([[0.0], np.cumsum(turn)])
     heading = yaw[:-1] + turn / 2.0
-    # Between segments the robot first turns, then drives: what is driven there goes along the new heading.
     between = np.diff(recording.reading[:, 0]) != 0
     heading = np.where(between, yaw[1:], heading)
     step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)

@@ -1,8 +1,8 @@
-"""DeepGPS: a network that learns positions from images and distances driven along straight segments, and nothing else.
+"""DeepGPS: a network that learns positions from images and distances driven along straight segments, nothing else.
 
-The loss of the paper (Eq. 2, 3, 5) has many minima in which the map lies folded on itself. So training starts unfolded: from
-the map in closed form of ``lines``, which the network first imitates, or, where segments have only two readings, from more
-output dimensions than two ("lifting"), which are flattened later. A fold that is found all the same restarts training.
+The paper's loss (Eq. 2, 3, 5) has many minima in which the map lies folded on itself. So training starts unfolded: from
+the map in closed form of ``lines``, which the network first imitates, or, where segments have only two readings, from
+more output dimensions than two ("lifting"), which are flattened later. A fold found all the same restarts training.
 """
 
 import shutil

@@ -1,11 +1,11 @@
 """Spectral features of polar images: they do not change when the robot turns, and change slowly as it drives.
 
 Turning shifts a polar image along its sectors, which multiplies every ring's Fourier coefficient of frequency f by the
-phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a ring's
-coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
+phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a
+ring's coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
 
-Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that vary
-much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
+Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that
+vary much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
 aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
 """
 
@@ -149,8 +149,9 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
     bend = x[first] - 2.0 * x[middle] + x[last]
     noise = bend.T @ bend / len(bend)
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
-    _, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
-    return axes.flip(1)[:, :count].float()
+    ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
+    # Each axis has bends of size 1; a fourth root more keeps the slowest in front and damps what is nearly noise.
+    return (axes * ratio.clamp_min(1e-12) ** 0.25).flip(1)[:, :count].float()
 
 
 def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -1,4 +1,6 @@
-"""Networks that map one observation to one position: layers on spectral features, and the paper's circular ResNet-18."""
+"""Networks that map one observation to one position: layers on features, and the paper's circular ResNet-18."""
+
+from itertools import pairwise
 
 import torch
 from torch import nn
@@ -13,7 +15,7 @@ class SpectralNetwork(nn.Module):
     def __init__(self, inputs: int, outputs: int, width: int, layers: int) -> None:
         super().__init__()
         sizes = [inputs] + [width] * layers
-        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True))
+        self.hidden = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))
         self.head = nn.Linear(width, outputs)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:

@@ -20,6 +20,8 @@ class FeatureSettings(Group):
     """Principal components among which slow features are sought."""
     components: int = Field(64, ge=2, le=4096)
     """Slow features kept."""
+    noise: float = Field(0.1, ge=0.0, le=10.0)
+    """Noise added to features in training; their own root mean square is 1."""
 
 
 class NetworkSettings(Group):
@@ -75,11 +77,11 @@ class FoldSettings(Group):
     restarts: int = Field(2, ge=0, le=20)
     """How often training starts again from other weights when a fold is found."""
     bent: float = Field(0.10, gt=0.0, le=1.0)
-    """Fraction of the way on segments whose predicted ends do not fit the distance driven, above which the map is folded."""
+    """Fraction of the way on segments whose predicted ends do not fit the distance, above which a map is folded."""
     doubled: float = Field(0.10, gt=0.0, le=1.0)
-    """Fraction of observations whose neighbours on the map look unlike them, above which the map is folded."""
+    """Fraction of observations whose neighbours on the map look unlike them, above which a map is folded."""
     torn: float = Field(0.10, gt=0.0, le=1.0)
-    """Fraction of look-alike observations that lie apart on the map, above which the map is folded."""
+    """Fraction of look-alike observations that lie apart on the map, above which a map is folded."""
 
 
 class LearnSettings(Group):
@@ -91,7 +93,7 @@ class LearnSettings(Group):
     loss: Loss = "absolute"
     """absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
     start: Start = "auto"
-    """How the map is unfolded before distances alone finish it: lines (closed form, needs three readings on most segments),
+    """How the map is unfolded before distances alone finish it: lines (closed form; most segments need three readings),
     lifting, random (not at all), or auto: lines where they are possible, else lifting."""
     neighbours: int = Field(4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""

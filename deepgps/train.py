@@ -1,7 +1,7 @@
 """One plain training loop for every method that trains a network; it can be cut off anywhere and continues exactly.
 
-On one machine the same seed gives the same weights to the byte: each random draw comes from a generator whose state is in
-the checkpoint, and the schedule counts steps.
+On one machine the same seed gives the same weights to the byte: each random draw comes from a generator whose state is
+in the checkpoint, and the schedule counts steps.
 """
 
 import time
@@ -46,18 +46,26 @@ class Batch:
 class Inputs:
     """Observations as the network takes them, on one device.
 
-    Features (N, K) float32 are taken as they are. Polar images (N, rings, sectors, 3) uint8 become (N, 3, rings, sectors)
-    float32, each shifted in a circle by a random number of sectors when a generator is given (paper section III-B2).
+    Features (N, K) stay as they are, or get noise when a generator is given. Polar images (N, rings, sectors, 3) uint8
+    become (N, 3, rings, sectors) float32, each shifted in a circle by a random number of sectors when a generator is
+    given (paper section III-B2).
+
+    Args:
+        table: Features or images.
+        noise: Standard deviation of the noise on features, whose own root mean square is 1.
     """
 
-    def __init__(self, table: torch.Tensor) -> None:
+    def __init__(self, table: torch.Tensor, noise: float = 0.0) -> None:
         self.table = table
+        self.noise = noise
 
     def take(self, index: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
         """Network input of observations (B,)."""
         chosen = self.table[index]
         if chosen.ndim == 2:
-            return chosen
+            if generator is None or self.noise == 0.0:
+                return chosen
+            return chosen + self.noise * torch.randn(chosen.shape, generator=generator, device=chosen.device)
         if generator is not None:
             sectors = chosen.shape[2]
             shift = torch.randint(sectors, (len(chosen), 1), generator=generator, device=chosen.device)
@@ -125,8 +133,8 @@ def train(
 ) -> float:
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
-    Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), ``snapshot``
-    (K, n, outputs) predictions of the observations ``snapshot_index`` (n,) [m].
+    Writes ``folder/history.npz``: ``step`` and ``loss`` (means between two points), ``snapshot_step`` (K,), and
+    ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m].
 
     Args:
         network: Starts from its present weights.

@@ -36,8 +36,8 @@ SHORTEST_M = 0.16
 """A heading is taken when at least this is clear ahead [m]."""
 DOUBT_M = 0.12
 """A contact or stall makes the samples of this last stretch of wheel way doubtful: they are dropped [m]."""
-STALL_M = 0.02
-"""The wheels are this far behind what they were told: they are blocked [m]."""
+STALL_S = 0.2
+"""Wheels that turned less than half of what they were told for this long are blocked [s]."""
 SLIP_M = 0.10
 SEEN_M = 0.01
 """The wheels turned by SLIP_M while what is ahead came nearer by less than SEEN_M: they slip [m]."""
@@ -195,7 +195,7 @@ def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues
     """
     period, spacing = settings.control_period_s, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
-    speed = told_m = way_m = slip_from_m = 0.0
+    speed = way_m = slip_from_m = held_s = 0.0
     seen_m = np.inf
     # Near rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
@@ -206,14 +206,14 @@ def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
             seen_m, slip_from_m = clear_m, way_m
         rest_m = min(settings.longest_m - way_m, clear_m)
-        if ended := _why_stop(robot.bumped(), told_m - way_m, way_m - slip_from_m, clear_m, rest_m):
+        if ended := _why_stop(robot.bumped(), held_s, way_m - slip_from_m, clear_m, rest_m):
             break
         speed = _ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
         left, right = robot.wheel_angle() - start
         even = STRAIGHTEN_PER_S * (left - right) / 2
         robot.step(wheel_speeds(speed, 0.0) + (-even, even))
-        told_m += speed * period
-        way_m = _way(robot, start)
+        before_m, way_m = way_m, _way(robot, start)
+        held_s = held_s + period if way_m - before_m < speed * period / 2 else 0.0
         if settings.strategy == "dense" and way_m >= len(samples) * spacing:
             samples.append(_sample(robot, way_m))
     _stand(robot, settings)
@@ -237,10 +237,10 @@ def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues
     )
 
 
-def _why_stop(bumped: bool, behind_m: float, slipped_m: float, clear_m: float, rest_m: float) -> Ended | None:
+def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, rest_m: float) -> Ended | None:
     if bumped:
         return "contact"
-    if behind_m > STALL_M or slipped_m > SLIP_M:
+    if held_s > STALL_S or slipped_m > SLIP_M:
         return "stall"
     if rest_m < CLOSE_M:
         return "range" if clear_m < CLOSE_M else "length"

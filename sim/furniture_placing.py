@@ -177,20 +177,20 @@ def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Ge
     return poses
 
 
-def set_at(room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_rad: float = 0.0) -> int:
-    """Set a piece down at each of the places that is inside the room, without asking for more; how many were."""
-    done = 0
+def set_at(
+    room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_rad: float = 0.0, at_table: bool = False
+) -> None:
+    """Set a seat down at each of the places that is clear, or that its table keeps for it, a little askew."""
     for pose in poses:
         body = room.spec.worldbody.add_body(name=_name(room, name))
         it = piece(body, room.rng, room.look)
-        if not room.layout.inside_room(it, pose):
+        good = room.layout.is_inside if at_table else room.layout.is_clear
+        if not good(it, pose):
             _remove(room, body)
             continue
         room.layout.take(it, pose)
         turn = pose.yaw + room.rng.uniform(-jitter_rad, jitter_rad)
         body.pos, body.quat = (pose.x, pose.y, 0.0), turned(turn)
-        done += 1
-    return done
 
 
 def surface(
@@ -198,7 +198,7 @@ def surface(
 ) -> str:
     """A wall's own material, as large as the wall (width, height) [m]."""
     width, height = size_m
-    shape = (int(np.clip(72 * height, 64, 256)), int(np.clip(72 * width, 64, 640)))
+    shape = (int(np.clip(60 * height, 64, 256)), int(np.clip(60 * width, 64, 512)))
     if finish == "wallpaper":
         image = textures.wallpaper(rng, shape, colour, textures.vivid(rng), max(int(2 * width), 2))
     elif finish == "brick":

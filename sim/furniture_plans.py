@@ -230,7 +230,7 @@ def _dine(room: Room, seats: int) -> None:
     size = (float(rng.uniform(1.35, 1.7)), 0.85) if seats > 2 else (0.85, 0.8)
     table = centre(room, "dining_table", partial(_with_chairs, size=size), _open_cost(room), turns=(0.0, np.pi / 2))
     if table is not None:
-        set_at(room, "chair", seating.chair, around(table, size, seats, rng), jitter_rad=0.15)
+        set_at(room, "chair", seating.chair, around(table, size, seats, rng), jitter_rad=0.15, at_table=True)
 
 
 def _with_chairs(body, rng, look, size):
@@ -244,7 +244,7 @@ def _work(room: Room, width_m: float) -> None:
     desk = stand(room, "desk", partial(tables.desk, width_m=width_m))
     if desk is None:
         return
-    pose = desk.ahead(0.55, float(room.rng.uniform(-0.1, 0.1)), np.pi)
+    pose = desk.ahead(0.71, float(room.rng.uniform(-0.1, 0.1)), np.pi)
     set_at(room, "office_chair", seating.office_chair, [pose], jitter_rad=0.5)
 
 

@@ -60,7 +60,7 @@ def office_chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> 
     """A swivel chair on a star of castors."""
     back_top = rng.uniform(0.95, 1.15)
     for angle in (0.3, 1.35, 2.4):
-        box(body, (0, 0, 0.07), (0.58, 0.05, 0.06), look.black, solid=True, quat=turned(angle))
+        box(body, (0, 0, 0.045), (0.58, 0.05, 0.08), look.black, solid=True, quat=turned(angle))
     pole(body, (0, 0, 0.26), 0.03, 0.36, look.metal, solid=True)
     box(body, (0, 0, 0.47), (0.48, 0.48, 0.08), look.second_fabric, solid=True)
     box(body, (0, 0.23, 0.52), (0.06, 0.04, 0.3), look.black)

@@ -139,10 +139,10 @@ class Layout:
         """Find a place (2,) on the ceiling for something of ``size`` (x, y) that hangs down to ``drop_m``."""
         spread = 0.15
         piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
-        rows, columns = np.nonzero(self.inside[::2, ::2])
+        rows, columns = np.nonzero(self.inside[::4, ::4])
         order = rng.permutation(len(rows))
         poses = [
-            Pose(float(self.low[0] + 2 * CELL_M * columns[i]), float(self.low[1] + 2 * CELL_M * rows[i]), 0.0)
+            Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
             for i in order
         ]
         for pose in poses if cost is None else sorted(poses, key=cost):
@@ -169,9 +169,13 @@ class Layout:
         """Take a part of the ceiling, at its middle [m] and of a size along x and y [m]."""
         self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
 
-    def inside_room(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether a footprint lies in the room on floor that nothing else stands on or keeps open."""
-        return self._whole(piece, pose) and not self._footprint(piece, pose, self.kept).any()
+    def is_inside(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint lies in the room, whatever stands there."""
+        return self._whole(piece, pose)
+
+    def is_clear(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint lies in the room on floor on which nothing stands; it may have to stay open."""
+        return self._whole(piece, pose) and not self._footprint(piece, pose, self.taken).any()
 
     def _first_good(
         self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None

@@ -11,7 +11,6 @@ from sim.errors import InputError
 FLOOR = "floor"
 LARGEST_BYTES = 64 * 1024 * 1024
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-_FOLDER_OF = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "flexcomp": "meshdir", "texture": "texturedir"}
 _REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
 _SUPPORT_M = 0.001
 
@@ -26,7 +25,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
         InputError: the file is missing, is not MJCF, reaches out of its folder, or asks for plugins; one line.
     """
     try:
-        _vet(path, path.resolve().parent, [])
+        _vet(path)
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
         _still(spec)
         model = spec.compile()
@@ -41,72 +40,75 @@ def load_room(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def _vet(path: Path, folder: Path, chain: list[Path]) -> None:
-    """Refuse a file, or one that it includes, that could make MuJoCo open anything outside ``folder``."""
-    root = _parse(path, chain[0] if chain else path)
-    name = chain[0] if chain else path
-    if not chain and root.tag != "mujoco":
-        raise InputError(f"room.mjcf {name}: not an MJCF file: its root is <{root.tag}>, and must be <mujoco>")
-    if path.resolve() in [link.resolve() for link in chain]:
-        raise InputError(f"room.mjcf {name}: {path.name} includes itself")
-    directories = _directories(root, name)
+def _vet(path: Path) -> None:
+    """Refuse a file that could make MuJoCo open anything outside its folder, before MuJoCo sees it."""
+    what = f"room.mjcf {path}"
+    folder = path.resolve().parent
+    files = _read_all(path, path, folder, [])
+    if files[path].tag != "mujoco":
+        raise InputError(f"{what}: not an MJCF file: its root is <{files[path].tag}>, and must be <mujoco>")
+    # Which of these folders MuJoCo looks in depends on the file that says so last: a reference must be good in all.
+    places = {folder} | {file.resolve().parent for file in files}
+    for root in files.values():
+        for compiler in root.iter("compiler"):
+            for key in _FOLDERS:
+                if compiler.get(key):
+                    places |= {_inside(compiler.get(key, ""), base, folder, f"{what}: {key}") for base in places}
+    for root in files.values():
+        for element in root.iter():
+            if element.tag in _REFUSED:
+                raise InputError(f"{what}: {_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
+            for name, value in element.attrib.items():
+                if name.startswith("file"):
+                    for place in places:
+                        _inside(value, place, folder, f"{what}: {element.tag} {name}")
+
+
+def _read_all(path: Path, main: Path, folder: Path, chain: list[Path]) -> dict[Path, ET.Element]:
+    """The parsed file and all that it includes or attaches, each by its path."""
+    if path in chain:
+        raise InputError(f"room.mjcf {main}: {path.name} includes itself")
+    root = _parse(path, main)
+    files = {path: root}
     for element in root.iter():
-        if element.tag in _REFUSED:
-            raise InputError(f"room.mjcf {name}: {_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
-        if element.tag == "include":
-            included = _inside(element.get("file", ""), "", folder, f"room.mjcf {name}: include")
-            _vet(included, folder, [*chain, path])
-        elif element.tag == "model":
-            _vet(_inside(element.get("file", ""), "", folder, f"room.mjcf {name}: model"), folder, [*chain, path])
-        else:
-            for attribute, value in element.attrib.items():
-                if attribute.startswith("file") and value:
-                    inner = directories.get(_FOLDER_OF.get(element.tag, ""), "")
-                    _inside(value, inner, folder, f"room.mjcf {name}: {element.tag} {attribute}")
+        if element.tag == "include" or (element.tag == "model" and "file" in element.attrib):
+            value = element.get("file", "")
+            what = f"room.mjcf {main}: {element.tag} file"
+            candidates = [_inside(value, base, folder, what) for base in (folder, path.resolve().parent)]
+            found = next((file for file in candidates if file.is_file()), None)
+            if found is None:
+                raise InputError(f"{what} {value}: no such file")
+            files |= _read_all(found, main, folder, [*chain, path.resolve()])
+    return files
 
 
-def _parse(path: Path, name: Path) -> ET.Element:
+def _parse(path: Path, main: Path) -> ET.Element:
+    what = f"room.mjcf {main}"
     try:
         if not path.is_file():
-            raise InputError(f"room.mjcf {name}: no such file" + ("" if path == name else f": {path.name}"))
+            raise InputError(f"{what}: no such file")
         if path.stat().st_size > LARGEST_BYTES:
-            raise InputError(f"room.mjcf {name}: larger than {LARGEST_BYTES // 2**20} MiB")
-        data = path.read_bytes()
+            raise InputError(f"{what}: {path.name} is larger than {LARGEST_BYTES // 2**20} MiB")
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
-        raise InputError(f"room.mjcf {name}: cannot be read: {error.strerror}") from None
+        raise InputError(f"{what}: {path.name} cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{what}: {path.name} is not UTF-8 text") from None
     # Entities could name other files, or grow without end; MJCF has no use for them.
-    if b"<!DOCTYPE" in data or b"<!ENTITY" in data or b"\0" in data:
-        raise InputError(f"room.mjcf {name}: a DOCTYPE, an entity or UTF-16 text is not allowed in {path.name}")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{what}: a DOCTYPE or an entity is not allowed in {path.name}")
     try:
-        return ET.fromstring(data)
-    except (ET.ParseError, LookupError, ValueError) as error:
-        raise InputError(f"room.mjcf {name}: not XML: {error} in {path.name}") from None
+        return ET.fromstring(text)
+    except (ET.ParseError, ValueError) as error:
+        raise InputError(f"{what}: not XML: {error} in {path.name}") from None
 
 
-def _directories(root: ET.Element, name: Path) -> dict[str, str]:
-    """The asset folders that the file's compiler element names, which may be none."""
-    found = {}
-    for compiler in root.iter("compiler"):
-        for key in _FOLDERS:
-            value = compiler.get(key)
-            if value is None:
-                continue
-            if key == "assetdir":
-                found.setdefault("meshdir", value)
-                found.setdefault("texturedir", value)
-            else:
-                found[key] = value
-    return found
-
-
-def _inside(value: str, inner: str, folder: Path, what: str) -> Path:
+def _inside(value: str, base: Path, folder: Path, what: str) -> Path:
     """The file that a reference names, refused unless it and all links on its way lie in ``folder``."""
-    if not value:
-        raise InputError(f"{what}: names no file")
-    target = (folder / inner / value).resolve()
-    if Path(value).is_absolute() or Path(inner).is_absolute() or "\\" in value + inner:
+    if Path(value).is_absolute() or "\\" in value or ":" in value:
         raise InputError(f"{what} {value}: must be a path relative to the room's own folder")
-    if not target.is_relative_to(folder):
+    target = (base / value).resolve()
+    if ".." in Path(value).parts or not target.is_relative_to(folder):
         raise InputError(f"{what} {value}: lies outside the room's own folder")
     return target
 

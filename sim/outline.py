@@ -1,6 +1,7 @@
 """The outline of a room: its corners by shape, its walls, and the rectangles that make up its floor."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -23,28 +24,28 @@ class Wall:
     end: np.ndarray
     taken: list[tuple[float, float, float, float]] = field(default_factory=list)
 
-    @property
+    @cached_property
     def length_m(self) -> float:
         """Its length [m]."""
         return float(np.abs(self.end - self.start).sum())
 
-    @property
+    @cached_property
     def middle(self) -> np.ndarray:
         """Its middle (2,) [m]."""
         return (self.start + self.end) / 2
 
-    @property
+    @cached_property
     def normal(self) -> np.ndarray:
         """The direction (2,) into the room."""
         along = (self.end - self.start) / self.length_m
         return np.array((-along[1], along[0]))
 
-    @property
+    @cached_property
     def yaw(self) -> float:
         """Turn of a piece that stands with its back to this wall."""
         return float(np.arctan2(self.normal[0], -self.normal[1]))
 
-    @property
+    @cached_property
     def along(self) -> np.ndarray:
         """The direction (2,) of x in its own frame."""
         return np.array((np.cos(self.yaw), np.sin(self.yaw)))

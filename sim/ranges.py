@@ -59,8 +59,9 @@ class RangeFinder:
         for distance, height in zip(self._distance, self.heights_m, strict=True):
             point = np.array((x, y, height))
             mujoco.mj_multiRay(model, data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
-        # MuJoCo says -1 where a ray meets nothing.
-        return np.where(self._distance < 0, reach_m, self._distance).reshape(-1)
+        # MuJoCo says -1 where a ray meets nothing, and may tell of what is beyond the reach.
+        missed = (self._distance < 0) | (self._distance > reach_m)
+        return np.where(missed, reach_m, self._distance).reshape(-1)
 
 
 def fan_heights(height_m: float) -> np.ndarray:

@@ -84,13 +84,12 @@ def plaster(
     shade += 0.1 * (noise(rng, shape, (rows / 4, columns / 4)) - 0.5)
     mix = np.clip(2.5 * clouds(rng, shape, (1.3, 1.3 * ratio), 2) - 0.75, 0, 1)[..., None]
     image = shade[..., None] * (np.asarray(colour) * (1 - mix) + np.asarray(colour if second is None else second) * mix)
-    down, across = np.mgrid[0:rows, 0:columns] / rows
     for _ in range(stains):
-        middle = rng.random(2) * (1.0, ratio)
-        size = rng.uniform(0.06, 0.25)
-        edge = 0.6 * size * (noise(rng, shape, (6, 6 * ratio)) - 0.5)
-        inside = np.clip((size - np.hypot(down - middle[0], across - middle[1]) + edge) / 0.03, 0, 1)
-        image *= 1.0 - inside[..., None] * rng.uniform(0.05, 0.2) * (0.7, 0.9, 1.2)
+        reach = rng.uniform(0.06, 0.25) * rows
+        part, down, across = _window(rng, shape, 1.4 * reach)
+        size = reach * (0.7 + 0.6 * noise(rng, (down.size, across.size), (3, 3)))
+        inside = np.clip((size - np.hypot(down, across)) / (0.03 * rows), 0, 1)[..., None]
+        image[part] *= 1.0 - inside * rng.uniform(0.05, 0.2) * (0.7, 0.9, 1.2)
     broken = np.zeros(shape, bool)
     for _ in range(cracks):
         _crack(rng, broken)
@@ -107,13 +106,12 @@ def wallpaper(rng: np.random.Generator, shape: Shape, colour: Colour, second: Co
     across = (band * 0.35 * tint)[None, :, None]
     image = np.asarray(colour) * (1 - across) + np.asarray(second) * across
     image = image * (0.88 + 0.24 * clouds(rng, shape, (1.5, 4), 3))[..., None]
-    down, right = np.mgrid[0:rows, 0:columns]
     for _ in range(3 * stripes):
-        middle = rng.random(2) * (rows, columns)
-        turn = np.arctan2(down - middle[0], right - middle[1])
-        size = rng.uniform(0.03, 0.06) * rows * (0.7 + 0.3 * np.cos(rng.integers(4, 7) * turn))
-        inside = np.clip(size - np.hypot(down - middle[0], right - middle[1]), 0, 1)[..., None]
-        image = image * (1 - 0.75 * inside) + 0.75 * inside * np.asarray(second)
+        reach, petals = rng.uniform(0.03, 0.06) * rows, rng.integers(4, 7)
+        part, down, right = _window(rng, shape, reach)
+        size = reach * (0.7 + 0.3 * np.cos(petals * np.arctan2(down, right)))
+        inside = 0.75 * np.clip(size - np.hypot(down, right), 0, 1)[..., None]
+        image[part] = image[part] * (1 - inside) + inside * np.asarray(second)
     return to_bytes(image)
 
 
@@ -229,6 +227,18 @@ def framed(image: np.ndarray, colour: Colour, share: float, bars: Sequence[float
         left = int(bar * columns - edge / 4)
         whole[:, left : left + max(edge // 2, 2)] = to_bytes(np.asarray(colour, float) * 0.9)
     return whole
+
+
+def _window(
+    rng: np.random.Generator, shape: Shape, reach_px: float
+) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
+    """A square about a random pixel, cut at the edges, and the distances down (r, 1) and across (1, c) from it."""
+    row, column = (int(rng.random() * size) for size in shape)
+    reach = int(np.ceil(reach_px)) + 1
+    part = np.s_[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
+    down = np.arange(shape[0])[part[0], None] - row
+    across = np.arange(shape[1])[None, part[1]] - column
+    return part, down, across
 
 
 def _hue(turn: float, strength: float, value: float) -> np.ndarray:

@@ -148,5 +148,5 @@ def _settle(settings: SimSettings) -> np.ndarray:
 
 
 def _name_warning(data: mujoco.MjData) -> str:
-    kind = int(np.flatnonzero(data.warning.number)[0])
-    return f"MuJoCo warning {mujoco.mjtWarning(kind).name}"
+    names = [mujoco.mjtWarning(kind).name for kind in np.flatnonzero(data.warning.number).tolist()]
+    return f"MuJoCo warned {', '.join(names)}"

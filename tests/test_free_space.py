@@ -80,7 +80,8 @@ def test_every_shape_agrees_with_contacts_of_a_real_cylinder():
     space = find_free_space(spec.compile(), RADIUS_M, HEIGHT_M)
 
     reach = HEIGHT_M - 0.005
-    probe = world.add_body(name="probe", mocap=True)
+    probe = world.add_body(name="probe")
+    probe.add_freejoint()
     probe.add_geom(name="probe", type=CYLINDER, size=(RADIUS_M, reach / 2, 0))
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -89,7 +90,7 @@ def test_every_shape_agrees_with_contacts_of_a_real_cylinder():
     inside = (np.abs(cells[:, 0]) < 1.9) & (np.abs(cells[:, 1]) < 1.4)
     wrong = 0
     for x, y in rng.permutation(cells[inside])[:1500]:
-        data.mocap_pos[0] = (x, y, 0.005 + reach / 2)
+        data.qpos[:] = (x, y, 0.005 + reach / 2, 1, 0, 0, 0)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         touching = any(

@@ -109,16 +109,16 @@ def test_stands_still_without_command():
     assert np.abs(world.wheel_angle()).max() < 1e-5
 
 
-def test_does_not_tip_when_it_brakes_hard():
+def test_does_not_fall_when_it_stops_dead():
     world = make_world()
-    run(world, 0.4, 0.0, 1.0)
     for _ in range(50):
-        world.step(wheel_speeds(0.4, 0.0))
+        world.step(wheel_speeds(SPEED_MPS, 0.0))
     tilt = []
     for _ in range(50):
         world.step(np.zeros(2))
-        tilt.append(world.data.body("robot/base").xmat[8])
-    assert np.degrees(np.arccos(np.clip(min(tilt), -1, 1))) < 3.0
+        tilt.append(np.degrees(np.arccos(np.clip(world.data.body("robot/base").xmat[8], -1, 1))))
+    assert max(tilt) < 5.0
+    assert tilt[-1] < 0.02
 
 
 @pytest.mark.parametrize("error", [-0.1, 0.05])
@@ -143,9 +143,7 @@ def test_lens_does_not_see_its_own_robot(height_m):
     azimuth, angle = np.meshgrid(np.linspace(0, 2 * np.pi, 181), np.radians(np.linspace(0.0, 95.0, 96)))
     rays = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=-1)
     geom, distance = np.empty(angle.size, np.int32), np.empty(angle.size)
-    mujoco.mj_multiRay(
-        model, data, lens, rays.ravel(), None, 1, -1, geom, distance, None, angle.size, mujoco.mjMAXVAL
-    )
+    mujoco.mj_multiRay(model, data, lens, rays.ravel(), None, 1, -1, geom, distance, None, angle.size, mujoco.mjMAXVAL)
     seen = {model.geom(g).name for g in set(geom[geom >= 0])}
     assert seen == {"floor"}
 

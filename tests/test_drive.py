@@ -1,0 +1,235 @@
+"""The drive: what it takes, what stops it, and that it uses its own sensors only."""
+
+import itertools
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.drive import DOUBT_M, Segment, drive, next_segment
+from sim.errors import WorkError
+from sim.ranges import ANGLE
+from sim.robot import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, twist
+from sim.scene import empty_room
+from sim.settings import DriveSettings, SimSettings
+from sim.world import RoomWorld
+from tests.small_room import HALF_X, HALF_Y, add_box, furnished, walls
+
+SEED = 5
+
+
+def make_world(room: mujoco.MjSpec, pose=(0.0, 0.0, 0.0), **drive_settings) -> RoomWorld:
+    world = RoomWorld(SimSettings(drive=DriveSettings(**drive_settings)), room)
+    world.place(np.array(pose))
+    return world
+
+
+def take(world, count: int, seed: int = SEED) -> list[Segment]:
+    settings = getattr(world, "settings", SimSettings()).drive
+    return list(itertools.islice(drive(world, settings, np.random.default_rng(seed)), count))
+
+
+def ways(segment: Segment) -> np.ndarray:
+    return (segment.wheel_angle - segment.wheel_angle[0]).mean(axis=1) * WHEEL_RADIUS_M
+
+
+def same(a: Segment, b: Segment) -> bool:
+    return (
+        np.array_equal(a.state, b.state)
+        and np.array_equal(a.wheel_angle, b.wheel_angle)
+        and np.array_equal(a.time, b.time)
+        and (a.continues, a.ended, a.dropped) == (b.continues, b.ended, b.dropped)
+    )
+
+
+class Blind:
+    """A world that gives what a robot senses and nothing else."""
+
+    def __init__(self, world: RoomWorld) -> None:
+        self.step, self.wheel_angle, self.ranges = world.step, world.wheel_angle, world.ranges
+        self.bumped, self.time = world.bumped, world.time
+
+    def snapshot(self) -> np.ndarray:
+        return np.full(9, np.nan)
+
+
+def test_drive_needs_no_truth():
+    seeing, blind = take(make_world(furnished()), 8), take(Blind(make_world(furnished())), 8)
+    assert all(np.array_equal(a.wheel_angle, b.wheel_angle) for a, b in zip(seeing, blind, strict=True))
+    assert np.isnan(blind[0].state).all()
+
+
+def test_resumed_drive_is_the_uninterrupted_one():
+    rng, world = np.random.default_rng(SEED), make_world(furnished())
+    before = [next_segment(world, world.settings.drive, rng, False)]
+    before.append(next_segment(world, world.settings.drive, rng, before[-1].reached_end))
+    state, chance, continues = world.state(), rng.bit_generator.state, before[-1].reached_end
+    fresh, generator = make_world(furnished()), np.random.default_rng()
+    fresh.set_state(state)
+    generator.bit_generator.state = chance
+    resumed = [next_segment(fresh, fresh.settings.drive, generator, continues)]
+    resumed.append(next_segment(fresh, fresh.settings.drive, generator, resumed[-1].reached_end))
+    whole = take(make_world(furnished()), 4)
+    assert all(same(a, b) for a, b in zip(before + resumed, whole, strict=True))
+
+
+def test_seed_decides_the_drive():
+    assert same(take(make_world(walls()), 2, 1)[1], take(make_world(walls()), 2, 1)[1])
+    assert not same(take(make_world(walls()), 2, 1)[1], take(make_world(walls()), 2, 2)[1])
+
+
+@pytest.mark.parametrize(("spacing_m", "speed_mps"), [(0.08, 0.22), (0.03, 0.1)])
+def test_samples_are_spaced_as_asked(spacing_m, speed_mps):
+    segments = take(make_world(walls(), spacing_m=spacing_m, speed_mps=speed_mps), 5)
+    period_m = speed_mps * 0.02 + 1e-4
+    for segment in segments:
+        way = ways(segment)
+        late = way[1:-1] - spacing_m * np.arange(1, len(way) - 1)
+        assert ((late >= 0) & (late < period_m)).all()
+        assert spacing_m / 2 <= way[-1] - way[-2] < 1.5 * spacing_m + period_m
+        assert np.allclose(np.hypot(*(segment.pose - segment.pose[0])[:, :2].T), way, atol=2e-3)
+
+
+def test_longest_length_ends_a_segment():
+    segments = take(make_world(walls(), longest_m=0.5), 4)
+    length = [segment for segment in segments if segment.ended == "length"]
+    assert length
+    assert all(ways(segment)[-1] == pytest.approx(0.5, abs=0.006) for segment in length)
+
+
+def test_endpoint_strategy_takes_start_and_end():
+    segments = take(make_world(walls(), strategy="endpoint"), 5)
+    assert all(len(segment.time) == 2 for segment in segments)
+    assert max(ways(segment)[-1] for segment in segments) > 1.0
+
+
+@pytest.mark.parametrize("stop_distance_m", [0.0, 0.04, 0.2])
+def test_stops_before_the_walls(stop_distance_m):
+    for segment in take(make_world(walls(), stop_distance_m=stop_distance_m), 12):
+        assert segment.ended in ("range", "length")
+        x, y = np.abs(segment.pose[-1, :2])
+        room = min(HALF_X - x, HALF_Y - y) - RADIUS_M
+        assert room > -1e-4
+        assert room < stop_distance_m + 0.01 or segment.ended == "length"
+
+
+def test_turning_place_is_one_observation():
+    segments = take(make_world(furnished()), 10)
+    assert not segments[0].continues
+    for last, this in itertools.pairwise(segments):
+        assert this.continues == last.reached_end
+        if this.continues:
+            place = this.pose[0] - last.pose[-1]
+            assert np.hypot(*place[:2]) < 0.003
+            turned = np.diff(this.wheel_angle[0] - last.wheel_angle[-1])[0] * WHEEL_RADIUS_M / TRACK_M
+            assert np.isclose(np.exp(1j * turned), np.exp(1j * place[2]), atol=0.02)
+
+
+def test_stands_still_at_the_ends_of_a_segment():
+    world = make_world(walls())
+    for _ in range(3):
+        next_segment(world, world.settings.drive, np.random.default_rng(SEED), False)
+        body, wheel = world.data.qvel[:6], world.data.qvel[6:]
+        assert np.abs(body).max() < 1e-3
+        assert np.abs(wheel).max() < 0.02
+
+
+def test_contact_ends_a_segment_and_drops_its_last_samples():
+    room = walls()
+    # A bar between two fans of rays: the range finder cannot see it, the bumper feels it.
+    add_box(room, "bar", (0.0, 0.8, 0.055), (2.0, 0.02, 0.015))
+    segments = take(make_world(room, (0.0, -0.5, 0.0)), 25)
+    touched = [segment for segment in segments if segment.ended == "contact"]
+    assert touched
+    for segment in touched:
+        assert len(segment.time) >= 2
+        assert segment.pose[-1, 1] < 0.8 - 0.02 - RADIUS_M
+        assert not segment.reached_end
+    assert sum(segment.dropped for segment in touched) >= len(touched)
+    after = [this for last, this in itertools.pairwise(segments) if last.ended == "contact"]
+    assert after and not any(segment.continues for segment in after)
+
+
+class Toy:
+    """A robot on paper before a wall, whose wheels can be blocked or slip from some way on."""
+
+    def __init__(self, fault: str, free_m: float) -> None:
+        self.fault, self.free_m = fault, free_m
+        self.angle, self.way_m, self.now, self.period = np.zeros(2), 0.0, 0.0, 0.02
+
+    def step(self, wheel_speed):
+        speed_mps, _ = twist(wheel_speed)
+        forward, held = speed_mps > 0, self.way_m >= self.free_m
+        if not (self.fault == "blocked" and forward and held):
+            self.angle = self.angle + np.asarray(wheel_speed) * self.period
+        if not (forward and held):
+            self.way_m += speed_mps * self.period
+        self.now += self.period
+
+    def wheel_angle(self):
+        return self.angle.copy()
+
+    def ranges(self, reach_m):
+        wall = (1.0 - self.way_m) / np.maximum(np.cos(ANGLE), 1e-6)
+        return np.minimum(wall, reach_m)
+
+    def bumped(self):
+        return False
+
+    def time(self):
+        return self.now
+
+    def snapshot(self):
+        return np.array([self.way_m])
+
+
+@pytest.mark.parametrize("fault", ["blocked", "slipping"])
+def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
+    segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), True)
+    assert segment.ended == "stall"
+    assert segment.dropped >= 1
+    assert segment.state[-1, 0] < 0.7
+    assert ways(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
+    assert ways(segment)[-1] > 0.7 - 2 * DOUBT_M
+
+
+def test_toy_without_fault_stops_before_the_wall():
+    segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), True)
+    assert segment.ended == "range"
+    assert ways(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
+
+
+def test_robot_walled_in_is_stuck():
+    room = empty_room()
+    reach = RADIUS_M + 0.003 + 0.05
+    for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
+        add_box(room, name, (x * reach, y * reach, 0.5), (0.05 + 0.1 * abs(y), 0.05 + 0.1 * abs(x), 0.5))
+    with pytest.raises(WorkError, match=r"the robot is stuck at .* s"):
+        take(make_world(room), 1)
+
+
+def test_leaves_a_narrow_pocket():
+    room = walls()
+    # A bay 0.28 m wide and closed behind: less room than the stopping distance asks for on three sides.
+    add_box(room, "back", (-1.0, 0.0, 0.5), (0.05, 0.3, 0.5))
+    for name, side in (("left", 1), ("right", -1)):
+        add_box(room, name, (-0.8, side * 0.19, 0.5), (0.2, 0.05, 0.5))
+    segments = take(make_world(room, (-0.82, 0.0, 2.0)), 12)
+    assert np.abs(segments[-1].pose[-1, :2] - (-0.82, 0.0)).max() > 0.3
+
+
+def test_random_driving_is_quiet_and_covers_the_room():
+    world = make_world(furnished(), (0.0, -0.8, 0.0))
+    places = [world.pose()[None]]
+    for segment in drive(world, world.settings.drive, np.random.default_rng(SEED)):
+        places.append(segment.pose)
+        if world.time() > 400.0:
+            break
+    assert not world.data.warning.number.any()
+    driven = np.concatenate(places)[:, :2]
+    x, y = np.meshgrid(np.arange(-1.9, 1.9, 0.1), np.arange(-1.4, 1.4, 0.1))
+    cells = np.stack([x, y], axis=-1).reshape(-1, 2)
+    cells = cells[world.free_space.is_reachable(cells)]
+    distance = np.linalg.norm(cells[:, None] - driven[None], axis=-1).min(axis=1)
+    assert (distance < 0.25).mean() > 0.7
+    assert world.is_free(driven).mean() > 0.99
