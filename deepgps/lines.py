@@ -12,7 +12,9 @@ from deepgps.data import Segments
 from deepgps.features import solve_generalised
 
 HIDDEN = 1000
-RIDGE = 1e-3
+RIDGE = 1e-2
+ROUNDS = 30
+RESIDUAL_M = 0.02
 
 
 def has_lines(segments: Segments) -> bool:
@@ -56,13 +58,19 @@ def _bend(hidden: torch.Tensor, segments: Segments, row: int) -> torch.Tensor:
 
 
 def _metric(plane: torch.Tensor, segments: Segments) -> torch.Tensor:
-    # Find the symmetric M with |chord|_M^2 = c^2 for every whole segment, each weighed by 1 / c, and return its root.
+    # Find the symmetric M with |chord|_M^2 = c^2 for every whole segment and return its root. Least squares, repeated
+    # with weights 1 / |residual|, which ends near the least sum of |residual|: corners of the first map are far off.
     rows = torch.arange(len(segments.count))
     last = segments.count - 1
-    chord = plane[segments.index[rows, last]] - plane[segments.index[:, 0]]
+    x, y = (plane[segments.index[rows, last]] - plane[segments.index[:, 0]]).T
     c = segments.distance[rows, last].double().clamp_min(1e-6)
-    x, y = chord.T
+    # Divided by c, a row's residual is about twice |chord| - c.
     terms = torch.stack([x * x, 2.0 * x * y, y * y], dim=1) / c[:, None]
-    a, b, d = torch.linalg.lstsq(terms, c[:, None], driver="gelsd").solution.flatten().tolist()
+    weight = torch.ones_like(c)
+    solution = torch.zeros(3, dtype=torch.float64)
+    for _ in range(ROUNDS):
+        solution = torch.linalg.lstsq(terms * weight[:, None], c[:, None] * weight[:, None], driver="gelsd").solution[:, 0]
+        weight = ((terms @ solution - c).abs() + RESIDUAL_M).rsqrt()
+    a, b, d = solution.tolist()
     size, axes = torch.linalg.eigh(torch.tensor([[a, b], [b, d]], dtype=torch.float64))
     return axes * size.clamp_min(1e-3 * float(size.abs().max())).sqrt()

@@ -12,7 +12,8 @@ from pathlib import Path
 
 from packaging.requirements import Requirement
 
-EGL_CURE = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0"
+from sim.gl import EGL_CURE
+
 NVIDIA_CURE = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
 LEAST_FREE_GB = 1.0  # the demo leaves some 0.3 GB behind
 

@@ -35,7 +35,7 @@ def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
         for _ in range(2):
             at = (*rng.uniform(-0.08, 0.08, 2), 0.36 + height * rng.uniform(0.45, 0.8))
             ball(body, (float(at[0]), float(at[1]), float(at[2])), (0.26, 0.26, 0.32 * height / 1.2), look.leaves)
-        return Footprint(0.56, 0.56, 0.36 + height)
+        return Footprint(0.64, 0.64, 0.36 + height)
     for leaf in np.arange(6) * 2 * np.pi / 6 + rng.uniform(0, 1):
         # A blade, lifted about its own y axis and then turned about z.
         tilt, quat = turned(-rng.uniform(0.2, 1.1), (0.0, 1.0, 0.0)), np.empty(4)
@@ -43,7 +43,7 @@ def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
         lift = 0.36 + height * rng.uniform(0.5, 0.75)
         at = (0.12 * np.cos(leaf), 0.12 * np.sin(leaf), lift)
         box(body, at, (0.34, 0.1, 0.012), look.leaves, quat=(quat[0], quat[1], quat[2], quat[3]))
-    return Footprint(0.56, 0.56, 0.36 + height)
+    return Footprint(0.64, 0.64, 0.36 + height)
 
 
 def coat_stand(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
@@ -54,7 +54,7 @@ def coat_stand(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Fo
         box(body, (0, 0, 1.72), (0.4, 0.03, 0.03), look.dark_wood, quat=turned(angle))
     for side, cloth in ((-1, look.fabric), (1, look.cushion)):
         box(body, (side * 0.13, 0, 1.3), (0.18, 0.32, 0.8), cloth, quat=turned(rng.uniform(0, 0.6)))
-    return Footprint(0.46, 0.46, 1.8)
+    return Footprint(0.58, 0.58, 1.8)
 
 
 def barrel(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:

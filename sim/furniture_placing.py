@@ -1,6 +1,6 @@
 """The verbs of furnishing: build a piece, look for its place, set it down there, or take it away again."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -54,6 +54,11 @@ def stand(
 ) -> Pose | None:
     """Stand a piece with its back to a wall."""
     return _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+
+
+def stand_first(room: Room, name: str, pieces: Iterable[Piece], cost: Cost | None = None) -> Pose | None:
+    """Stand the first of the pieces, such as ever narrower ones, for which a wall has room."""
+    return next((pose for piece in pieces if (pose := stand(room, name, piece, cost)) is not None), None)
 
 
 def centre(
@@ -153,9 +158,13 @@ def facing(other: Pose) -> Cost:
     return cost
 
 
-def in_a_corner(room: Room) -> Cost:
-    """A cost: the distance from the nearest inner corner of the room."""
-    return lambda pose: float(np.hypot(*(room.layout.corners - (pose.x, pose.y)).T).min())
+def in_a_corner(room: Room, others: Sequence[Pose] = ()) -> Cost:
+    """A cost: the distance from the nearest corner of the room in which none of the others stands."""
+    corners = room.layout.corners
+    for other in others:
+        far = np.hypot(*(corners - (other.x, other.y)).T) > 1.5
+        corners = corners[far] if far.any() else corners
+    return lambda pose: float(np.hypot(*(corners - (pose.x, pose.y)).T).min())
 
 
 def away_from(*points: np.ndarray) -> Cost:

@@ -26,8 +26,9 @@ from sim.furniture_placing import (
     set_at,
     spread,
     stand,
+    stand_first,
 )
-from sim.layout import Cost
+from sim.layout import Cost, Pose
 
 
 def enter(room: Room, windows: int, roller: bool = False) -> None:
@@ -54,7 +55,7 @@ def furnish_living_room(room: Room) -> None:
     stand(room, "cabinet", partial(storage.cabinet, width_m=float(rng.uniform(1.0, 1.5))))
     stand(room, "bookshelf", partial(storage.bookshelf, width_m=float(rng.uniform(0.7, 1.0))))
     stand(room, "armchair", seating.armchair)
-    _adorn(room, plants=2, pictures=5)
+    _adorn(room, plants=2, pictures=5, lamp=False)
 
 
 def furnish_bedroom(room: Room) -> None:
@@ -62,7 +63,8 @@ def furnish_bedroom(room: Room) -> None:
     rng = room.rng
     enter(room, windows=2)
     _sleep(room, 1.6)
-    stand(room, "wardrobe", partial(storage.wardrobe, width_m=float(rng.uniform(1.4, 1.8))), in_a_corner(room))
+    wardrobes = [partial(storage.wardrobe, width_m=float(width)) for width in (rng.uniform(1.4, 1.8), 1.1, 0.8)]
+    stand_first(room, "wardrobe", wardrobes, in_a_corner(room))
     _work(room, 1.2)
     stand(room, "cabinet", partial(storage.cabinet, width_m=float(rng.uniform(0.9, 1.2))))
     stand(room, "bookshelf", partial(storage.bookshelf, width_m=0.8))
@@ -93,7 +95,8 @@ def furnish_kitchen(room: Room) -> None:
     enter(room, windows=2)
     longest = max(w.length_m for w in room.layout.walls)
     width = float(np.clip(rng.uniform(2.4, 3.0), 1.2, 0.6 * longest))
-    counter = stand(room, "counter", partial(tables.counter, width_m=width))
+    counters = [partial(tables.counter, width_m=share * width) for share in (1.0, 0.8, 0.6, 0.5)]
+    counter = stand_first(room, "counter", counters)
     beside = None if counter is None else near(counter)
     stand(room, "fridge", storage.fridge, beside)
     stand(room, "oven", storage.oven, beside)
@@ -116,14 +119,14 @@ def furnish_studio(room: Room) -> None:
     enter(room, windows=2)
     _sleep(room, 1.4)
     _sit(room, 1.7)
-    counter = stand(room, "counter", partial(tables.counter, width_m=1.8))
+    counter = stand_first(room, "counter", [partial(tables.counter, width_m=width) for width in (1.8, 1.5, 1.2)])
     stand(room, "fridge", storage.fridge, None if counter is None else near(counter))
     stand(room, "wardrobe", partial(storage.wardrobe, width_m=1.2), in_a_corner(room))
     _dine(room, 2)
     _work(room, 1.2)
     stand(room, "bookshelf", partial(storage.bookshelf, width_m=float(rng.uniform(0.8, 1.1))))
     hang(room, "clock", wall.clock)
-    _adorn(room, plants=1, pictures=3)
+    _adorn(room, plants=1, pictures=3, lamp=False)
 
 
 def furnish_workshop(room: Room) -> None:
@@ -227,10 +230,16 @@ def _sleep(room: Room, width_m: float) -> None:
 def _dine(room: Room, seats: int) -> None:
     """A table in the open with chairs around it."""
     rng = room.rng
-    size = (float(rng.uniform(1.35, 1.7)), 0.85) if seats > 2 else (0.85, 0.8)
-    table = centre(room, "dining_table", partial(_with_chairs, size=size), _open_cost(room), turns=(0.0, np.pi / 2))
-    if table is not None:
-        set_at(room, "chair", seating.chair, around(table, size, seats, rng), jitter_rad=0.15, at_table=True)
+    small = (0.85, 0.8)
+    for size, count in (((float(rng.uniform(1.35, 1.7)), 0.85), 4), (small, 2)):
+        if count > seats:
+            continue
+        piece = partial(_with_chairs, size=size)
+        table = centre(room, "dining_table", piece, _open_cost(room), turns=(0.0, np.pi / 2))
+        if table is not None:
+            chairs = around(table, size, count, rng)
+            set_at(room, "chair", seating.chair, chairs, jitter_rad=0.15, at_table=True)
+            return
 
 
 def _with_chairs(body, rng, look, size):
@@ -251,8 +260,10 @@ def _work(room: Room, width_m: float) -> None:
 def _adorn(room: Room, plants: int, pictures: int, lamp: bool = True) -> None:
     """Plants in corners, a lamp, pictures of all sizes."""
     rng = room.rng
+    grown: list[Pose] = []
     for _ in range(plants):
-        stand(room, "plant", decor.plant, in_a_corner(room))
+        plant = stand(room, "plant", decor.plant, in_a_corner(room, grown))
+        grown += [] if plant is None else [plant]
     if lamp:
         stand(room, "floor_lamp", decor.floor_lamp, in_a_corner(room))
     for _ in range(pictures):

@@ -63,7 +63,7 @@ def workbench(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_
     x = rng.uniform(-0.3, 0.3) * width_m
     box(body, (x, 0.05, 0.33), (0.5, 0.3, 0.22), look.cushion)
     box(body, (-x * 0.8, 0.1, top + 0.13), (0.5, 0.25, 0.26), look.second_fabric)
-    box(body, (rng.choice((-0.35, 0.35)) * width_m, -depth / 2 + 0.02, top + 0.05), (0.16, 0.24, 0.16), look.metal)
+    box(body, (rng.choice((-0.35, 0.35)) * width_m, -depth / 2 + 0.1, top + 0.05), (0.16, 0.22, 0.16), look.metal)
     return Footprint(width_m, depth, top + 0.26, front_m=0.6)
 
 
@@ -94,7 +94,7 @@ def island(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
     box(body, (0, 0, 0.44), (width - 0.1, depth - 0.1, 0.88), look.cabinet, solid=True)
     box(body, (0, 0, 0.91), (width, depth, 0.05), look.wood, solid=True)
     pole(body, (width * 0.25, 0, 1.03), 0.1, 0.2, look.metal)
-    return Footprint(width, depth, 0.94)
+    return Footprint(width, depth, 1.13)
 
 
 def _cupboards(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, hob_x: float) -> None:

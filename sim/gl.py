@@ -12,7 +12,8 @@ from typing import Any
 from sim.errors import InputError, WorkError
 
 _BACKENDS = ("egl", "osmesa")
-_EGL_CURE = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+# PyOpenGL, through which mujoco opens EGL, needs libOpenGL (or libGL) as well
+EGL_CURE = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0"
 _OSMESA_CURE = "apt-get install libosmesa6"
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device
 _MOST_DEVICES = 32
@@ -52,7 +53,7 @@ def open_context(width: int, height: int) -> Any:
         context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # ImportError, AttributeError, RuntimeError, GLError: each driver fails in its own way
-        cure = _EGL_CURE if backend == "egl" else _OSMESA_CURE
+        cure = EGL_CURE if backend == "egl" else _OSMESA_CURE
         raise WorkError(f"{backend} cannot open an OpenGL context ({_one_line(error)}): {cure}") from error
     return context
 
@@ -90,10 +91,10 @@ def _read_environment() -> str | None:
 
 def _explain(wanted: str | None, problems: dict[str, str | None]) -> str:
     if wanted is None:
-        return f"no OpenGL for images: {problems['egl']}, and {problems['osmesa']}: {_EGL_CURE}"
+        return f"no OpenGL for images: {problems['egl']}, and {problems['osmesa']}: {EGL_CURE}"
     if wanted == "osmesa":
         return f"MUJOCO_GL=osmesa, but {problems['osmesa']}: {_OSMESA_CURE}, or unset MUJOCO_GL to use EGL"
-    return f"MUJOCO_GL=egl, but {problems['egl']}: {_EGL_CURE}"
+    return f"MUJOCO_GL=egl, but {problems['egl']}: {EGL_CURE}"
 
 
 def _probe_osmesa() -> str | None:
@@ -105,7 +106,8 @@ def _probe_osmesa() -> str | None:
 def _probe_egl() -> str | None:
     """What is wrong with EGL here, if anything: opens a display on each device as mujoco.egl does."""
     # NVIDIA's driver wants libOpenGL before libEGL, as mujoco.egl loads them
-    _load("libOpenGL.so.0", ctypes.RTLD_GLOBAL)
+    if _load("libOpenGL.so.0", ctypes.RTLD_GLOBAL) is None and _load("libGL.so.1", ctypes.RTLD_GLOBAL) is None:
+        return "libOpenGL is missing"
     egl = _load("libEGL.so.1")
     if egl is None:
         return "libEGL is missing"

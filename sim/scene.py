@@ -46,6 +46,10 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     for geom in spec.geoms:
         # The robot's geoms have priority 2: their friction and stiffness count. Margins would add up.
         geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
+    # What the compiler would do to every mass of the model.
+    spec.compiler.settotalmass = -1.0
+    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
+    spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
     return spec
 
 
@@ -57,9 +61,6 @@ def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     # A state that went wrong must be seen, not silently set back to the start.
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    spec.compiler.settotalmass = -1.0
-    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
-    spec.compiler.inertiafromgeom = defaults.compiler.inertiafromgeom
     spec.memory = defaults.memory
 
 

@@ -12,7 +12,7 @@ from sim.ranges import REACH_M, RangeFinder
 from sim.records import FreeSpace
 from sim.robot import BASE, BUMPER, PREFIX, RADIUS_M, WHEELS, robot_height
 from sim.room import build_room
-from sim.scene import compile_scene, empty_room
+from sim.scene import compile_scene, empty_room, freeze
 from sim.settings import SimSettings
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -30,12 +30,12 @@ class RoomWorld:
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None) -> None:
         """Build the room of the settings, or take a ready one, and put the robot into it at rest."""
-        room = build_room(settings.room) if room is None else room
+        still = freeze(build_room(settings.room) if room is None else room)
         self.settings = settings
-        self.model = compile_scene(room, settings)
+        self.model = compile_scene(still, settings)
         self.data = mujoco.MjData(self.model)
-        self.room = room.compile()
-        self._finder = RangeFinder(room, robot_height(settings.camera))
+        self.room = still.compile()
+        self._finder = RangeFinder(still, robot_height(settings.camera))
         self._substeps = round(settings.drive.control_period_s / settings.robot.timestep_s)
         self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
         self._bumper = self.model.sensor(PREFIX + BUMPER).adr[0]

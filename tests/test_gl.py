@@ -66,7 +66,7 @@ def test_nothing_usable_names_both_and_the_cure(monkeypatch: pytest.MonkeyPatch)
         (
             "egl",
             "libEGL",
-            "MUJOCO_GL=egl, but libEGL is missing: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri",
+            "MUJOCO_GL=egl, but libEGL is missing: apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0",
         ),
     ],
 )
@@ -113,7 +113,7 @@ def test_a_library_without_a_driver_is_found_out(variable: str) -> None:
         pytest.skip("Mesa's software driver is not the one in use")
     answer = run_describe({variable: "/nowhere", "MUJOCO_GL": "egl"})
     assert answer.startswith("sorry: MUJOCO_GL=egl, but EGL has no driver for any of its")
-    assert answer.endswith("apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri\n")
+    assert answer.endswith("apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0\n")
 
 
 def test_a_refused_context_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
