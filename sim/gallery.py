@@ -1,6 +1,6 @@
 """A contact sheet of rooms: from a corner, from above with the reachable floor tinted, fisheye, polar; a row a room."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import get_args
 
@@ -29,8 +29,19 @@ _REACHABLE = np.array((70, 200, 120))
 _VIEW = {"azimuth": 58.0, "elevation": -40.0}
 
 
-def draw_gallery(kinds: Sequence[RoomKind], seeds: Sequence[int], path: Path) -> None:
+def draw_gallery(
+    kinds: Sequence[RoomKind],
+    seeds: Sequence[int],
+    path: Path,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> None:
     """Draw every kind with every seed, the shapes in turn, and write one PNG.
+
+    Args:
+        kinds: Kinds of room.
+        seeds: Seeds of each kind; a seed's shape is the seed modulo the number of shapes.
+        path: The picture to write.
+        progress: Told how many rooms are drawn.
 
     Raises:
         InputError: a room cannot be built.
@@ -39,8 +50,11 @@ def draw_gallery(kinds: Sequence[RoomKind], seeds: Sequence[int], path: Path) ->
     gl.choose_backend()
     shapes = get_args(RoomShape)
     rooms = [RoomSettings(kind=kind, shape=shapes[seed % len(shapes)], seed=seed) for kind in kinds for seed in seeds]
-    sheet = np.vstack([draw_room(room) for room in rooms])
-    write_bytes(path, cv2.imencode(".png", sheet[..., ::-1])[1].tobytes())
+    rows = []
+    for room in rooms:
+        rows.append(draw_room(room))
+        progress("rooms", len(rows), len(rooms))
+    write_bytes(path, cv2.imencode(".png", np.vstack(rows)[..., ::-1])[1].tobytes())
 
 
 def draw_room(settings: RoomSettings) -> np.ndarray:
