@@ -100,8 +100,18 @@ def draw(
     valid = segments.valid[row]
     key = torch.rand(valid.shape, generator=generator, device=valid.device)
     place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
-    take = lambda table: table[row].gather(1, place)  # noqa: E731
-    return take(segments.index), take(segments.distance), valid.gather(1, place)
+    index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
+    return index, along, valid.gather(1, place)
+
+
+def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """First and last segment on which each observation lies (N,), (N,); a turning place lies on two. -1: on none."""
+    first, last = torch.full((observations,), -1), torch.full((observations,), -1)
+    for row, count in enumerate(segments.count.tolist()):
+        index = segments.index[row, :count]
+        last[index] = row
+        first[index] = torch.where(first[index] < 0, row, first[index])
+    return first, last
 
 
 def _odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:

@@ -1,7 +1,7 @@
 """DeepGPS: a network that learns positions from images and distances driven along straight segments, nothing else.
 
 The paper's loss (Eq. 2, 3, 5) has many minima in which the map lies folded on itself. So training starts unfolded: from
-the map in closed form of ``lines``, which the network first imitates, or, where segments have only two readings, from
+the map that ``isomap`` finds, which the network first imitates, or, where segments have only two readings, from
 more output dimensions than two ("lifting"), which are flattened later. A fold found all the same restarts training.
 """
 
@@ -14,7 +14,7 @@ import torch
 from deepgps import losses
 from deepgps.data import Segments, draw
 from deepgps.fold import Signs, find_signs
-from deepgps.lines import has_lines, map_by_lines
+from deepgps.isomap import has_lines, map_by_paths
 from deepgps.material import Material, as_positioner, new_network, prepare
 from deepgps.network import count_parameters
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
@@ -98,11 +98,9 @@ def run_attempt(
     def draw_batch(generator: torch.Generator) -> Batch:
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
 
-    def loss(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        return losses.dense(out, batch.target, batch.valid, settings.loss)
-
-    if start == "lines":
-        first = map_by_lines(material.features, material.segments, make_generator(seed, "start", number))
+    loss = segment_loss(settings)
+    if start == "paths":
+        first = map_by_paths(material.features, material.segments, make_generator(seed, "start", number))
         loss = imitate_first(loss, first.to(device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
@@ -116,14 +114,26 @@ def run_attempt(
 
 
 def choose_start(settings: LearnSettings, segments: Segments) -> Start:
-    """How to unfold: lines where most readings stand at least three to a segment, lifting elsewhere."""
+    """How to unfold: paths where most readings stand at least three to a segment, lifting elsewhere."""
     if settings.start == "auto":
-        return "lines" if has_lines(segments) else "lifting"
-    if settings.start == "lines" and not has_lines(segments):
+        return "paths" if has_lines(segments) else "lifting"
+    if settings.start == "paths" and not has_lines(segments):
         raise InputError(
-            "learn.start 'lines': most segments have only two readings; auto and lifting can learn from those"
+            "learn.start 'paths': most segments have only two readings; auto and lifting can learn from those"
         )
     return settings.start
+
+
+def segment_loss(settings: LearnSettings) -> Loss:
+    """The paper's dense loss (Eq. 5), and ours of straightness with its weight."""
+
+    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        pairs = losses.dense(out, batch.target, batch.valid, settings.loss)
+        if settings.straight == 0.0:
+            return pairs
+        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid)
+
+    return both
 
 
 def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:

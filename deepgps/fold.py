@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 
-from deepgps.data import Segments
+from deepgps.data import Segments, find_owners
 from deepgps.settings import FoldSettings
 
 SAMPLES = 2000
@@ -66,33 +66,23 @@ def _measure_bent(positions: np.ndarray, segments: Segments) -> float:
 def _compare_looks(
     positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> tuple[float, float]:
-    owner = _locate(segments, len(positions))
+    owner = find_owners(segments, len(positions))[1].numpy()
     known = np.flatnonzero(owner >= 0)
     chosen = known[torch.randperm(len(known), generator=generator)[:SAMPLES].numpy()]
+    unlike = torch.cdist(features[chosen], features[known]).numpy()
+    apart = cdist(positions[chosen], positions[known])
+    foreign = owner[chosen][:, None] != owner[known]
     usual = _usual_difference(features, segments)
-    apart = torch.cdist(features[chosen], features[known]).numpy()
-    foreign = owner[chosen][:, None] != owner[known][None]
     # Places side by side on the map ...
-    neighbours = KDTree(positions[known]).query(positions[chosen], k=min(24, len(known)))[1]
-    near = np.linalg.norm(positions[known][neighbours] - positions[chosen][:, None], axis=-1) < NEAR_M
-    near &= np.take_along_axis(foreign, neighbours, 1)
-    looks = np.where(near, np.take_along_axis(apart, neighbours, 1), np.nan)
+    near = foreign & (apart < NEAR_M)
     some = near.any(axis=1)
-    doubled = np.nanmedian(looks[some], axis=1) > 2.0 * usual if some.any() else np.zeros(1)
+    looks = np.ma.masked_array(unlike[some], np.logical_not(near[some]))
+    doubled = np.ma.median(looks, axis=1) > 2.0 * usual
     # ... and places that look alike.
-    twin = np.where(foreign, apart, np.inf).argmin(axis=1)
-    alike = apart[np.arange(len(chosen)), twin] < usual
-    far = np.linalg.norm(positions[known][twin] - positions[chosen], axis=1) > 2.0 * NEAR_M
-    return float(doubled.mean()), float((far & alike).sum() / max(1, alike.sum()))
-
-
-def _locate(segments: Segments, observations: int) -> np.ndarray:
-    # Segment of each observation, the later one where it turned; -1 where it is on none.
-    owner = np.full(observations, -1)
-    valid = segments.valid.numpy()
-    row = np.broadcast_to(np.arange(len(valid))[:, None], valid.shape)
-    owner[segments.index.numpy()[valid]] = row[valid]
-    return owner
+    twin = np.where(foreign, unlike, np.inf).argmin(axis=1)[:, None]
+    alike = np.take_along_axis(unlike, twin, axis=1) < usual
+    torn = alike & (np.take_along_axis(apart, twin, axis=1) > 2.0 * NEAR_M)
+    return float(doubled.sum() / max(1, some.sum())), float(torn.sum() / max(1, alike.sum()))
 
 
 def _usual_difference(features: torch.Tensor, segments: Segments) -> float:

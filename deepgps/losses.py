@@ -6,7 +6,7 @@ strategy is the case of two samples in a segment.
 
 import torch
 
-from deepgps.settings import Loss
+from deepgps.settings import PairLoss
 
 
 def distance(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
@@ -27,10 +27,10 @@ def normalised(d: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
     return (d - c).abs() / torch.where(total > 0, total, 1.0)
 
 
-LOSSES = {"absolute": absolute, "normalised": normalised}
+PAIR_LOSSES = {"absolute": absolute, "normalised": normalised}
 
 
-def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: Loss) -> torch.Tensor:
+def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: PairLoss) -> torch.Tensor:
     """Mean loss over all pairs inside each segment (Eq. 5).
 
     Args:
@@ -43,6 +43,32 @@ def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kin
         A scalar; zero when there is no pair.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
-    pair = LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
+    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
     weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
     return (pair * weight).sum() / weight.sum().clamp_min(1.0)
+
+
+def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """Mean distance of predictions from the straight line that they were driven on; ours, not the paper's.
+
+    All distances of a segment are right exactly when ``p_i = mean(p) + (c_i - mean(c)) u`` with a unit vector ``u``. A
+    bend by a small angle shortens distances by its square only, but leaves this line in proportion to the angle, so
+    this loss feels bends which |d - c| hardly does. ``u`` points along ``sum_i (c_i - mean(c)) (p_i - mean(p))``.
+
+    Args:
+        positions: Predictions (S, m, D) [m].
+        along: Distance of each sample from its segment's start (S, m) [m].
+        valid: Which samples there are (S, m) bool.
+
+    Returns:
+        A scalar [m]; zero when there is no sample.
+    """
+    weight = valid.to(positions.dtype)
+    share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)
+    p = positions - (share[..., None] * positions).sum(dim=1, keepdim=True)
+    c = along - (share * along).sum(dim=1, keepdim=True)
+    total = ((weight * c)[..., None] * p).sum(dim=1, keepdim=True)
+    length = distance(total, torch.zeros_like(total))[..., None]
+    u = total / torch.where(length > 0, length, 1.0)
+    away = distance(p, c[..., None] * u)
+    return (away * weight).sum() / weight.sum().clamp_min(1.0)

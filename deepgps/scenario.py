@@ -2,7 +2,7 @@
 
 import difflib
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -59,7 +59,7 @@ def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
     values.setdefault("name", path.stem)
     for dotted, value in overrides.items():
         _set(values, dotted, value)
-    return check_scenario(values, path)
+    return check_scenario(values, path, overrides)
 
 
 def find_scenario(source: str) -> Path:
@@ -95,13 +95,19 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return values
 
 
-def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
-    """Make a scenario of plain values; raises InputError that names every wrong field in one line."""
+def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collection[str] = ()) -> Scenario:
+    """Make a scenario of plain values from a file and overrides on it.
+
+    Raises:
+        InputError: Names every wrong field in one line, and the file, where the fault lies there.
+    """
     try:
         return Scenario.model_validate(values)
     except ValidationError as error:
-        problems = "; ".join(_describe(details) for details in error.errors())
-        raise InputError(f"{origin}: {problems}") from None
+        problems = error.errors()
+        ours = all(".".join(map(str, problem["loc"])) in overrides for problem in problems)
+        text = "; ".join(_describe(problem) for problem in problems)
+        raise InputError(text if ours else f"{origin}: {text}") from None
 
 
 def write_out(scenario: Scenario) -> str:

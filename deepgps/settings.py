@@ -7,20 +7,20 @@ from pydantic import Field
 from sim.settings import Group
 
 Architecture = Literal["spectral", "resnet", "resnet_paper"]
-Loss = Literal["absolute", "normalised"]
-Start = Literal["auto", "lines", "lifting", "random"]
+PairLoss = Literal["absolute", "normalised"]
+Start = Literal["auto", "paths", "lifting", "random"]
 
 
 class FeatureSettings(Group):
     """Spectral features, the input of the spectral network and of the nearest neighbour."""
 
-    frequencies: int = Field(16, ge=1, le=512)
+    frequencies: int = Field(default=16, ge=1, le=512)
     """Highest frequency kept around the circle."""
-    principal: int = Field(512, ge=2, le=4096)
+    principal: int = Field(default=512, ge=2, le=4096)
     """Principal components among which slow features are sought."""
-    components: int = Field(64, ge=2, le=4096)
+    components: int = Field(default=64, ge=2, le=4096)
     """Slow features kept."""
-    noise: float = Field(0.1, ge=0.0, le=10.0)
+    noise: float = Field(default=0.1, ge=0.0, le=10.0)
     """Noise added to features in training; their own root mean square is 1."""
 
 
@@ -29,30 +29,30 @@ class NetworkSettings(Group):
 
     architecture: Architecture = "spectral"
     """spectral: layers on spectral features; resnet: ResNet-18 circular around; resnet_paper: circular both ways."""
-    width: int = Field(512, ge=4, le=4096)
+    width: int = Field(default=512, ge=4, le=4096)
     """Neurons in each layer of the spectral network."""
-    layers: int = Field(4, ge=1, le=16)
+    layers: int = Field(default=4, ge=1, le=16)
     """Layers of the spectral network, the last one not counted."""
-    channels: int = Field(64, ge=4, le=256)
+    channels: int = Field(default=64, ge=4, le=256)
     """Channels of the ResNet's first stage (ResNet-18: 64)."""
 
 
 class TrainSettings(Group):
     """The training loop, the same for every method that trains a network. Budgets count steps, never seconds."""
 
-    steps: int = Field(3000, ge=1, le=10_000_000)
+    steps: int = Field(default=1500, ge=1, le=10_000_000)
     """Steps of the optimiser."""
-    segments: int = Field(32, ge=1, le=4096)
+    segments: int = Field(default=32, ge=1, le=4096)
     """Segments in a batch; a supervised batch holds segments times samples observations."""
-    samples: int = Field(16, ge=2, le=1024)
+    samples: int = Field(default=16, ge=2, le=1024)
     """Samples drawn from each segment of a batch; all their pairs are used."""
-    learning_rate: float = Field(1e-3, gt=0.0, le=1.0)
+    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
     """Adam's highest rate; it rises over the first steps and falls with a cosine."""
-    weight_decay: float = Field(1e-4, ge=0.0, le=1.0)
+    weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     """Decay of the weights (AdamW)."""
-    checkpoint_steps: int = Field(500, ge=1)
+    checkpoint_steps: int = Field(default=500, ge=1)
     """Steps between two checkpoints."""
-    device: str = Field("cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
+    device: str = Field(default="cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
     """cpu, cuda, cuda:N, or auto: CUDA where there is one."""
     bfloat16: bool = True
     """Matrix products in bfloat16 where the processor has them; the weights stay float32."""
@@ -61,26 +61,26 @@ class TrainSettings(Group):
 class LiftSettings(Group):
     """Lifting: the network predicts in more than two dimensions, where a map can unfold, and is flattened later."""
 
-    dimensions: int = Field(8, ge=2, le=64)
+    dimensions: int = Field(default=8, ge=2, le=64)
     """Dimensions before flattening; 2: no lifting."""
-    flatten_from: float = Field(0.35, ge=0.0, le=1.0)
+    flatten_from: float = Field(default=0.35, ge=0.0, le=1.0)
     """Fraction of the steps at which the penalty on what leaves the plane begins."""
-    flatten_to: float = Field(0.7, ge=0.0, le=1.0)
+    flatten_to: float = Field(default=0.7, ge=0.0, le=1.0)
     """Fraction of the steps at which the penalty is full."""
-    penalty: float = Field(1.0, ge=0.0)
+    penalty: float = Field(default=1.0, ge=0.0)
     """Weight of the full penalty."""
 
 
 class FoldSettings(Group):
     """The fold detector, which sees no truth, and what follows."""
 
-    restarts: int = Field(2, ge=0, le=20)
+    restarts: int = Field(default=2, ge=0, le=20)
     """How often training starts again from other weights when a fold is found."""
-    bent: float = Field(0.10, gt=0.0, le=1.0)
+    bent: float = Field(default=0.10, gt=0.0, le=1.0)
     """Fraction of the way on segments whose predicted ends do not fit the distance, above which a map is folded."""
-    doubled: float = Field(0.10, gt=0.0, le=1.0)
+    doubled: float = Field(default=0.10, gt=0.0, le=1.0)
     """Fraction of observations whose neighbours on the map look unlike them, above which a map is folded."""
-    torn: float = Field(0.10, gt=0.0, le=1.0)
+    torn: float = Field(default=0.10, gt=0.0, le=1.0)
     """Fraction of look-alike observations that lie apart on the map, above which a map is folded."""
 
 
@@ -90,12 +90,14 @@ class LearnSettings(Group):
     features: FeatureSettings = FeatureSettings()
     network: NetworkSettings = NetworkSettings()
     train: TrainSettings = TrainSettings()
-    loss: Loss = "absolute"
-    """absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
+    loss: PairLoss = "absolute"
+    """Loss of each pair in a segment. absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
+    straight: float = Field(default=5.0, ge=0.0)
+    """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
-    """How the map is unfolded before distances alone finish it: lines (closed form; most segments need three readings),
-    lifting, random (not at all), or auto: lines where they are possible, else lifting."""
-    neighbours: int = Field(4, ge=1, le=100)
+    """How the map is unfolded before distances alone finish it: paths (Isomap; most segments need three readings),
+    lifting, random (not at all), or auto: paths where they are possible, else lifting."""
+    neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -42,7 +42,8 @@ def test_readings_run_in_order_and_turning_places_have_two(small_recording):
 def test_encoder_distances_agree_with_the_truth(small_recording):
     recording, truth = open_recording(small_recording), open_truth(small_recording)
     odometry = recording.manifest["odometry"]
-    way = ticks_to_distance(recording.reading[:, 2:], odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
+    wheels = ticks_to_distance(recording.reading[:, 2:], odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+    way = wheels.mean(axis=1)
     for segment in np.unique(recording.reading[:, 0]):
         row = np.flatnonzero(recording.reading[:, 0] == segment)
         place = truth.pose[recording.reading[row, 1], :2]

@@ -5,6 +5,7 @@ import itertools
 import mujoco
 import numpy as np
 import pytest
+from small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
 from sim.drive import DOUBT_M, Segment, drive, next_segment
 from sim.errors import WorkError
@@ -13,7 +14,6 @@ from sim.robot import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, twist
 from sim.scene import empty_room
 from sim.settings import DriveSettings, SimSettings
 from sim.world import RoomWorld
-from tests.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
 SEED = 5
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
 from sim.errors import WorkError
 from sim.ranges import ANGLE, REACH_M, SIDE_M, RangeFinder, clear_length, fan_heights
@@ -12,7 +13,6 @@ from sim.robot import RADIUS_M, wheel_speeds
 from sim.scene import compile_scene, empty_room
 from sim.settings import RoomSettings, SimSettings
 from sim.world import RoomWorld
-from tests.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
 HOSTILE = """
 <mujoco>

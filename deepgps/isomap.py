@@ -1,0 +1,120 @@
+"""A first map without folds: Isomap on the graph of segments and look-alike places (Tenenbaum et al. 2000).
+
+Consecutive readings of a segment are joined by the distance driven, and observations of different segments that are one
+another's most similar by a distance estimated from how fast features change along the segments there. Shortest paths
+through this graph and classical scaling of them (from landmarks: de Silva and Tenenbaum 2004) give positions. Paths
+around furniture are longer than straight lines, which bends the map but does not fold it; training straightens it.
+"""
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from deepgps.data import Segments, find_owners
+from sim.errors import InputError
+
+NEIGHBOURS = 6
+LANDMARKS = 300
+LONGEST_LINK = 2.0
+CHUNK = 1000
+
+
+def has_lines(segments: Segments) -> bool:
+    """Whether most readings lie on segments of at least three, close enough to tell how fast features change."""
+    return bool(segments.count[segments.count >= 3].sum() > segments.count.sum() / 2)
+
+
+def map_by_paths(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> torch.Tensor:
+    """Positions of the training observations, by shortest paths.
+
+    Args:
+        features: Heading-invariant features (N, K).
+        segments: Weak constraints.
+        generator: Chooses the landmarks.
+
+    Returns:
+        (N, 2) float32 [m] in a frame of its own; zero for observations on no segment.
+
+    Raises:
+        InputError: when the segments do not hang together.
+    """
+    step = _steps(segments)
+    link = find_links(features, segments)
+    first, second, length = (np.concatenate(pair) for pair in zip(step, link, strict=True))
+    graph = _join(first, second, length, len(features))
+    main = _largest_part(graph)
+    landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
+    path = dijkstra(graph, directed=False, indices=landmarks)[:, main]
+    places = np.zeros((len(features), 2), np.float32)
+    places[main] = scale_classically(path, np.searchsorted(main, landmarks))
+    return torch.from_numpy(places)
+
+
+def find_links(features: torch.Tensor, segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of observations of different segments, each among the other's most similar, and their distance.
+
+    Returns:
+        First (n,), second (n,), estimated distance (n,) [m].
+    """
+    rate, spacing = _rate_of_change(features, segments)
+    before, after = find_owners(segments, len(features))
+    first, second, apart = [], [], []
+    for chunk in torch.arange(len(features)).split(CHUNK):
+        difference = torch.cdist(features[chunk], features)
+        same = torch.zeros(difference.shape, dtype=torch.bool)
+        for own in (before, after):
+            same |= (own[chunk][:, None] == before) | (own[chunk][:, None] == after)
+        difference.masked_fill_(same | (after < 0), torch.inf)
+        nearest = difference.topk(min(NEIGHBOURS, len(features)), largest=False)
+        first.append(chunk[:, None].expand_as(nearest.indices).flatten())
+        second.append(nearest.indices.flatten())
+        apart.append(nearest.values.flatten())
+    i, j = torch.cat(first), torch.cat(second)
+    length = torch.cat(apart) / ((rate[i] + rate[j]) / 2.0)
+    code, back = i * len(features) + j, j * len(features) + i
+    kept = torch.isin(code, back) & (length < LONGEST_LINK * spacing) & (after[i] >= 0)
+    return i[kept].numpy(), j[kept].numpy(), length[kept].double().numpy()
+
+
+def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
+    """Places (N, 2) [m] from distances (L, N) [m] to landmarks, which are columns ``landmark`` (L,) of it."""
+    squared = path[:, landmark] ** 2
+    mean = squared.mean(axis=1)
+    inner = -0.5 * (squared - mean[:, None] - mean[None] + mean.mean())
+    size, axes = np.linalg.eigh((inner + inner.T) / 2.0)
+    return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
+
+
+def _steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    valid = segments.valid[:, 1:]
+    way = segments.distance[:, 1:] - segments.distance[:, :-1]
+    chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
+    return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
+
+
+def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:
+    # How much features change per metre at each observation (N,), and the median way between readings.
+    first, second, way = (torch.from_numpy(part) for part in _steps(segments))
+    change = (features[first] - features[second]).norm(dim=1)
+    total, length = torch.zeros(len(features)), torch.zeros(len(features))
+    for end in (first, second):
+        total.index_add_(0, end, change)
+        length.index_add_(0, end, way.float())
+    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), float(way.median())
+
+
+def _join(first: np.ndarray, second: np.ndarray, length: np.ndarray, count: int) -> csr_array:
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    order = np.lexsort((length, high, low))
+    low, high, length = low[order], high[order], length[order].clip(1e-6)
+    fresh = np.concatenate([[True], (np.diff(low) != 0) | (np.diff(high) != 0)])
+    return csr_array((length[fresh], (low[fresh], high[fresh])), shape=(count, count))
+
+
+def _largest_part(graph: csr_array) -> np.ndarray:
+    _, part = connected_components(graph, directed=False)
+    main = np.flatnonzero(part == np.bincount(part).argmax())
+    if len(main) < 3:
+        raise InputError("the recording's segments do not hang together: no two of them look alike anywhere")
+    return main
