@@ -76,12 +76,10 @@ class FoldSettings(Group):
 
     restarts: int = Field(default=2, ge=0, le=20)
     """How often training starts again from other weights when a fold is found."""
-    bent: float = Field(default=0.10, gt=0.0, le=1.0)
+    bent: float = Field(default=0.04, gt=0.0, le=1.0)
     """Fraction of the way on segments whose predicted ends do not fit the distance, above which a map is folded."""
-    doubled: float = Field(default=0.10, gt=0.0, le=1.0)
+    doubled: float = Field(default=0.02, gt=0.0, le=1.0)
     """Fraction of observations whose neighbours on the map look unlike them, above which a map is folded."""
-    torn: float = Field(default=0.10, gt=0.0, le=1.0)
-    """Fraction of look-alike observations that lie apart on the map, above which a map is folded."""
 
 
 class LearnSettings(Group):

@@ -27,6 +27,8 @@ PATIENCE_TURNS = 4
 """A turn that takes longer than this many whole turns would is given up."""
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """In a narrow place the robot is content with less and less of SHORTEST_M and of the stopping distance."""
+CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
+"""Shares of the turn rate with which the robot looks for a clear heading, one after another."""
 FURTHER_RAD = 0.3
 """After the first clear heading the robot turns on by up to this [rad], not to graze what it just missed."""
 CLOSE_M = 0.002
@@ -139,12 +141,13 @@ def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     _turn(robot, settings, angle)
     for share in SHARES:
         enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
-        found = True
-        while found and _look_ahead(robot, REACH_M) - stop_m < enough_m:
-            further = np.copysign(rng.uniform(0.0, FURTHER_RAD), angle)
-            found = _turn(robot, settings, further, until_clear_m=enough_m + stop_m)
-        if found:
-            return stop_m
+        # The clear headings may be fewer than a brisk turn overshoots: from try to try more slowly and less far on.
+        for caution in CAUTION:
+            if _look_ahead(robot, REACH_M) - stop_m >= enough_m:
+                return stop_m
+            further = np.copysign(rng.uniform(0.0, FURTHER_RAD) * caution, angle)
+            if not _turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
+                break
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
 
 
@@ -153,7 +156,13 @@ def _look_ahead(robot: Robot, reach_m: float) -> float:
     return clear_length(robot.ranges(reach_m))
 
 
-def _turn(robot: Robot, settings: DriveSettings, angle: float, until_clear_m: float | None = None) -> bool:
+def _turn(
+    robot: Robot,
+    settings: DriveSettings,
+    angle: float,
+    until_clear_m: float | None = None,
+    caution: float = 1.0,
+) -> bool:
     """Turn in place by an angle [rad], closed on the wheel angles.
 
     Args:
@@ -161,13 +170,15 @@ def _turn(robot: Robot, settings: DriveSettings, angle: float, until_clear_m: fl
         settings: How fast to turn.
         angle: How far; counted from the first heading with this much clear ahead where ``until_clear_m`` [m] is given.
         until_clear_m: See there.
+        caution: Share of the settings' turn rate to turn with.
 
     Returns:
         False where a whole turn found nothing clear.
     """
     period, start = settings.control_period_s, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
-    rate, deadline = 0.0, robot.time() + PATIENCE_TURNS * 2 * np.pi / settings.turn_rate_rps
+    rate, highest = 0.0, settings.turn_rate_rps * caution
+    deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
     while robot.time() < deadline:
         left, right = robot.wheel_angle() - start
         turned = abs(right - left) * WHEEL_RADIUS_M / TRACK_M
@@ -178,7 +189,7 @@ def _turn(robot: Robot, settings: DriveSettings, angle: float, until_clear_m: fl
                 break
         if goal - turned < CLOSE_RAD:
             break
-        rate = _ramp(rate, settings.turn_rate_rps, TURN_ACCELERATION_RPS2, goal - turned, period)
+        rate = _ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
     _stand(robot, settings)
     return goal < np.inf

@@ -1,5 +1,6 @@
 """What many tests share: the renderer chosen before MuJoCo is imported, and a small recording."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ from sim.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 
 choose_backend()
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.cli
 
 SMALL = SimSettings(
     room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8),

@@ -218,6 +218,24 @@ def test_leaves_a_narrow_pocket():
     assert np.abs(segments[-1].pose[-1, :2] - (-0.82, 0.0)).max() > 0.3
 
 
+def test_finds_a_narrow_way_out():
+    """A closed cell with a mouth 3 cm wider than the strip the body sweeps: few headings lead out."""
+    room = walls()
+    for name, pos, half in (
+        ("back", (-0.25, 0.0, 0.5), (0.05, 0.3, 0.5)),
+        ("left", (0.0, 0.25, 0.5), (0.3, 0.05, 0.5)),
+        ("right", (0.0, -0.25, 0.5), (0.3, 0.05, 0.5)),
+        ("jamb_left", (0.25, 0.178, 0.5), (0.05, 0.05, 0.5)),
+        ("jamb_right", (0.25, -0.178, 0.5), (0.05, 0.05, 0.5)),
+    ):
+        add_box(room, name, pos, half)
+    world = make_world(room)
+    for segment in drive(world, world.settings.drive, np.random.default_rng(0)):
+        if segment.pose[-1, 0] > 0.5:
+            break
+        assert world.time() < 300.0
+
+
 def test_random_driving_is_quiet_and_covers_the_room():
     world = make_world(furnished(), (0.0, -0.8, 0.0))
     places = [world.pose()[None]]

@@ -98,9 +98,7 @@ def test_gradients_are_finite_where_everything_coincides(loss):
     along = torch.zeros((2, 4))
     valid = torch.ones((2, 4), dtype=torch.bool)
     value = (
-        losses.straight(positions, along, valid)
-        if loss == "straight"
-        else losses.dense(positions, along, valid, loss)
+        losses.straight(positions, along, valid) if loss == "straight" else losses.dense(positions, along, valid, loss)
     )
     value.backward()
     assert value.item() == 0.0

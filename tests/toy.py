@@ -65,5 +65,9 @@ def _drive(samples: int, endpoint: bool, rng: np.random.Generator) -> tuple[np.n
         for way in [steps * SPACING_M] if endpoint else np.arange(1, steps + 1) * SPACING_M:
             pose.append(np.array([*(place + way * direction), yaw]))
             reading.append([segment, len(pose) - 1, *np.rint(ticks + way / M_PER_TICK)])
-        place, ticks, segment = place + steps * SPACING_M * direction, ticks + steps * SPACING_M / M_PER_TICK, segment + 1
+        place, ticks, segment = (
+            place + steps * SPACING_M * direction,
+            ticks + steps * SPACING_M / M_PER_TICK,
+            segment + 1,
+        )
     return np.array(pose), np.array(reading, np.int64)

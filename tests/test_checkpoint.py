@@ -1,0 +1,46 @@
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from deepgps.checkpoint import NAME, load_checkpoint, save_checkpoint
+
+
+def make(seed: int):
+    network = nn.Linear(2, 2)
+    for parameter in network.parameters():
+        nn.init.normal_(parameter, generator=torch.Generator().manual_seed(seed))
+    optimiser = torch.optim.AdamW(network.parameters())
+    network(torch.ones(1, 2)).sum().backward()
+    optimiser.step()
+    return network, optimiser, torch.Generator().manual_seed(seed)
+
+
+def test_all_that_the_next_step_depends_on_comes_back(tmp_path: Path):
+    network, optimiser, generator = make(0)
+    history = {"step": [3], "snapshot": [torch.ones(2, 2)]}
+    torch.rand(5, generator=generator)
+    save_checkpoint(tmp_path, 3, network, optimiser, generator, history, 1.5)
+
+    other, other_optimiser, other_generator = make(1)
+    found = {"step": [], "snapshot": []}
+    assert load_checkpoint(tmp_path, other, other_optimiser, other_generator, found) == (3, 1.5)
+    assert torch.equal(torch.rand(3, generator=generator), torch.rand(3, generator=other_generator))
+    for model, rule in ((network, optimiser), (other, other_optimiser)):
+        rule.zero_grad()
+        model(torch.tensor([[1.0, -2.0]])).square().sum().backward()
+        rule.step()
+    pairs = zip(network.parameters(), other.parameters(), strict=True)
+    assert all(torch.equal(a, b) for a, b in pairs)
+    assert found["step"] == [3] and torch.equal(found["snapshot"][0], torch.ones(2, 2))
+
+
+def test_nothing_to_continue(tmp_path: Path):
+    assert load_checkpoint(tmp_path, *make(0), {}) == (0, 0.0)
+
+
+def test_a_half_written_checkpoint_leaves_the_old_one(tmp_path: Path):
+    network, optimiser, generator = make(0)
+    save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
+    (tmp_path / (NAME + ".part")).write_bytes(b"cut off")
+    assert load_checkpoint(tmp_path, network, optimiser, generator, {})[0] == 1

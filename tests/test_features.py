@@ -1,0 +1,106 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepgps.data import read_segments
+from deepgps.features import cached_features, describe, fit_features, solve_generalised
+from deepgps.settings import FeatureSettings
+from sim.errors import InputError
+from tests.toy import make_toy
+
+
+def images(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (count, 6, 32, 3), dtype=np.uint8)
+
+
+@given(shift=st.integers(-40, 40), seed=st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_turning_changes_nothing(shift: int, seed: int):
+    image = images(2, seed)
+    there = describe(image, 12)
+    turned = describe(np.roll(image, shift, axis=2), 12)
+    assert torch.allclose(there, turned, atol=2e-4 * float(there.abs().max()))
+
+
+def test_turning_one_ring_alone_is_seen():
+    image = images(1)
+    broken = image.copy()
+    broken[:, 2] = np.roll(image[:, 2], 5, axis=1)
+    assert not torch.allclose(describe(image, 12), describe(broken, 12), atol=1e-2)
+
+
+def test_mirroring_is_seen():
+    image = images(1)
+    assert not torch.allclose(describe(image, 12), describe(image[:, :, ::-1].copy(), 12), atol=1e-2)
+
+
+def test_black_images_are_finite():
+    assert torch.isfinite(describe(np.zeros((2, 6, 32, 3), np.uint8), 12)).all()
+
+
+def test_vectors_stay_as_they_are():
+    vectors = np.arange(6.0).reshape(2, 3)
+    assert describe(vectors, 5).tolist() == vectors.tolist()
+
+
+def test_other_shapes_are_refused():
+    with pytest.raises(InputError, match=r"observations must be .* not \(2, 3, 4\)"):
+        describe(np.zeros((2, 3, 4)), 5)
+
+
+def test_fitted_features_are_those_applied(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    generator = torch.Generator().manual_seed(0)
+    fitted, features = fit_features(
+        recording.observation, read_segments(recording), FeatureSettings(components=8), generator
+    )
+    assert torch.allclose(fitted.apply(recording.observation), features, atol=1e-4)
+    assert float(features.square().mean()) == pytest.approx(1.0, rel=1e-4)
+    assert fitted.apply(recording.observation[:0]).shape == (0, 8)
+    with pytest.raises(InputError, match=r"observations of shape \(5,\), but trained on shape \(12,\)"):
+        fitted.apply(np.zeros((1, 5)))
+
+
+def test_slow_features_leave_noise_out(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=600)
+    signal = np.asarray(recording.observation)
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 3.0, signal.shape)
+    both = np.concatenate([signal, noise], axis=1) @ np.linalg.qr(rng.normal(size=(24, 24)))[0]
+    segments, settings = read_segments(recording), FeatureSettings(components=4)
+    _, features = fit_features(both, segments, settings, torch.Generator().manual_seed(0))
+
+    def explained(by: np.ndarray) -> float:
+        design = np.column_stack([np.ones(len(by)), by])
+        left = features.numpy() - design @ np.linalg.lstsq(design, features.numpy(), rcond=None)[0]
+        return 1.0 - float(np.sum(left**2) / np.sum((features.numpy() - features.numpy().mean(axis=0)) ** 2))
+
+    assert explained(signal) > 0.95
+    assert explained(noise) < 0.1
+
+
+def test_features_are_taken_from_the_cache_of_the_same_key(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    segments, path = read_segments(recording), tmp_path / "features.safetensors"
+
+    def make(key: str, seed: int):
+        generator = torch.Generator().manual_seed(seed)
+        settings = FeatureSettings(components=4, principal=4)
+        return cached_features(path, key, recording.observation, segments, settings, generator)
+
+    first, same, other = make("a", 0), make("a", 1), make("b", 1)
+    assert torch.equal(first[1], same[1]) and torch.equal(first[0].basis, same[0].basis)
+    assert torch.equal(first[0].apply(recording.observation), same[0].apply(recording.observation))
+    assert not torch.equal(first[1], other[1])
+
+
+def test_generalised_eigenvectors_solve_their_equation():
+    rng = np.random.default_rng(0)
+    a, b = (torch.from_numpy(m @ m.T) for m in rng.normal(size=(2, 5, 5)))
+    w, v = solve_generalised(a, b)
+    assert torch.allclose(a @ v, b @ v * w)
+    assert torch.allclose(v.T @ b @ v, torch.eye(5, dtype=torch.float64), atol=1e-8)

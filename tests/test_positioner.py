@@ -1,0 +1,137 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deepgps.features import Features
+from deepgps.network import make_network
+from deepgps.positioner import (
+    NeighbourPositioner,
+    NetworkPositioner,
+    Positioner,
+    is_finished,
+    load_positioner,
+    save_positioner,
+)
+from deepgps.settings import NetworkSettings
+from sim.errors import InputError
+
+SHAPE = (4, 16, 3)
+
+
+def spectral() -> NetworkPositioner:
+    generator = torch.Generator().manual_seed(0)
+    numbers = 4 * 3 * 6 + 3 * 3 * 5 * 2
+    features = Features(
+        SHAPE, 5, torch.rand(numbers, generator=generator), torch.rand((numbers, 7), generator=generator)
+    )
+    settings = NetworkSettings(width=16, layers=2)
+    network = make_network(settings, 7, 3, generator).eval()
+    axes = torch.linalg.qr(torch.randn((3, 2), generator=generator))[0]
+    return NetworkPositioner(SHAPE, features, settings, network, torch.ones(3), axes)
+
+
+def resnet() -> NetworkPositioner:
+    settings = NetworkSettings(architecture="resnet", channels=4)
+    network = make_network(settings, 0, 2, torch.Generator().manual_seed(0)).eval()
+    return NetworkPositioner(SHAPE, None, settings, network, torch.zeros(2), torch.eye(2))
+
+
+def neighbour() -> NeighbourPositioner:
+    features = spectral().features
+    assert features is not None
+    places = torch.arange(12, dtype=torch.float64).reshape(6, 2)
+    return NeighbourPositioner(features, features.apply(images(6)), places, 2)
+
+
+def images(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (count, *SHAPE), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("make", [spectral, resnet, neighbour])
+def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
+    positioner: Positioner = make()
+    assert not is_finished(tmp_path)
+    save_positioner(tmp_path, positioner, {"steps": 3})
+    assert is_finished(tmp_path)
+    loaded = load_positioner(tmp_path)
+    there, back = positioner(images(9, 1)), loaded(images(9, 1))
+    assert there.shape == (9, 2) and there.dtype == np.float64
+    assert np.array_equal(there, back)
+    assert loaded(images(0)).shape == (0, 2)
+    assert json.loads((tmp_path / "training.json").read_text()) == {"steps": 3}
+
+
+@pytest.mark.parametrize("make", [spectral, neighbour])
+def test_heading_does_not_matter(make):
+    positioner: Positioner = make()
+    assert np.allclose(positioner(images(3, 1)), positioner(np.roll(images(3, 1), 5, axis=2)), atol=1e-3)
+
+
+def test_same_positioner_same_bytes(tmp_path: Path):
+    for name in ("a", "b"):
+        save_positioner(tmp_path / name, spectral(), {})
+    for file in ("weights.safetensors", "positioner.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_known_observation_is_placed_where_it_was_taken():
+    positioner = neighbour()
+    assert np.allclose(positioner(images(6)), positioner.places, atol=1e-3)
+
+
+def test_the_plane_is_taken_out_of_the_lifted_space():
+    positioner = spectral()
+    assert positioner.features is not None
+    with torch.no_grad():
+        lifted = positioner.network(positioner.features.apply(images(5)))
+    expected = (lifted - positioner.centre).numpy() @ positioner.axes.numpy()
+    assert np.allclose(positioner(images(5)), expected, rtol=1e-4)
+
+
+def test_a_folder_without_a_method_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"holds no trained method: it has no positioner\.json"):
+        load_positioner(tmp_path)
+
+
+def test_images_of_another_size_are_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"shape \(4, 8, 3\), but trained on shape \(4, 16, 3\)"):
+        spectral()(images(2)[:, :, :8])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"positioner\.json is broken: Expecting"),
+        ("[]", r"positioner\.json is broken"),
+        ('{"schema": 9}', r"positioner\.json: schema 9, but this version reads schema 1"),
+        ('{"schema": 1}', r"positioner\.json is broken: 'shape'"),
+    ],
+)
+def test_a_broken_description_is_named(tmp_path: Path, text: str, message: str):
+    save_positioner(tmp_path, spectral(), {})
+    (tmp_path / "positioner.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_positioner(tmp_path)
+
+
+def test_broken_weights_are_named(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    weights = tmp_path / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"weights\.safetensors is broken"):
+        load_positioner(tmp_path)
+    weights.unlink()
+    with pytest.raises(InputError, match=r"weights\.safetensors is broken"):
+        load_positioner(tmp_path)
+
+
+def test_weights_of_another_network_are_named(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    description = json.loads((tmp_path / "positioner.json").read_text())
+    description["network"]["width"] = 32
+    (tmp_path / "positioner.json").write_text(json.dumps(description))
+    with pytest.raises(InputError, match=r"weights\.safetensors is broken: .*size mismatch"):
+        load_positioner(tmp_path)
