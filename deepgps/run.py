@@ -107,18 +107,19 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and look: write the recording, if it does not stand yet."""
     from sim.collect import collect as collect_recording
 
-    with timed(folder, "collect"):
+    with timed(folder, "collect", done=(folder / "recording" / "manifest.json").is_file()):
         collect_recording(scenario.sim, scenario.seed, folder / "recording", progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Train each method that does not stand yet."""
     from deepgps.methods import METHODS
+    from deepgps.positioner import is_finished
     from sim.records import open_recording
 
     recording = open_recording(folder / "recording")
     for method in scenario.methods:
-        with timed(folder, f"train {method}"):
+        with timed(folder, f"train {method}", done=is_finished(folder / method)):
             METHODS[method](recording, scenario.learn, scenario.seed, folder / method, progress)
 
 
@@ -154,14 +155,14 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
 
 
 @contextmanager
-def timed(folder: Path, stage: str) -> Iterator[None]:
-    """Add the seconds of a stage to the run's ``timing.json``, and a line to its log."""
+def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
+    """Add the seconds of a stage to the run's ``timing.json``, and a line to its log, unless it was done before."""
     start = time.perf_counter()
     yield
     seconds = time.perf_counter() - start
     path = folder / "timing.json"
     times = read_json(path) if path.is_file() else {}
-    if seconds > 0.5 or stage not in times:  # a stage that finds its work done takes no time worth noting
+    if not done or stage not in times:
         write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
         with (folder / "log.txt").open("a", encoding="utf-8") as log:
             log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")

@@ -20,7 +20,7 @@ learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
 """
 ONE_LINE_ERRORS = [
     (["run", "living_room", "--encoder.ticks-per-rev", "abc"], "encoder.ticks_per_rev 'abc': must be a valid integer"),
-    (["run", "living_room", "--encoder.tickz", "3"], "encoder.tickz: no such setting; there are ticks_per_rev"),
+    (["run", "living_room", "--encoder.tickz", "3"], "encoder.tickz: there is no such setting; there are"),
     (["run", "living_room", "--encoder.tick-per-rev", "3"], "there is no such setting, did you mean ticks_per_rev?"),
     (["run", "living_room", "--room.seed"], "--room.seed needs a value"),
     (["run", "living_room", "--room.seed", "1", "2"], "--room.seed takes one value, not 1 2"),

@@ -15,7 +15,7 @@ from sim.lens import make_lens, polar_rays, project_polar, round_rays
 from sim.render import Fisheye
 from sim.settings import CameraSettings
 
-CAMERA = CameraSettings()
+CAMERA = CameraSettings(face_px=64)
 SECTOR = 2 * np.pi / CAMERA.sectors
 ROBOT = """<body name="robot/base"><freejoint/><inertial mass="1" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>
   <geom name="robot/mast" type="cylinder" size="0.1 0.3" pos="0 0 0.31"/>
@@ -144,7 +144,7 @@ def test_rays_cast_along_the_lens_hit_what_the_image_shows(camera: CameraSetting
 def test_the_rim_sees_the_floor_below_the_horizon() -> None:
     model = build_room(0, flat=True)
     data = place(model, 3.1, 0.0, 0.0)  # the floor left of 3.1 m shows below the horizon, the wall ahead hides it
-    with Fisheye(model, CameraSettings(rings=96)) as fisheye:
+    with Fisheye(model, CameraSettings(rings=96, face_px=64)) as fisheye:
         rim = fisheye.polar(data)[-1].astype(float)
     hit = find_hits(model, data, polar_rays(make_lens(CAMERA), 96, CAMERA.sectors)[-1])
     floor = np.equal(hit, model.geom("floor").id)
