@@ -1,11 +1,13 @@
 """The state of a training on disk, so that a run cut off anywhere continues to the same weights."""
 
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import torch
 from torch import nn
 
+from sim.errors import InputError
 from sim.files import write_atomic
 
 NAME = "checkpoint.pt"
@@ -39,14 +41,21 @@ def load_checkpoint(
     generator: torch.Generator,
     history: dict[str, list],
 ) -> tuple[int, float]:
-    """Restore a training in place; returns steps done and seconds they took, zeros where there is no checkpoint."""
+    """Restore a training in place; returns steps done and seconds they took, zeros where there is no checkpoint.
+
+    Raises:
+        InputError: when the checkpoint is broken or was made by a training of another network.
+    """
     path = folder / NAME
     if not path.is_file():
         return 0, 0.0
     device = next(network.parameters()).device
-    state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
-    network.load_state_dict(state["network"])
-    optimiser.load_state_dict(state["optimiser"])
+    try:
+        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+    except (RuntimeError, KeyError, ValueError, EOFError, UnpicklingError):
+        raise InputError(f"{path} is broken or of another training; without it training begins anew") from None
     generator.set_state(state["generator"].cpu())
     for name, values in state["history"].items():
         history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]

@@ -5,6 +5,7 @@ from pathlib import Path
 import torch
 
 from deepgps import losses
+from deepgps.checkpoint import NAME as CHECKPOINT
 from deepgps.material import as_positioner, new_network, prepare
 from deepgps.network import count_parameters
 from deepgps.positioner import Positioner, is_finished, load_positioner, save_positioner
@@ -36,8 +37,23 @@ def fit_positions(
         progress: Told how far it is.
         name: What it is told to be.
     """
-    if is_finished(folder):
-        return load_positioner(folder)
+    if not is_finished(folder):
+        learn(recording, index, label, settings, seed, folder, progress, name)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+    return load_positioner(folder)
+
+
+def learn(
+    recording: Recording,
+    index: torch.Tensor,
+    label: torch.Tensor,
+    settings: LearnSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+    name: str,
+) -> None:
+    """Train and save; the arguments are those of ``fit_positions``."""
     material = prepare(recording, settings, seed, folder.parent)
     # The middle of the labels is the origin, as a network starts near zero.
     centre = label.float().mean(dim=0)
@@ -71,4 +87,3 @@ def fit_positions(
         "parameters": count_parameters(network),
     }
     save_positioner(folder, positioner, training)
-    return load_positioner(folder)

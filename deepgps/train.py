@@ -152,7 +152,9 @@ def train(
     """
     device = choose_device(settings.device)
     network = network.to(device).train()
-    optimiser = torch.optim.AdamW(network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    optimiser = torch.optim.AdamW(
+        network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+    )
     generator = torch.Generator(device).manual_seed(seed)
     fast = settings.bfloat16 and has_fast_bfloat16(device)
     history = History.start(len(inputs), settings.steps)

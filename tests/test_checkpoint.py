@@ -1,9 +1,11 @@
 from pathlib import Path
 
+import pytest
 import torch
 from torch import nn
 
 from deepgps.checkpoint import NAME, load_checkpoint, save_checkpoint
+from sim.errors import InputError
 
 
 def make(seed: int):
@@ -44,3 +46,18 @@ def test_a_half_written_checkpoint_leaves_the_old_one(tmp_path: Path):
     save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
     (tmp_path / (NAME + ".part")).write_bytes(b"cut off")
     assert load_checkpoint(tmp_path, network, optimiser, generator, {})[0] == 1
+
+
+def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path):
+    save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+    larger = nn.Linear(3, 2)
+    with pytest.raises(InputError, match=r"checkpoint\.pt is broken or of another training"):
+        load_checkpoint(tmp_path, larger, torch.optim.AdamW(larger.parameters()), torch.Generator(), {})
+
+
+@pytest.mark.parametrize("left", [0, 10, 500])
+def test_a_broken_checkpoint_is_refused(tmp_path: Path, left: int):
+    save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+    (tmp_path / NAME).write_bytes((tmp_path / NAME).read_bytes()[:left])
+    with pytest.raises(InputError, match=r"checkpoint\.pt is broken or of another training"):
+        load_checkpoint(tmp_path, *make(0), {})
