@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from sim.encoder import ticks_to_distance
 from sim.errors import InputError
 from sim.records import Recording
 
@@ -68,7 +69,7 @@ def read_segments(recording: Recording) -> Segments:
 def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
     """Way of each wheel [m] from its cumulative ticks, both (R, 2)."""
     odometry = _odometry(manifest)
-    return ticks * (2.0 * np.pi * odometry["wheel_radius_m"] / odometry["ticks_per_rev"])
+    return ticks_to_distance(ticks, odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
 
 
 def dead_reckon(recording: Recording) -> np.ndarray:
