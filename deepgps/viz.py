@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import timedelta
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,9 @@ def write_recording(run: Path) -> Path:
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
 
     def write(part: Path) -> None:
-        stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False)
+        # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
+        by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+        stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
         with stream:
             stream.save(part, default_blueprint=make_blueprint(truth.free_space, list(fields), list(histories)))
             stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")

@@ -81,7 +81,9 @@ def test_equal_runs_give_equal_contents(run: Path, copied: Path) -> None:
     pair = [str(folder / viz.RECORDING) for folder in (run, copied)]
     ids = [RrdReader(path).recordings()[0].recording_id for path in pair]
     assert ids[0] == ids[1]
-    compared = subprocess.run([viz.find_viewer(), "rrd", "compare", *pair], check=False, capture_output=True, text=True)
+    compared = subprocess.run(
+        [viz.find_viewer(), "rrd", "compare", "--unordered", *pair], check=False, capture_output=True, text=True
+    )
     assert compared.returncode == 0, compared.stderr
 
 
