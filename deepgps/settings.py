@@ -54,6 +54,8 @@ class TrainSettings(Group):
     """Steps between two checkpoints."""
     device: str = Field(default="cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
     """cpu, cuda, cuda:N, or auto: CUDA where there is one."""
+    threads: int = Field(default=1, ge=1, le=256)
+    """Threads on a CPU. One is as fast as more for the spectral network, and on a busy machine many times faster."""
     bfloat16: bool = True
     """Matrix products in bfloat16 where the processor has them; the weights stay float32."""
 

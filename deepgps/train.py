@@ -5,7 +5,8 @@ in the checkpoint, and the schedule counts steps.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
@@ -150,6 +151,32 @@ def train(
     Returns:
         Seconds of training, earlier parts of a cut-off training counted in.
     """
+    with use_threads(settings.threads):
+        return _train(network, inputs, draw, loss, settings, seed, folder, progress, label)
+
+
+@contextmanager
+def use_threads(count: int) -> Iterator[None]:
+    """Let torch use this many threads for a while."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def _train(
+    network: nn.Module,
+    inputs: Inputs,
+    draw: Draw,
+    loss: Loss,
+    settings: TrainSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+    label: str,
+) -> float:
     device = choose_device(settings.device)
     network = network.to(device).train()
     optimiser = torch.optim.AdamW(

@@ -130,3 +130,13 @@ def test_an_absent_device_is_refused():
     with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
         choose_device("cuda")
     assert describe_device().startswith("CPU, ")
+
+
+def test_threads_are_lent_only_to_training(tmp_path: Path):
+    before = torch.get_num_threads()
+    seen = []
+    learn(tmp_path, progress=lambda label, done, total: seen.append(torch.get_num_threads()))
+    assert set(seen) == {SETTINGS.threads} == {1}
+    with pytest.raises(Cut):
+        learn(tmp_path / "cut", progress=cut_at(1))
+    assert torch.get_num_threads() == before
