@@ -11,6 +11,11 @@ from sim.encoder import ticks_to_distance
 from sim.errors import InputError
 from sim.records import Recording
 
+MOST_FITTED = 16_000
+"""Observations that features, a first map and the search for folds look at, at most: there everything meets everything,
+so that a longer recording would cost memory and time without end."""
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
+
 
 @dataclass(frozen=True)
 class Segments:
@@ -66,6 +71,29 @@ def read_segments(recording: Recording) -> Segments:
     )
 
 
+def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
+    """Whole segments spread evenly over a drive; all of them where the recording is no longer than ``most``.
+
+    Args:
+        segments: All segments.
+        observations: How many the recording has.
+        most: How many may be left.
+
+    Returns:
+        The segments kept, their observations numbered anew, and which observation each of these is (n,) int64.
+    """
+    if observations <= most:
+        return segments, torch.arange(observations)
+    # Multiples of the golden section, modulo 1, fill it evenly: so do the segments whose multiple is small.
+    key = torch.arange(len(segments.count), dtype=torch.float64) * GOLDEN % 1.0
+    order = key.argsort()
+    rows = order[segments.count[order].cumsum(0) <= most].sort().values
+    count = segments.count[rows]
+    kept = Segments(segments.index[rows], segments.distance[rows], count, segments.skipped)
+    chosen = kept.index[kept.valid].unique()
+    return Segments(torch.searchsorted(chosen, kept.index) * kept.valid, kept.distance, count, kept.skipped), chosen
+
+
 def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
     """Way of each wheel [m] from its cumulative ticks, both (R, 2)."""
     odometry = _odometry(manifest)
@@ -98,7 +126,7 @@ def draw(
         Observations (count, samples), distances along their segment (count, samples) [m], and which are valid.
     """
     row = torch.multinomial(segments.count.float(), count, replacement=True, generator=generator)
-    valid = segments.valid[row]
+    valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
     key = torch.rand(valid.shape, generator=generator, device=valid.device)
     place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
     index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)

@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 
 from deepgps import losses
-from deepgps.data import Segments, draw
+from deepgps.data import Segments, draw, spread
 from deepgps.fold import Signs, find_signs
 from deepgps.isomap import has_lines, map_by_paths
 from deepgps.material import Material, as_positioner, new_network, prepare
@@ -94,22 +94,28 @@ def run_attempt(
     network = new_network(material, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     device = material.inputs.table.device
     segments = material.segments.to(device)
+    sample, chosen = spread(material.segments, len(material.features))
+    features, mapped, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
-    def draw_batch(generator: torch.Generator) -> Batch:
+    def draw_batch(generator: torch.Generator, done: float) -> Batch:
+        if start == "paths" and done < IMITATE:  # only these have a place on the first map
+            index, along, valid = draw(mapped, settings.train.segments, settings.train.samples, generator)
+            return Batch(numbers[index], along, valid)
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
 
     loss = segment_loss(settings)
     if start == "paths":
-        first = map_by_paths(material.features, material.segments, make_generator(seed, "start", number))
+        first = torch.zeros((len(material.features), 2))
+        first[chosen] = map_by_paths(features, sample, make_generator(seed, "start", number))
         loss = imitate_first(loss, first.to(device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     draws = derive_seed(seed, "shuffling", number)
     seconds = train(network, material.inputs, draw_batch, loss, settings.train, draws, folder, progress, label)
-    out = predict(network, material.inputs, torch.arange(len(material.inputs)))
+    out = predict(network, material.inputs, chosen)
     centre, axes = find_plane(out)
     positions = ((out - centre) @ axes).double().numpy()
-    signs = find_signs(positions, material.features, material.segments, make_generator(seed, "fold", number))
+    signs = find_signs(positions, features, sample, make_generator(seed, "fold", number))
     return Attempt(as_positioner(material, settings, network, centre, axes), signs, seconds)
 
 

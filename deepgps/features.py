@@ -14,12 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save
+from safetensors.torch import load_file, save_file
 
-from deepgps.data import Segments
+from deepgps.data import Segments, spread
 from deepgps.settings import FeatureSettings
 from sim.errors import InputError
-from sim.files import write_bytes
+from sim.files import write_atomic, write_bytes
 
 CHUNK = 500
 
@@ -43,11 +43,11 @@ class Features:
     def apply(self, observation: np.ndarray) -> torch.Tensor:
         """Features of observations (N, rings, sectors, 3) uint8 or (N, M) float: (N, components) float32."""
         check_shape(observation, self.shape)
-        chunks = [
-            (describe(observation[start : start + CHUNK], self.frequencies) - self.mean) @ self.basis
-            for start in range(0, len(observation), CHUNK)
-        ]
-        return torch.cat(chunks) if chunks else torch.zeros((0, self.basis.shape[1]))
+        found = torch.empty((len(observation), self.basis.shape[1]))
+        for start in range(0, len(observation), CHUNK):
+            described = describe(observation[start : start + CHUNK], self.frequencies)
+            found[start : start + CHUNK] = (described - self.mean) @ self.basis
+        return found
 
 
 def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -87,24 +87,21 @@ def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
 def fit_features(
     observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
 ) -> tuple[Features, torch.Tensor]:
-    """Fit the projection on training observations and apply it to them.
+    """Fit the projection on training observations, of a long recording on segments spread over it, and apply it to all.
 
     Returns:
-        The projection and the observations' features (N, components); their mean square over all is 1.
+        The projection and the observations' features (N, components); their mean square over those fitted on is 1.
     """
-    described = torch.cat(
-        [
-            describe(observation[start : start + CHUNK], settings.frequencies)
-            for start in range(0, len(observation), CHUNK)
-        ]
-    )
+    sample, chosen = spread(segments, len(observation))
+    described = _describe_all(observation, chosen.numpy(), settings.frequencies)
     mean = described.mean(dim=0)
     described -= mean
     basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
-    basis = basis @ _slow_axes(described @ basis, segments, settings.components)
+    basis = basis @ _slow_axes(described @ basis, sample, settings.components)
     projected = described @ basis
     size = projected.square().mean().sqrt().clamp_min(1e-12)
-    return Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size), projected / size
+    fitted = Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size)
+    return fitted, projected / size if len(chosen) == len(observation) else fitted.apply(observation)
 
 
 def cached_features(
@@ -122,11 +119,19 @@ def cached_features(
         return Features(shape, settings.frequencies, found["mean"], found["basis"]), found["features"]
     path.with_suffix(".key").unlink(missing_ok=True)
     fitted, features = fit_features(observation, segments, settings, generator)
-    write_bytes(
-        path, save({"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()})
-    )
+    tensors = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+    write_atomic(path, lambda part: save_file(tensors, part))
     write_bytes(path.with_suffix(".key"), key.encode())
     return fitted, features
+
+
+def _describe_all(observation: np.ndarray, chosen: np.ndarray, frequencies: int) -> torch.Tensor:
+    size = describe(observation[:1], frequencies).shape[1]
+    described = torch.empty((len(chosen), size))
+    for start in range(0, len(chosen), CHUNK):
+        part = chosen[start : start + CHUNK]
+        described[start : start + CHUNK] = describe(observation[part], frequencies)
+    return described
 
 
 def _principal_axes(centred: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:

@@ -46,7 +46,7 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     )
     table = features
     if settings.network.architecture != "spectral":
-        table = torch.from_numpy(np.array(recording.observation))
+        table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise)
     return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
 

@@ -22,6 +22,8 @@ from sim.files import read_json, write_bytes, write_json
 
 SCHEMA = 1
 CHUNK = 500
+LARGEST_TABLE = 16_000_000
+"""Distances between observations and stored neighbours that are held at once, at most."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class NeighbourPositioner:
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m] of observations (B, ...)."""
-        found = [self._position(part) for part in self.features.apply(observations).split(CHUNK)]
+        chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
+        found = [self._position(part) for part in self.features.apply(observations).split(chunk)]
         return np.concatenate([np.zeros((0, 2)), *found])
 
     def _position(self, features: torch.Tensor) -> np.ndarray:

@@ -61,7 +61,7 @@ def learn(
     index, label = index.to(device), (label.float() - centre).to(device)
     count = settings.train.segments * settings.train.samples
 
-    def draw_batch(generator: torch.Generator) -> Batch:
+    def draw_batch(generator: torch.Generator, done: float) -> Batch:
         chosen = torch.randint(len(index), (count,), generator=generator, device=device)
         return Batch(index[chosen], label[chosen], torch.ones(count, dtype=torch.bool, device=device))
 

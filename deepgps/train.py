@@ -79,7 +79,7 @@ class Inputs:
         return len(self.table)
 
 
-Draw = Callable[[torch.Generator], Batch]
+Draw = Callable[[torch.Generator, float], Batch]
 Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
 
 
@@ -140,7 +140,7 @@ def train(
     Args:
         network: Starts from its present weights.
         inputs: Training observations.
-        draw: Makes the batch of one step.
+        draw: (generator, fraction of the steps done) -> batch of one step.
         loss: (predictions shaped like the batch's index plus outputs, batch, fraction of the steps done) -> scalar.
         settings: Steps, rate, device.
         seed: Of the draws.
@@ -194,7 +194,7 @@ def _train(
             history.add_snapshot(step, predict(network, inputs, history.index))
         for group in optimiser.param_groups:
             group["lr"] = settings.learning_rate * schedule(step, settings.steps)
-        batch = draw(generator)
+        batch = draw(generator, step / settings.steps)
         with torch.autocast(device.type, torch.bfloat16, enabled=fast):
             out = network(inputs.take(batch.index.flatten(), generator))
         value = loss(out.unflatten(0, batch.index.shape), batch, step / settings.steps)

@@ -193,7 +193,8 @@ def sha256(path: Path) -> str:
 
 def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
     try:
-        return np.load(path, mmap_mode="r" if mapped else None, allow_pickle=False)
+        # "c": in memory it may be written, as torch wants of every array; the file stays as it is.
+        return np.load(path, mmap_mode="c" if mapped else None, allow_pickle=False)
     except FileNotFoundError:
         raise InputError(f"{path} is missing: the recording is not whole") from None
     except ValueError as error:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.data import dead_reckon, draw, find_owners, read_segments, travel
+from deepgps.data import dead_reckon, draw, find_owners, read_segments, spread, travel
 from sim.errors import InputError
 from sim.records import Recording
 from tests.toy import ODOMETRY, SPACING_M, make_toy
@@ -103,3 +103,23 @@ def test_owners_of_a_turning_place_are_both_segments():
 
 def test_ticks_become_metres():
     assert np.allclose(travel(np.array([[65536, 0]]), {"odometry": ODOMETRY}), [[2.0 * np.pi * 0.033, 0.0]])
+
+
+def test_a_short_recording_is_kept_whole(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    segments = read_segments(recording)
+    kept, chosen = spread(segments, 300, 300)
+    assert kept is segments
+    assert chosen.tolist() == list(range(300))
+
+
+def test_of_a_long_recording_whole_segments_are_kept_spread_evenly(tmp_path: Path):
+    segments = read_segments(make_toy(tmp_path / "toy", samples=3000))
+    kept, chosen = spread(segments, 3000, 1000)
+    assert 900 < len(chosen) <= 1000
+    thirds = torch.histc(chosen.float(), 3, 0, 3000)
+    assert thirds.min() > 250
+    wholes = [segments.index[row, :count].tolist() for row, count in enumerate(segments.count.tolist())]
+    for row, count in enumerate(kept.count.tolist()):
+        index = chosen[kept.index[row, :count]].tolist()
+        assert segments.distance[wholes.index(index), :count].equal(kept.distance[row, :count])

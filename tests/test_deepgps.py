@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepgps.alignment import fit_alignment
-from deepgps.data import read_segments
+from deepgps.data import Segments, read_segments, spread
 from deepgps.deepgps import choose_start, find_plane, fit, flatten_later, imitate_first
 from deepgps.positioner import Positioner
 from deepgps.progress import ignore
@@ -54,6 +54,22 @@ def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path
     fit(blind, SETTINGS, 0, tmp_path / "run" / "deepgps")
     weights = (tmp_path / "run" / "deepgps" / "weights.safetensors").read_bytes()
     assert weights == (trained / "weights.safetensors").read_bytes()
+
+
+def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    recording = make_toy(tmp_path / "toy", samples=2400)
+    looked_at = []
+
+    def spread_less(segments: Segments, observations: int) -> tuple[Segments, torch.Tensor]:
+        kept, chosen = spread(segments, observations, 800)
+        looked_at.append(len(chosen))
+        return kept, chosen
+
+    monkeypatch.setattr("deepgps.deepgps.spread", spread_less)
+    monkeypatch.setattr("deepgps.features.spread", spread_less)
+    error = measure(fit(recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
+    assert max(looked_at) <= 800
+    assert np.sqrt(np.mean(error**2)) < 0.05
 
 
 def test_done_work_is_not_repeated(toy: Recording, trained: Path):

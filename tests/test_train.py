@@ -41,7 +41,7 @@ def learn(folder: Path, seed: int = 0, progress: Report = ignore, settings: Trai
     table = torch.randn((200, 6), generator=torch.Generator().manual_seed(7))
     network = make_network(NetworkSettings(width=16, layers=2), 6, 2, make_generator(seed, "weights"))
 
-    def draw(generator: torch.Generator) -> Batch:
+    def draw(generator: torch.Generator, done: float) -> Batch:
         index = torch.randint(200, (32,), generator=generator)
         return Batch(index, table[index, :2], torch.ones(32, dtype=torch.bool))
 
