@@ -16,7 +16,7 @@ from torch import nn
 from deepgps.features import Features, check_shape
 from deepgps.network import make_network
 from deepgps.settings import NetworkSettings
-from deepgps.train import Inputs, predict
+from deepgps.train import Inputs
 from sim.errors import InputError
 from sim.files import read_json, write_bytes, write_json
 
@@ -49,13 +49,16 @@ class NetworkPositioner:
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
         check_shape(observations, self.shape)
-        chunks = [self._position(np.asarray(observations[i : i + CHUNK])) for i in range(0, len(observations), CHUNK)]
-        return np.concatenate([np.zeros((0, 2)), *chunks])
+        found = np.empty((len(observations), 2))
+        with torch.inference_mode():
+            for start in range(0, len(observations), CHUNK):
+                found[start : start + CHUNK] = self._position(np.asarray(observations[start : start + CHUNK])).numpy()
+        return found
 
-    def _position(self, observations: np.ndarray) -> np.ndarray:
+    def _position(self, observations: np.ndarray) -> torch.Tensor:
         table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
-        out = predict(self.network, Inputs(table), torch.arange(len(table)))
-        return ((out - self.centre).double() @ self.axes.double()).numpy()
+        out = self.network(Inputs(table).take(slice(None)))
+        return (out - self.centre).double() @ self.axes.double()
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class Inputs:
         self.table = table
         self.noise = noise
 
-    def take(self, index: torch.Tensor, generator: torch.Generator | None = None) -> torch.Tensor:
+    def take(self, index: torch.Tensor | slice, generator: torch.Generator | None = None) -> torch.Tensor:
         """Network input of observations (B,)."""
         chosen = self.table[index]
         if chosen.ndim == 2:

@@ -26,6 +26,17 @@ def test_turning_changes_nothing(shift: int, seed: int):
     assert torch.allclose(there, turned, atol=2e-4 * float(there.abs().max()))
 
 
+@pytest.mark.parametrize("frequencies", [1, 12, 16, 40])
+def test_it_is_made_of_plain_fourier_coefficients(frequencies: int):
+    image = images(3)
+    spectrum = np.fft.rfft(image.transpose(0, 1, 3, 2) / 255.0, norm="forward")[..., : frequencies + 1]
+    product = spectrum[:, :-1, :, 1:] * spectrum[:, 1:, :, 1:].conj()
+    product /= (np.abs(product) + 1e-8) ** 0.75
+    parts = np.sqrt(np.abs(spectrum)), np.stack([product.real, product.imag], axis=-1)
+    expected = np.concatenate([part.reshape(3, -1) for part in parts], axis=1)
+    assert np.abs(describe(image, frequencies).numpy() - expected).max() < 1e-4
+
+
 def test_turning_one_ring_alone_is_seen():
     image = images(1)
     broken = image.copy()
