@@ -13,7 +13,7 @@ from deepgps.features import Features, cached_features
 from deepgps.network import make_network
 from deepgps.positioner import NetworkPositioner
 from deepgps.settings import LearnSettings
-from deepgps.train import Inputs, choose_device, make_generator
+from deepgps.train import Inputs, choose_device, make_generator, use_threads
 from sim.records import Recording
 
 
@@ -41,9 +41,10 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     segments = read_segments(recording)
     key = hashlib.sha256(f"{settings.features} {seed} {_mark(recording)}".encode()).hexdigest()
     generator = make_generator(seed, "features")
-    projection, features = cached_features(
-        folder / "features.safetensors", key, recording.observation, segments, settings.features, generator
-    )
+    with use_threads(settings.train.threads):
+        projection, features = cached_features(
+            folder / "features.safetensors", key, recording.observation, segments, settings.features, generator
+        )
     table = features
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn

@@ -1,0 +1,24 @@
+from pathlib import Path
+
+import pytest
+import torch
+
+from deepgps import material
+from deepgps.settings import LearnSettings
+from tests.toy import make_toy
+
+
+def test_features_do_not_depend_on_the_number_of_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    threads = []
+    plain = material.cached_features
+
+    def count_threads(*arguments):
+        threads.append(torch.get_num_threads())
+        return plain(*arguments)
+
+    monkeypatch.setattr(material, "cached_features", count_threads)
+    before = torch.get_num_threads()
+    material.prepare(recording, LearnSettings(), 0, tmp_path)
+    assert threads == [LearnSettings().train.threads]
+    assert torch.get_num_threads() == before
