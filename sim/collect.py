@@ -72,7 +72,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         shutil.rmtree(work, ignore_errors=True)  # killed just before it was removed
         return
     work.mkdir(parents=True, exist_ok=True)
-    world = RoomWorld(settings)
+    world = RoomWorld(settings, drawn=False)
     test_pose = lay_grid(world, settings)
     pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
     try:
@@ -87,7 +87,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
-    write_scene(world.model, folder / "scene.glb")
+    write_scene(RoomWorld(settings).model, folder / "scene.glb")
     manifest = {
         "settings": settings.model_dump(mode="json"),
         "seed": seed,

@@ -53,6 +53,15 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
+def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy a room without the geoms that nothing can touch."""
+    spec = room.copy()
+    for geom in list(spec.geoms):
+        if not (geom.contype | geom.conaffinity) & 1:
+            spec.delete(geom)
+    return spec
+
+
 def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
     defaults = mujoco.MjSpec()
     spec.option = defaults.option

@@ -98,7 +98,7 @@ class DriveSettings(Group):
     """Cruising speed [m/s] (TurtleBot3 Burger: 0.22)."""
     turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
     """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
-    control_period_s: float = Field(default=0.02, gt=0.0, le=0.1)
+    control_period_s: float = Field(default=0.04, gt=0.0, le=0.1)
     """Time between two decisions of the controller [s]; a whole multiple of the physics step."""
     stop_distance_m: float = Field(default=0.04, ge=0.0, le=1.0)
     """The robot stops when a range ray leaves less room than this before its body [m]."""

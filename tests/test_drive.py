@@ -81,7 +81,7 @@ def test_seed_decides_the_drive():
 @pytest.mark.parametrize(("spacing_m", "speed_mps"), [(0.08, 0.22), (0.03, 0.1)])
 def test_samples_are_spaced_as_asked(spacing_m, speed_mps):
     segments = take(make_world(walls(), spacing_m=spacing_m, speed_mps=speed_mps), 5)
-    period_m = speed_mps * 0.02 + 1e-4
+    period_m = speed_mps * DriveSettings().control_period_s + 1e-4
     for segment in segments:
         way = ways(segment)
         late = way[1:-1] - spacing_m * np.arange(1, len(way) - 1)

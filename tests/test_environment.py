@@ -23,12 +23,12 @@ class TestConformance(test_utils.EnvironmentTestMixin, unittest.TestCase):
     """dm_env's own test, over episodes that end."""
 
     def make_object_under_test(self) -> RoomEnvironment:
-        return RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.2)
+        return RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.4)
 
 
 @pytest.fixture(scope="module")
 def environment() -> Iterator[RoomEnvironment]:
-    made = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.4)
+    made = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8)
     yield made
     made.close()
 
@@ -80,7 +80,7 @@ def test_faults_that_are_drawn_for_a_whole_drive_are_refused() -> None:
 
 
 def test_an_episode_shorter_than_a_step_is_refused() -> None:
-    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least drive\.control_period_s 0\.02 s"):
+    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least drive\.control_period_s 0\.04 s"):
         RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
 
 
