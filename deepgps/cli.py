@@ -31,6 +31,18 @@ class RunArguments:
 
 
 @dataclass(frozen=True)
+class StudyArguments:
+    study: Annotated[str, tyro.conf.Positional]
+    """A name in assets/studies, or the path of a YAML file."""
+    out: Path | None = None
+    """The study folder itself; without it runs/studies/<study>, with --tiny runs/studies/<study>-tiny."""
+    tiny: bool = False
+    """The small version that the study describes, half a minute: it shows the way, its figures mean nothing."""
+    fresh: bool = False
+    """Throw away what stands in the study folder and begin anew."""
+
+
+@dataclass(frozen=True)
 class FolderArguments:
     run: Annotated[Path, tyro.conf.Positional]
     """A run folder."""
@@ -84,6 +96,29 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     return command
 
 
+def study_command(words: Sequence[str]) -> None:
+    """Run a study: every recording and run that is missing, one table of all, its report and figures."""
+    from deepgps.engine import carry_out, default_folder
+    from deepgps.study import load_study, plan_runs, study_names
+    from deepgps.study_report import report_study
+
+    if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
+        raise InputError(f"deepgps study needs a study first: {', '.join(study_names())}, or a path")
+    arguments = _parse(StudyArguments, "study", words)
+    study = load_study(arguments.study, arguments.tiny)
+    plans = plan_runs(study)
+    folder = arguments.out or default_folder(study)
+    _choose_renderer()
+    with show_progress() as progress:
+        failures = carry_out(study, plans, folder, arguments.fresh, progress)
+    console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
+    done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
+    if done:
+        console.print(f"look at a run: deepgps view {done[0]}", soft_wrap=True)
+    if failures:
+        raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {folder / 'table.md'} says why")
+
+
 def view_command(words: Sequence[str]) -> None:
     """Open a run's recording in the Rerun viewer."""
     from deepgps.run import open_run
@@ -128,6 +163,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "collect": stage_command("collect"),
     "train": stage_command("train"),
     "evaluate": stage_command("evaluate"),
+    "study": study_command,
     "view": view_command,
     "rooms": rooms_command,
     "doctor": doctor_command,
@@ -138,6 +174,7 @@ HELP = {
     "collect": "only drive and look: make the recording",
     "train": "... and train the methods",
     "evaluate": "... and measure them",
+    "study": "run a study: many scenarios, one table",
     "view": "open a run's recording in the Rerun viewer",
     "rooms": "draw a contact sheet of generated rooms",
     "doctor": "check this machine and name the cure for what is missing",

@@ -55,12 +55,14 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
     """
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    spacing_m = scenario.grid.spacing_m
     fields, methods = {}, {}
     for method in scenario.methods:
         fields[method], scale = measure_field(run / method, method, recording, truth)
         methods[method] = {
             **summarise(fields[method].worst, truth.free_space.shorter_side_m),
             "scale": scale,
+            "flipped": measure_flipped(fields[method].truth, fields[method].predicted.mean(axis=1), spacing_m),
             "alignment": ALIGNMENT[method],
             **read_json(run / method / "training.json"),
         }
@@ -102,6 +104,30 @@ def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
         "max_m": float(error.max()),
         "relative_rms": rms / shorter_side_m,
     }
+
+
+def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
+    """How much of a map is turned over, as a fold does: 0 for a right map, at most a half.
+
+    Args:
+        truth: Test positions (C, 2) [m] on a grid.
+        predicted: One prediction for each (C, 2) [m]; a rigid motion of all, mirrored or not, changes nothing.
+        spacing_m: Spacing of the grid [m].
+
+    Returns:
+        The share of neighbourhoods (a position, its right and its upper neighbour) of the rarer orientation.
+    """
+    cell = np.rint(truth / spacing_m).astype(int)
+    cell -= cell.min(axis=0)
+    number = np.full(cell.max(axis=0) + 2, -1)  # a margin, so that the last have neighbours that are not there
+    number[tuple(cell.T)] = np.arange(len(cell))
+    right, up = number[cell[:, 0] + 1, cell[:, 1]], number[cell[:, 0], cell[:, 1] + 1]
+    whole = (right >= 0) & (up >= 0)
+    if not whole.any():
+        return 0.0
+    (right_x, right_y), (up_x, up_y) = (predicted[right] - predicted).T, (predicted[up] - predicted).T
+    area = (right_x * up_y - right_y * up_x)[whole]
+    return float(min((area > 0).mean(), (area < 0).mean()))
 
 
 def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, int]:

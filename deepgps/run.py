@@ -59,7 +59,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
     """Hold a run folder for one process at a time and for one scenario."""
     with lock(folder):
         if fresh or not (folder / "scenario.yaml").is_file():
-            clear(folder)
+            clear(folder, "scenario.yaml")
         sweep(folder)
         path = folder / "scenario.yaml"
         begun = path.is_file()
@@ -91,13 +91,14 @@ def lock(folder: Path) -> Iterator[None]:
         yield
 
 
-def clear(folder: Path) -> None:
-    """Empty a run folder; raises InputError for a folder that holds something else."""
+def clear(folder: Path, mark: str) -> None:
+    """Empty a folder that the file ``mark`` tells to be ours; raises InputError for one that holds something else."""
     others = [path for path in folder.iterdir() if path.name != ".lock"]
-    if others and not (folder / "scenario.yaml").is_file():
-        raise InputError(f"--out {folder} is neither empty nor a run folder")
+    if others and not (folder / mark).is_file():
+        kind = mark.removesuffix(".yaml").replace("scenario", "run")
+        raise InputError(f"--out {folder} is neither empty nor a {kind} folder")
     for path in others:
-        if path.is_dir():
+        if path.is_dir() and not path.is_symlink():  # the runs of a study share recordings by links
             shutil.rmtree(path)
         else:
             path.unlink()
@@ -105,10 +106,15 @@ def clear(folder: Path) -> None:
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and look: write the recording, if it does not stand yet."""
+    with timed(folder, "collect", done=(folder / "recording" / "manifest.json").is_file()):
+        make_recording(scenario, folder / "recording", progress)
+
+
+def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Drive and look: write the recording ``folder``, or what is missing of it."""
     from sim.collect import collect as collect_recording
 
-    with timed(folder, "collect", done=(folder / "recording" / "manifest.json").is_file()):
-        collect_recording(scenario.sim, scenario.seed, folder / "recording", progress)
+    collect_recording(scenario.sim, scenario.seed, folder, progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
@@ -118,9 +124,10 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     from sim.records import open_recording
 
     recording = open_recording(folder / "recording")
+    seed = scenario.seed if scenario.learn.seed is None else scenario.learn.seed
     for method in scenario.methods:
         with timed(folder, f"train {method}", done=is_finished(folder / method)):
-            METHODS[method](recording, scenario.learn, scenario.seed, folder / method, progress)
+            METHODS[method](recording, scenario.learn, seed, folder / method, progress)
 
 
 def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.records import SCHEMA
-from sim.settings import SimSettings
+from sim.settings import Group, SimSettings
 
 MethodName = Literal["deepgps", "posenet", "odometry", "knn"]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
@@ -106,8 +106,13 @@ def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collectio
     except ValidationError as error:
         problems = error.errors()
         ours = all(".".join(map(str, problem["loc"])) in overrides for problem in problems)
-        text = "; ".join(_describe(problem) for problem in problems)
+        text = describe_problems(error, Scenario)
         raise InputError(text if ours else f"{origin}: {text}") from None
+
+
+def describe_problems(error: ValidationError, kind: type[Group]) -> str:
+    """Every wrong field of a group of this kind in one line: its name, its value and what is allowed."""
+    return "; ".join(_describe(problem, kind) for problem in error.errors())
 
 
 def write_out(scenario: Scenario) -> str:
@@ -117,10 +122,12 @@ def write_out(scenario: Scenario) -> str:
 
 def digest(scenario: Scenario) -> str:
     """Eight hexadecimal digits of the resolved scenario, the schema and the room file, if one is used."""
-    state = hashlib.sha256(f"{SCHEMA} {scenario.model_dump_json()}".encode())
-    if scenario.room.mjcf is not None and Path(scenario.room.mjcf).is_file():
-        state.update(Path(scenario.room.mjcf).read_bytes())
-    return state.hexdigest()[:8]
+    return _hash(scenario.model_dump_json(), scenario.room.mjcf)
+
+
+def digest_recording(scenario: Scenario) -> str:
+    """The same of the part that decides the recording."""
+    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario.room.mjcf)
 
 
 class _Loader(yaml.SafeLoader):
@@ -135,6 +142,13 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
+def _hash(settings: str, room: str | None) -> str:
+    state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
+    if room is not None and Path(room).is_file():
+        state.update(Path(room).read_bytes())
+    return state.hexdigest()[:8]
+
+
 def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
     *groups, field = dotted.split(".")
     for group in groups:
@@ -144,10 +158,10 @@ def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
     values[field] = value
 
 
-def _describe(details: ErrorDetails) -> str:
+def _describe(details: ErrorDetails, kind: type[Group]) -> str:
     name = ".".join(str(part) for part in details["loc"])
     if details["type"] == "extra_forbidden":
-        return f"{name}: there is no such setting{_suggest(details['loc'])}"
+        return f"{name}: there is no such setting{_suggest(details['loc'], kind)}"
     if details["type"] == "value_error":
         message = details["msg"].removeprefix("Value error, ")
         return f"{name}: {message}" if name else message
@@ -155,8 +169,8 @@ def _describe(details: ErrorDetails) -> str:
     return f"{name} {details['input']!r}: {message.replace('input should be', 'must be')}"
 
 
-def _suggest(loc: tuple[int | str, ...]) -> str:
-    group: Any = Scenario
+def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
+    group: Any = kind
     for part in loc[:-1]:
         group = group.model_fields[cast(str, part)].annotation
     names = list(group.model_fields)

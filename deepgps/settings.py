@@ -87,6 +87,8 @@ class FoldSettings(Group):
 class LearnSettings(Group):
     """All that decides how a recording is learned."""
 
+    seed: int | None = Field(default=None, ge=0)
+    """Weights and draws come from this number; none: the scenario's seed."""
     features: FeatureSettings = FeatureSettings()
     network: NetworkSettings = NetworkSettings()
     train: TrainSettings = TrainSettings()

@@ -29,6 +29,10 @@ ONE_LINE_ERRORS = [
     (["run"], "deepgps run needs a scenario first"),
     (["run", "living_room", "--out"], "--out"),
     (["fly"], "command 'fly' does not exist; there are run, collect"),
+    (["study"], "deepgps study needs a study first: precision, seeds, or a path"),
+    (["study", "nothing"], "study 'nothing' does not exist; there are precision, seeds, or a path"),
+    (["study", "missing.yaml"], "study missing.yaml: no such file"),
+    (["study", "seeds", "--tinny"], "--tinny"),
     (["view", "."], "is no run folder: it has no scenario.yaml"),
     (["view", "nowhere"], "is no run folder: it has no scenario.yaml"),
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
@@ -91,6 +95,13 @@ def test_wrong_files_give_one_clear_line(text, message, tmp_path, tmp_path_facto
     assert_one_clear_line(deepgps("run", str(path), cwd=tmp_path), 2, message, tmp_path)
 
 
+def test_an_empty_study_gives_one_clear_line(tmp_path, tmp_path_factory):
+    path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
+    path.touch()
+    done = deepgps("study", str(path), cwd=tmp_path)
+    assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
+
+
 def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_factory):
     folder = tmp_path_factory.mktemp("house") / "rooms"
     folder.mkdir()
@@ -115,7 +126,7 @@ def test_help_shows_every_setting_with_its_default(command, tmp_path):
 def test_help_lists_the_commands(tmp_path):
     done = deepgps("--help", cwd=tmp_path)
     assert done.returncode == 0
-    assert all(name in done.stdout for name in ("run", "view", "rooms", "doctor", "collect"))
+    assert all(name in done.stdout for name in ("run", "study", "view", "rooms", "doctor", "collect"))
 
 
 def test_doctor_finds_a_renderer(tmp_path):

@@ -1,0 +1,198 @@
+"""The study: one scenario, what varies in it, and the runs that follow, all checked before the first starts."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice, product
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import Field, ValidationError, model_validator
+
+from deepgps.scenario import (
+    MethodName,
+    Scenario,
+    describe_problems,
+    digest,
+    digest_recording,
+    load_scenario,
+    read_yaml,
+)
+from sim.errors import InputError
+from sim.paths import STUDIES
+from sim.settings import Group
+
+ReportName = Literal["plain", "precision", "seeds"]
+# The figures of each report that a target or the paper's own can stand beside.
+FIGURES: dict[ReportName, tuple[str, ...]] = {
+    "plain": (),
+    "precision": ("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "train_s"),
+    "seeds": ("unfolded", "found", "false_alarms"),
+}
+MOST_RUNS = 10_000
+Point = dict[str, Any]
+
+
+class Variation(Group):
+    """What varies; in a study's ``tiny`` only what is given replaces the study's own."""
+
+    methods: tuple[MethodName, ...] | None = None
+    """Methods to train and compare; none: the scenario's own."""
+    set: Point = Field(default_factory=dict)
+    """Settings by dotted name, the same for all runs."""
+    cases: tuple[Point, ...] = Field(default=({},), min_length=1)
+    """Settings by dotted name, listed one by one."""
+    axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+    """Values by dotted name; each case is run with every combination of them."""
+    seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
+    """Seeds of the scenario."""
+
+    @model_validator(mode="after")
+    def _each_name_varies_once(self) -> "Variation":
+        varied = [name for case in self.cases for name in case]
+        for name in ("seed", "name", "methods"):
+            if name in {*self.set, *varied, *self.axes}:
+                raise ValueError(f"{name} can be no name in set, cases or axes; a study has seeds, a name and methods")
+        if both := [name for name in self.axes if name in varied]:
+            raise ValueError(f"{both[0]} stands both in cases and in axes")
+        if empty := [name for name, values in self.axes.items() if not values]:
+            raise ValueError(f"axes.{empty[0]} has no values")
+        return self
+
+
+class Study(Variation):
+    """One scenario and what varies in it."""
+
+    name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
+    """Name of the study; it lies under runs/studies/<name>."""
+    scenario: str
+    """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
+    report: ReportName = "plain"
+    """How the table is reported. plain: as it is; precision: rooms and targets; seeds: folds and their detector."""
+    record: bool = False
+    """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
+    target: dict[str, float] = Field(default_factory=dict)
+    """What the report's figures shall reach."""
+    paper: dict[str, float] = Field(default_factory=dict)
+    """What the paper reports for them."""
+    tiny: Variation = Variation()
+    """What --tiny replaces; its set is added to the study's."""
+
+    @model_validator(mode="after")
+    def _figures_exist(self) -> "Study":
+        known = FIGURES[self.report]
+        for name in (*self.target, *self.paper):
+            if name not in known:
+                has = f"has {', '.join(known)}" if known else "has none"
+                raise ValueError(f"target and paper: {name} is no figure of the report {self.report}, which {has}")
+        return self
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One run of a study.
+
+    Attributes:
+        scenario: What is run.
+        varied: What sets it apart from the study's other runs, by dotted name.
+        run: Hash of all the run depends on, the name of its folder.
+        recording: Hash of all the recording depends on, the name of its folder.
+    """
+
+    scenario: Scenario
+    varied: Mapping[str, Any]
+    run: str
+    recording: str
+
+
+def load_study(source: str, tiny: bool) -> Study:
+    """Read a study.
+
+    Args:
+        source: A name in assets/studies, or the path of a YAML file.
+        tiny: Whether to take the small one that its ``tiny`` describes.
+
+    Raises:
+        InputError: Names every wrong field, the value and what is allowed.
+    """
+    path = find_study(source)
+    values = read_yaml(path)
+    values.setdefault("name", path.stem)
+    try:
+        study = Study.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"{path}: {describe_problems(error, Study)}") from None
+    beside = path.parent / study.scenario
+    if study.scenario.endswith((".yaml", ".yml")) and beside.is_file():
+        study = study.model_copy(update={"scenario": str(beside)})
+    return _shrink(study) if tiny else study
+
+
+def find_study(source: str) -> Path:
+    """Path of the study called ``source``; raises InputError with the names that exist."""
+    path = Path(source)
+    if path.suffix in {".yaml", ".yml"} or "/" in source:
+        if not path.is_file():
+            raise InputError(f"study {source}: no such file")
+        return path
+    path = STUDIES / f"{source}.yaml"
+    if not path.is_file():
+        raise InputError(f"study {source!r} does not exist; there are {', '.join(study_names())}, or a path")
+    return path
+
+
+def study_names() -> list[str]:
+    """Names in assets/studies."""
+    return sorted(path.stem for path in STUDIES.glob("*.yaml"))
+
+
+def plan_runs(study: Study) -> list[Plan]:
+    """Every run of a study in order, each checked; raises InputError naming all that is wrong in any of them."""
+    plans, problems = [], []
+    points = list(islice(_points(study), MOST_RUNS + 1))
+    if len(points) > MOST_RUNS:
+        raise InputError(f"study {study.name} has more than {MOST_RUNS} runs")
+    for seed, varied in points:
+        methods = {} if study.methods is None else {"methods": study.methods}
+        try:
+            scenario = load_scenario(study.scenario, {**study.set, **varied, **methods, "seed": seed})
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        plans.append(Plan(scenario, varied, digest(scenario), digest_recording(scenario)))
+    if problems:
+        raise InputError(f"study {study.name}: {'; '.join(dict.fromkeys(problems))}")
+    seen = {}
+    for plan in plans:
+        if plan.run in seen:
+            raise InputError(
+                f"study {study.name}: two runs are the same: {describe(plan)} and {describe(seen[plan.run])}"
+            )
+        seen[plan.run] = plan
+    return plans
+
+
+def describe(plan: Plan) -> str:
+    """What sets a run apart, in words."""
+    return ", ".join([*(f"{name} {value}" for name, value in plan.varied.items()), f"seed {plan.scenario.seed}"])
+
+
+def write_out(study: Study) -> str:
+    """The resolved study as YAML."""
+    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny"}), sort_keys=False)
+
+
+def _shrink(study: Study) -> Study:
+    small = {name: getattr(study.tiny, name) for name in study.tiny.model_fields_set}
+    small["set"] = {**study.set, **study.tiny.set}
+    no_verdict = {"target": {}, "paper": {}, "tiny": {}}  # so small a study meets no target and misses none
+    values = {**study.model_dump(), **small, "name": f"{study.name}-tiny", **no_verdict}
+    try:
+        return Study.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"study {study.name}, tiny: {describe_problems(error, Study)}") from None
+
+
+def _points(study: Study) -> Iterator[tuple[int, Point]]:
+    for case, values, seed in product(study.cases, product(*study.axes.values()), study.seeds):
+        yield seed, {**case, **dict(zip(study.axes, values, strict=True))}

@@ -1,0 +1,93 @@
+"""The report of precision: every room, the mean and the worst, and DeepGPS against PoseNet."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures import LINES
+from deepgps.markdown import tabulate
+from deepgps.report import method_title
+from deepgps.table import ERRORS, Row, write_errors
+from deepgps.targets import Figure, write
+
+SHARES = ("relative_rms", "seen", "flipped")
+NOTE = (
+    "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
+    "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
+)
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """The table of all rooms and methods, then the means, then the worst; and how to read it."""
+    headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
+    rival = _rival(rows)
+    cells = []
+    for row in rows:
+        known = row["method"] != "posenet" and row["recording"] in rival
+        ratio = row["rms_m"] / rival[row["recording"]] if known else None
+        cells.append([_room(row, varied), method_title(row["method"]), *_write(row), write(ratio, "")])
+    for title, choose in (("mean", np.mean), ("worst", np.max)):
+        for method, group in _by_method(rows).items():
+            whole = {name: float(choose([row[name] for row in group])) for name in (*ERRORS, *SHARES, "train_s")}
+            if title == "worst":
+                whole["seen"] = min(row["seen"] for row in group)
+            cells.append([title, method_title(method), *_write(whole), "-"])
+    return [tabulate(headings, cells), NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS over all rooms; its ratio to PoseNet is that of the mean RMS, over the rooms that both have."""
+    ours, rival = _by_method(rows).get("deepgps", []), _rival(rows)
+    if not ours:
+        return {}
+    figures = {}
+    for name, heading in ERRORS.items():
+        values = [row[name] for row in ours]
+        figures[name] = Figure(heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+    both = [(row["rms_m"], rival[row["recording"]]) for row in ours if row["recording"] in rival]
+    if both:
+        mine, other = np.array(both).T
+        ratio, worst = float(mine.mean() / other.mean()), float((mine / other).max())
+        figures["posenet_ratio"] = Figure("RMS / PoseNet's RMS", ratio, "", worst=worst)
+    seconds = [row["train_s"] for row in ours]
+    figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
+    return figures
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
+    """RMS (filled) and median (open) of every method in every room."""
+    rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
+    picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")
+    axes = picture.add_subplot()
+    for method, group in _by_method(rows).items():
+        place = [rooms.index(_room(row, varied)) for row in group]
+        colour, title = LINES.get(method, "#555555"), method_title(method)
+        axes.plot([100 * row["rms_m"] for row in group], place, "o", color=colour, label=f"{title}, RMS")
+        axes.plot(
+            [100 * row["median_m"] for row in group], place, "o", color=colour, mfc="none", label=f"{title}, median"
+        )
+    axes.set_yticks(range(len(rooms)), rooms)
+    axes.invert_yaxis()
+    axes.set(xscale="log", xlabel="error of the worst heading [cm]")
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(frameon=False, fontsize=8)
+    return picture
+
+
+def _by_method(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    methods = dict.fromkeys(row["method"] for row in rows)
+    return {method: [row for row in rows if row["method"] == method] for method in methods}
+
+
+def _rival(rows: Sequence[Row]) -> dict[str, float]:
+    return {row["recording"]: row["rms_m"] for row in rows if row["method"] == "posenet"}
+
+
+def _room(row: Row, varied: Sequence[str]) -> str:
+    return " ".join(str(row[name]) for name in varied)
+
+
+def _write(row: Mapping) -> list[str]:
+    shares = [f"{100 * row['relative_rms']:.2f} %", write(row["seen"], "%"), write(row["flipped"], "%")]
+    return [*write_errors(row), *shares, f"{row['train_s']:.0f}"]

@@ -1,0 +1,80 @@
+"""A study's table: a row for each run and method, from the runs' own files."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from deepgps.report import read_metrics
+from deepgps.scenario import Scenario
+from deepgps.study import Plan
+from sim.files import write_atomic
+
+Row = dict[str, Any]
+# of a method, as they stand in metrics.json
+FIGURES = (
+    *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms"),
+    *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
+)
+
+
+# those that every report shows, with their headings
+ERRORS = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
+
+
+def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
+    """Rows of all runs of a study in order, of failed ones too; each row has every column.
+
+    Args:
+        plans: The runs.
+        failures: Why runs failed, by their hash.
+        folder: The study's folder.
+    """
+    varied = list(dict.fromkeys(name for plan in plans for name in plan.varied))
+    return [row for plan in plans for row in _rows(plan, varied, failures.get(plan.run), folder)]
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as a Parquet file."""
+    table = pa.table({name: [row[name] for row in rows] for name in rows[0]})
+    write_atomic(path, lambda part: pq.write_table(table, part))
+
+
+def write_errors(row: Mapping[str, Any]) -> list[str]:
+    """The figures of ``ERRORS`` in centimetres."""
+    return [f"{100 * row[name]:.1f}" for name in ERRORS]
+
+
+def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) -> list[Row]:
+    metrics = {} if failure else read_metrics(folder / "runs" / plan.run)
+    coverage = metrics.get("coverage")
+    head = {
+        "run": plan.run,
+        "recording": plan.recording,
+        "seed": plan.scenario.seed,
+        **{name: _value(plan.scenario, name) for name in varied},
+        "samples": metrics.get("samples"),
+        "shorter_side_m": metrics.get("shorter_side_m"),
+        "seen": coverage and coverage["cells_seen"] / max(coverage["reachable_cells"], 1),
+    }
+    return [
+        {**head, "method": method, **_figures(metrics.get("methods", {}).get(method, {})), "failure": failure}
+        for method in plan.scenario.methods
+    ]
+
+
+def _figures(measured: Mapping[str, Any]) -> Row:
+    # only what may fold has a detector
+    fold = measured.get("fold", {})
+    signs = {"fold_found": fold.get("found"), "fold_bent": fold.get("bent"), "fold_doubled": fold.get("doubled")}
+    return {**{name: measured.get(name) for name in FIGURES}, **signs}
+
+
+def _value(scenario: Scenario, dotted: str) -> Any:
+    """A setting as a column holds it; a whole group as text."""
+    value: Any = scenario
+    for part in dotted.split("."):
+        value = getattr(value, part)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

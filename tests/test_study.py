@@ -1,0 +1,226 @@
+"""A study run for real, small: killed, interrupted, finished, grown; and its errors by their text."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from deepgps.study import load_study, plan_runs, study_names
+from deepgps.study_report import write_report
+from deepgps.viz import find_recording
+from sim.errors import InputError
+from sim.files import read_json
+
+SCENARIO = """
+room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
+camera: {rings: 8, sectors: 32, face_px: 16}
+drive: {samples: 60}
+grid: {spacing_m: 0.5, headings: 2}
+learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}
+"""
+STUDY = {
+    "scenario": "mini.yaml",
+    "methods": ["deepgps"],
+    "cases": [{"learn.start": "auto", "learn.seed": 0}, {"learn.start": "random", "learn.seed": 1}],
+    "report": "seeds",
+    "target": {"unfolded": 1.0},
+}
+MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
+
+
+def write_study(folder: Path, **changes: object) -> Path:
+    """Write the scenario and the study beside it."""
+    (folder / "mini.yaml").write_text(SCENARIO)
+    (folder / "mine.yaml").write_text(yaml.safe_dump({**STUDY, **changes}))
+    return folder / "mine.yaml"
+
+
+def start(study: Path, out: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "deepgps.cli", "study", str(study), "--out", str(out)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=out.parent
+    )
+
+
+def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
+    end = time.monotonic() + 60
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, Path, str]:
+    """A study killed while it recorded, interrupted in its runs, and finished: file, folder, what it said."""
+    home = tmp_path_factory.mktemp("study")
+    study, out = write_study(home), home / "out"
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("recordings/*.collecting/drive-*.npz")), process)
+    process.kill()
+    process.communicate()
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the children as well
+    said = process.communicate(timeout=60)[1]
+    assert (process.returncode, said) == (130, "interrupted; the same command continues where it stopped\n")
+    process = start(study, out)
+    said, errors = process.communicate(timeout=120)
+    assert (process.returncode, errors) == (0, "")
+    return study, out, said
+
+
+@pytest.fixture(scope="module")
+def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
+    """The same with a run more and one that fails: folder, what it said, its errors, when older files were written."""
+    study, out, _ = finished
+    write_study(study.parent, cases=[*STUDY["cases"], *MORE])
+    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".lock"}
+    process = start(study, out)
+    said, errors = process.communicate(timeout=120)
+    assert process.returncode == 1
+    return out, said, errors, times
+
+
+@pytest.mark.slow
+def test_runs_share_one_recording_and_can_be_viewed(finished):
+    _, out, said = finished
+    (recording,) = out.glob("recordings/*")
+    runs = sorted(out.glob("runs/*"))
+    assert len(runs) == 2
+    for run in runs:
+        assert not (run / "recording").readlink().is_absolute()
+        assert (run / "recording").resolve() == recording.resolve()
+        metrics = read_json(run / "metrics.json")["methods"]["deepgps"]
+        assert 0.0 <= metrics["flipped"] <= 0.5
+        assert set(metrics["fold"]) >= {"found", "bent", "doubled"}
+    assert find_recording(runs[0]).stat().st_size > 10_000
+    assert "deepgps view" in said
+
+
+@pytest.mark.slow
+def test_the_table_holds_every_run_and_the_report_its_target(finished):
+    _, out, said = finished
+    rows = pq.read_table(out / "table.parquet").to_pylist()
+    for row in rows:
+        assert row["rms_m"] == read_json(out / "runs" / row["run"] / "metrics.json")["methods"]["deepgps"]["rms_m"]
+        assert row["failure"] is None
+    assert [(row["learn.start"], row["learn.seed"]) for row in rows] == [("auto", 0), ("random", 1)]
+    text = (out / "table.md").read_text()
+    assert text in said
+    assert "unfolded of 1 maps" in text
+    assert ">= 100.0 %" in text
+    assert (out / "figures" / "seeds.png").is_file()
+    assert yaml.safe_load((out / "study.yaml").read_text())["methods"] == ["deepgps"]
+    assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.slow
+def test_a_study_that_grows_runs_only_what_is_missing(grown):
+    out, said, _, times = grown
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    assert len(list(out.glob("runs/*/metrics.json"))) == 3
+    assert len(list(out.glob("recordings/*"))) == 1
+    assert "4 runs of" in said
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_listed_and_the_others_are_done(grown):
+    out, said, errors, _ = grown
+    assert errors == f"failed: 1 of 4 runs failed; {out / 'table.md'} says why\n"
+    rows = pq.read_table(out / "table.parquet").to_pylist()
+    assert [row["failure"] is None for row in rows] == [True, True, True, False]
+    assert "cuda:99" in rows[3]["failure"]
+    assert rows[3]["failure"] in said
+
+
+def test_a_recording_is_shared_by_what_does_not_change_it(tmp_path):
+    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
+    assert len({plan.run for plan in plans}) == 8
+    assert len({plan.recording for plan in plans}) == 4
+    assert {plan.scenario.seed for plan in plans} == {0, 5}
+    assert {plan.scenario.methods for plan in plans} == {("deepgps",)}
+
+
+def test_tiny_replaces_only_what_it_names(tmp_path):
+    tiny = {"cases": [{"room.seed": 3}], "set": {"drive.samples": 32}}
+    study = load_study(str(write_study(tmp_path, set={"grid.headings": 3}, tiny=tiny)), tiny=True)
+    (plan,) = plan_runs(study)
+    assert (study.name, study.target) == ("mine-tiny", {})
+    assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
+
+
+@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("tiny", [False, True])
+def test_every_study_can_be_planned(name, tiny):
+    assert len(plan_runs(load_study(name, tiny))) >= 2
+
+
+def test_precision_covers_every_kind_and_shape():
+    rooms = [plan.scenario.room for plan in plan_runs(load_study("precision", tiny=False))]
+    assert [room.seed for room in rooms] == list(range(20, 30))
+    assert {room.kind for room in rooms} == {"living_room", "bedroom", "office", "kitchen", "studio", "workshop"}
+    assert {room.shape for room in rooms} == {"rectangle", "l", "u", "pillar"}
+
+
+def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
+    study = load_study("precision", tiny=False)
+    plans = plan_runs(study)[:2]
+    common = {"median_m": 0.007, "p95_m": 0.03, "max_m": 0.3, "relative_rms": 0.01, "seen": 1.0, "flipped": 0.0}
+    rows = [
+        {"run": plan.run, "recording": plan.recording, "method": method, "rms_m": rms, "train_s": 80.0, **common}
+        | {**plan.varied, "failure": None}
+        for plan, (ours, theirs) in zip(plans, ((0.01, 0.02), (0.03, 0.02)), strict=True)
+        for method, rms in (("deepgps", ours), ("posenet", theirs))
+    ]
+    lines = write_report(study, plans, {}, rows).splitlines()
+    verdicts = {
+        line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]] for line in lines if "=" in line
+    }
+    assert verdicts["RMS"] == ["2.0 cm", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]
+    assert verdicts["max"][:4] == ["30.0 cm", "30.0 cm", "<= 20.0 cm", "missed"]
+    assert verdicts["RMS / PoseNet's RMS"][:4] == ["1.00", "1.50", "<= 1.05", "met"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seedz": [0]}, "seedz: there is no such setting, did you mean seeds?"),
+        ({"seeds": [], "report": "fancy"}, "seeds []: tuple should have at least 1 item"),
+        ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'precision' or 'seeds'"),
+        ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
+        ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
+        ({"axes": {"learn.seed": [1]}}, "learn.seed stands both in cases and in axes"),
+        ({"axes": {"room.seed": []}}, "axes.room.seed has no values"),
+        ({"target": {"rms": 1}}, "rms is no figure of the report seeds, which has unfolded, found, false_alarms"),
+        ({"tiny": {"casez": []}}, "tiny.casez: there is no such setting, did you mean cases?"),
+        ({"scenario": "nowhere"}, "scenario 'nowhere' does not exist"),
+        ({"set": {"room.sed": 3}}, "room.sed: there is no such setting, did you mean seed?"),
+        ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "drive.samples 1: must be greater"),
+        ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "; grid.headings 0: must be greater"),
+        ({"cases": [{}, {"learn.start": "auto"}]}, "two runs are the same"),
+    ],
+)
+def test_wrong_studies_are_named_in_one_line(changes, message, tmp_path):
+    with pytest.raises(InputError) as caught:
+        plan_runs(load_study(str(write_study(tmp_path, **changes)), tiny=False))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    process = start(write_study(tmp_path), tmp_path / "other")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert errors == f"error: --out {tmp_path / 'other'} is neither empty nor a study folder\n"
+    assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
