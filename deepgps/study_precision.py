@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures import LINES
@@ -68,10 +69,12 @@ def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
             [100 * row["median_m"] for row in group], place, "o", color=colour, mfc="none", label=f"{title}, median"
         )
     axes.set_yticks(range(len(rooms)), rooms)
-    axes.invert_yaxis()
-    axes.set(xscale="log", xlabel="error of the worst heading [cm]")
+    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(rooms) - 0.5, -0.5))
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
     axes.grid(alpha=0.25, which="both")
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
     return picture
 
 

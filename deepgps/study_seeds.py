@@ -9,7 +9,7 @@ from deepgps.markdown import tabulate
 from deepgps.table import ERRORS, Row, write_errors
 from deepgps.targets import Figure, write
 
-# Of maps of 8,000 images, right ones turned over 1 to 5 % of their neighbourhoods, in nooks; folded ones 21 to 47 %.
+# Of maps of 8,000 images, right ones turned over 1 to 5 % of their neighbourhoods, folded ones 21 to 47 %.
 FLIPPED = 0.1
 
 
@@ -54,7 +54,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
             flipped, said = ([100 * row[name] for row in group] for name in ("flipped", sign))
             axes.plot(flipped, said, "o", alpha=0.6, label=start)
         axes.axvline(100 * FLIPPED, color="#999999", linestyle=":")
-        axes.set(xlabel="flipped, by the truth [%]", ylabel=f"{title}, by the detector [%]")
+        axes.set(xlabel="flipped, by the truth [%]", ylabel=f"{title}, by the detector [%]", xlim=(0, 50))
+        axes.set_ylim(bottom=0)
         axes.grid(alpha=0.25)
         if index == 0:
             axes.legend(frameon=False, fontsize=8)

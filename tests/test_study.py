@@ -64,7 +64,7 @@ def finished(tmp_path_factory) -> tuple[Path, Path, str]:
     study, out = write_study(home), home / "out"
     process = start(study, out)
     wait_until(lambda: list(out.glob("recordings/*.collecting/drive-*.npz")), process)
-    process.kill()
+    os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     process = start(study, out)
     wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
