@@ -59,6 +59,18 @@ class RoomsArguments:
 
 
 @dataclass(frozen=True)
+class BenchArguments:
+    out: Path = Path("bench.json")
+    """The file to write; a copy is kept in runs/bench."""
+    against: str | None = None
+    """Show an earlier bench beside this one: last, or its file."""
+    tiny: bool = False
+    """Everything small, under a minute: it shows the way, its figures mean nothing and are not kept."""
+    memory_samples: int | None = None
+    """Observations of the long recording, 12 kB each on disk; none: a million."""
+
+
+@dataclass(frozen=True)
 class NoArguments:
     pass
 
@@ -141,6 +153,23 @@ def rooms_command(words: Sequence[str]) -> None:
     console.print(f"wrote {arguments.out}")
 
 
+def bench_command(words: Sequence[str]) -> None:
+    """Measure speed, latency, memory and steadiness beside the naive ways and their targets; up to fifteen minutes."""
+    arguments = _parse(BenchArguments, "bench", words)
+    _choose_renderer()
+    from deepgps.bench import choose_size, run_bench
+    from deepgps.bench_rows import find_before, list_notes, tabulate
+    from sim.bench import draw_poses, measure_rendering
+
+    before = find_before(arguments.against)
+    size = choose_size(arguments.tiny, arguments.memory_samples)
+    with show_progress() as progress:
+        rows = run_bench(size, arguments.out, not arguments.tiny, draw_poses, measure_rendering, progress)
+    console.print(tabulate(rows, before))
+    console.print("\n".join(["", *list_notes(rows), ""]), style="dim", markup=False)
+    console.print(f"wrote {arguments.out}", soft_wrap=True)
+
+
 def doctor_command(words: Sequence[str]) -> None:
     """Check this machine: renderer, packages, processor, device, and the cure for what is missing."""
     _parse(NoArguments, "doctor", words)
@@ -166,6 +195,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "study": study_command,
     "view": view_command,
     "rooms": rooms_command,
+    "bench": bench_command,
     "doctor": doctor_command,
 }
 
@@ -177,6 +207,7 @@ HELP = {
     "study": "run a study: many scenarios, one table",
     "view": "open a run's recording in the Rerun viewer",
     "rooms": "draw a contact sheet of generated rooms",
+    "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",
 }
 

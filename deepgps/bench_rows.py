@@ -1,0 +1,116 @@
+"""The rows of a bench: a figure beside its target and the naive way's, as a table and as a file."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from sim.errors import InputError
+from sim.files import write_json
+
+SCHEMA = 1
+KEPT = Path("runs") / "bench"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One figure.
+
+    Attributes:
+        name: What it is called in files.
+        title: What it is, in words.
+        value: What was measured; none: nothing was.
+        unit: Of value, target and naive.
+        target: What it shall be; none: it is only shown.
+        at_least: Whether the target is the least it shall be, not the most.
+        naive: The same figure of the naive way, measured in the same bench.
+        note: What the naive way is, or how it was measured.
+    """
+
+    name: str
+    title: str
+    value: float | None
+    unit: str
+    target: float | None = None
+    at_least: bool = False
+    naive: float | None = None
+    note: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """Whether the target is met."""
+        if self.value is None:
+            return "not measured yet"
+        if self.target is None:
+            return ""
+        met = self.value >= self.target if self.at_least else self.value <= self.target
+        return "met" if met else "missed"
+
+
+def tabulate(rows: Sequence[Row], before: dict[str, float | None] | None = None) -> Table:
+    """A table for the terminal, with the figures of an earlier bench by name where there is one."""
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
+    table.add_column("figure")
+    for heading in ("measured", "target", "verdict", "naive way", *(["before"] if before is not None else [])):
+        table.add_column(heading, justify="left" if heading == "verdict" else "right", no_wrap=True)
+    for row in rows:
+        sign = ">= " if row.at_least else "<= "
+        target = "" if row.target is None else sign + write_value(row.target, row.unit)
+        earlier = [] if before is None else [write_value(before.get(row.name), row.unit)]
+        style = {"missed": "red", "met": "green"}.get(row.verdict, "yellow")
+        cells = [write_value(row.value, row.unit), target, f"[{style}]{row.verdict}[/{style}]"]
+        table.add_row(escape(row.title), *cells, write_value(row.naive, row.unit), *earlier)
+    return table
+
+
+def list_notes(rows: Sequence[Row]) -> list[str]:
+    """What stands behind the figures, a line for each row that says something, those that say the same joined."""
+    titles: dict[str, list[str]] = {}
+    for row in rows:
+        titles.setdefault(row.note, []).append(row.title)
+    return [f"{', '.join(names)}: {note}" for note, names in titles.items() if note]
+
+
+def write_value(value: float | None, unit: str) -> str:
+    """A figure to three digits, or a dash."""
+    if value is None:
+        return "-"
+    digits = 2 if value == 0.0 else max(0, min(4, 2 - math.floor(math.log10(abs(value)))))
+    return f"{value:,.{digits}f} {unit}".rstrip()
+
+
+def write_bench(path: Path, rows: Sequence[Row], head: dict[str, Any]) -> None:
+    """Write a bench: what it was made with, and its rows with their verdicts."""
+    write_json(path, {"schema": SCHEMA, **head, "rows": [{**asdict(row), "verdict": row.verdict} for row in rows]})
+
+
+def read_bench(path: Path) -> dict[str, float | None]:
+    """Figures of a bench by name; raises InputError where the file is missing or no bench."""
+    if not path.is_file():
+        raise InputError(f"bench {path}: no such file")
+    try:
+        bench = json.loads(path.read_text(encoding="utf-8"))
+        schema, found = bench["schema"], {row["name"]: row["value"] for row in bench["rows"]}
+    except (ValueError, KeyError, TypeError):
+        raise InputError(f"{path} is no bench: deepgps bench writes one") from None
+    if schema != SCHEMA:
+        raise InputError(f"{path}: schema {schema!r}, but this version reads schema {SCHEMA}")
+    return found
+
+
+def find_before(against: str | None) -> dict[str, float | None] | None:
+    """Figures to compare with: of the last bench that was kept, or of a file; raises InputError where there is none."""
+    if against is None:
+        return None
+    if against != "last":
+        return read_bench(Path(against))
+    kept = sorted(KEPT.glob("*.json"))
+    if not kept:
+        raise InputError(f"--against last: no earlier bench was kept in {KEPT}")
+    return read_bench(kept[-1])
