@@ -14,9 +14,10 @@ import torch
 from deepgps import losses
 from deepgps.data import Segments, draw, spread
 from deepgps.fold import Signs, find_signs
-from deepgps.isomap import has_lines, map_by_paths
+from deepgps.isomap import find_links, has_lines, map_by_paths
 from deepgps.material import Material, as_positioner, new_network, prepare
 from deepgps.network import count_parameters
+from deepgps.pose_graph import relax
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings, LiftSettings, Start
@@ -106,7 +107,9 @@ def run_attempt(
     loss = segment_loss(settings)
     if start == "paths":
         first = torch.zeros((len(material.features), 2))
-        first[chosen] = map_by_paths(features, sample, make_generator(seed, "start", number))
+        links = find_links(features, sample)
+        places = map_by_paths(len(features), sample, links, make_generator(seed, "start", number))
+        first[chosen] = torch.from_numpy(relax(places, sample, links)).float()
         loss = imitate_first(loss, first.to(device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)

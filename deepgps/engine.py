@@ -7,11 +7,10 @@ that was killed, or that has grown, does what is missing.
 
 import os
 import signal
-import threading
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -22,6 +21,7 @@ from deepgps.scenario import Scenario
 from deepgps.study import Plan, Study, write_out
 from sim.errors import InputError, WorkError
 from sim.files import sweep, write_text
+from sim.processes import end_with_parent
 
 MARK = "study.yaml"
 FAILURE = "failure.txt"
@@ -117,7 +117,7 @@ def work(scenario: Scenario, folder: Path, recording: str, record: bool, pipe: C
     # Read when torch is imported, which is not yet. The cores are shared out already.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
-    threading.Thread(target=_die_with_parent, daemon=True).start()
+    end_with_parent()
     steps: dict[str, int] = {}
 
     def tell(label: str, done: int, total: int) -> None:
@@ -156,13 +156,6 @@ def _start(plan: Plan, folder: Path, record: bool) -> tuple[Connection, BaseProc
         signal.signal(signal.SIGINT, before)
     end.close()
     return pipe, process
-
-
-def _die_with_parent() -> None:
-    parent = parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _half_and_half(progress: Report, before: int, size: int, total: int) -> Report:

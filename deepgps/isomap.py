@@ -3,7 +3,7 @@
 Consecutive readings of a segment are joined by the distance driven, and observations of different segments that are one
 another's most similar by a distance estimated from how fast features change along the segments there. Shortest paths
 through this graph and classical scaling of them (from landmarks: de Silva and Tenenbaum 2004) give positions. Paths
-around furniture are longer than straight lines, which bends the map but does not fold it; training straightens it.
+around furniture are longer than straight lines: that bends the map but does not fold it; the pose graph straightens it.
 """
 
 import numpy as np
@@ -14,10 +14,13 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from deepgps.data import Segments, find_owners
 from sim.errors import InputError
 
-NEIGHBOURS = 6
+NEIGHBOURS = 3
 LANDMARKS = 300
 LONGEST_LINK = 2.0
 CHUNK = 1000
+
+Links = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""First (n,) and second (n,) of observations that look alike, and their estimated distance (n,) [m]."""
 
 
 def has_lines(segments: Segments) -> bool:
@@ -25,38 +28,33 @@ def has_lines(segments: Segments) -> bool:
     return bool(segments.count[segments.count >= 3].sum() > segments.count.sum() / 2)
 
 
-def map_by_paths(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> torch.Tensor:
+def map_by_paths(observations: int, segments: Segments, links: Links, generator: torch.Generator) -> np.ndarray:
     """Positions of the training observations, by shortest paths.
 
     Args:
-        features: Heading-invariant features (N, K).
+        observations: How many there are, N.
         segments: Weak constraints.
+        links: Observations that look alike.
         generator: Chooses the landmarks.
 
     Returns:
-        (N, 2) float32 [m] in a frame of its own; zero for observations on no segment.
+        (N, 2) [m] in a frame of its own; zero for observations that hang together with few others.
 
     Raises:
         InputError: when the segments do not hang together.
     """
-    step = _steps(segments)
-    link = find_links(features, segments)
-    first, second, length = (np.concatenate(pair) for pair in zip(step, link, strict=True))
-    graph = _join(first, second, length, len(features))
+    first, second, length = (np.concatenate(pair) for pair in zip(_steps(segments), links, strict=True))
+    graph = _join(first, second, length, observations)
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
     path = dijkstra(graph, directed=False, indices=landmarks)[:, main]
-    places = np.zeros((len(features), 2), np.float32)
+    places = np.zeros((observations, 2))
     places[main] = scale_classically(path, np.searchsorted(main, landmarks))
-    return torch.from_numpy(places)
+    return places
 
 
-def find_links(features: torch.Tensor, segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pairs of observations of different segments, each among the other's most similar, and their distance.
-
-    Returns:
-        First (n,), second (n,), estimated distance (n,) [m].
-    """
+def find_links(features: torch.Tensor, segments: Segments) -> Links:
+    """Pairs of observations of different segments, each among the other's most similar by features (N, K)."""
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
     first, second, apart = [], [], []

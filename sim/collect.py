@@ -8,7 +8,6 @@ ends with the same bytes under any number of workers.
 import json
 import os
 import shutil
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -26,6 +25,7 @@ from sim.drive import Segment, next_segment
 from sim.encoder import read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
+from sim.processes import end_with_parent
 from sim.records import finish_recording, save_free_space
 from sim.render import Fisheye
 from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
@@ -74,7 +74,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     work.mkdir(parents=True, exist_ok=True)
     world = RoomWorld(settings, drawn=False)
     test_pose = lay_grid(world, settings)
-    pool = ProcessPoolExecutor(workers or os.cpu_count(), mp_context=get_context("spawn"))
+    pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
     try:
         tests, jobs = _render_grid(pool, world, settings, test_pose, work)
         drive, drive_jobs = _drive_and_render(pool, world, settings, stream(seed, "drive"), work, progress)
@@ -255,16 +255,8 @@ def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
 def _open_camera(settings: SimSettings) -> tuple[mujoco.MjModel, mujoco.MjData, Fisheye]:
     """The scene and its camera, opened once in each worker: a context belongs to its process."""
     os.environ.setdefault("LP_NUM_THREADS", "1")  # the workers share the cores already
-    threading.Thread(target=_die_with_parent, args=(os.getppid(),), daemon=True).start()
     world = RoomWorld(settings)
     return world.model, world.data, Fisheye(world.model, settings.camera)
-
-
-def _die_with_parent(parent: int) -> None:
-    """End this worker when the process that started it was killed."""
-    while os.getppid() == parent:
-        time.sleep(0.5)
-    os._exit(1)
 
 
 def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...]) -> None:
