@@ -54,8 +54,8 @@ def test_links_join_places_that_lie_together(toy):
 def test_same_generator_same_map(toy):
     features, segments, _ = toy
     links = find_links(features, segments)
-    maps = [map_by_paths(len(features), segments, links, torch.Generator().manual_seed(3)) for _ in range(2)]
-    assert np.array_equal(*maps)
+    first, second = (map_by_paths(len(features), segments, links, torch.Generator().manual_seed(3)) for _ in range(2))
+    assert np.array_equal(first, second)
 
 
 def test_lines_need_three_readings():
