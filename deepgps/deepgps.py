@@ -1,8 +1,9 @@
 """DeepGPS: a network that learns positions from images and distances driven along straight segments, nothing else.
 
 The paper's loss (Eq. 2, 3, 5) has many minima in which the map lies folded on itself. So training starts unfolded: from
-the map that ``isomap`` finds, which the network first imitates, or, where segments have only two readings, from
-more output dimensions than two ("lifting"), which are flattened later. A fold found all the same restarts training.
+a ``first_map``, shortest paths made exact, which the network imitates, or, where segments have only two readings, from
+more output dimensions than two ("lifting"), which are flattened later. A fold found all the same restarts training,
+then by lifting.
 """
 
 import shutil
@@ -13,11 +14,11 @@ import torch
 
 from deepgps import losses
 from deepgps.data import Segments, draw, spread
+from deepgps.first_map import find_first_map
 from deepgps.fold import Signs, find_signs
-from deepgps.isomap import find_links, has_lines, map_by_paths
+from deepgps.isomap import has_lines
 from deepgps.material import Material, as_positioner, new_network, prepare
 from deepgps.network import count_parameters
-from deepgps.pose_graph import relax
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings, LiftSettings, Start
@@ -26,7 +27,8 @@ from sim.errors import InputError
 from sim.files import write_bytes
 from sim.records import Recording
 
-IMITATE = 0.2
+IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
+SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
 
 
 @dataclass(frozen=True)
@@ -91,25 +93,24 @@ def run_attempt(
     label: str = "deepgps",
 ) -> Attempt:
     """Train once, from the weights and draws of attempt ``number``, and look for folds."""
-    start = choose_start(settings, material.segments)
+    start = choose_start(settings, material.segments, number)
     network = new_network(material, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     device = material.inputs.table.device
     segments = material.segments.to(device)
     sample, chosen = spread(material.segments, len(material.features))
-    features, mapped, numbers = material.features[chosen], sample.to(device), chosen.to(device)
+    features, near, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
     def draw_batch(generator: torch.Generator, done: float) -> Batch:
         if start == "paths" and done < IMITATE:  # only these have a place on the first map
-            index, along, valid = draw(mapped, settings.train.segments, settings.train.samples, generator)
+            index, along, valid = draw(near, settings.train.segments, settings.train.samples, generator)
             return Batch(numbers[index], along, valid)
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
 
     loss = segment_loss(settings)
     if start == "paths":
-        first = torch.zeros((len(material.features), 2))
-        links = find_links(features, sample)
-        places = map_by_paths(len(features), sample, links, make_generator(seed, "start", number))
-        first[chosen] = torch.from_numpy(relax(places, sample, links)).float()
+        first = torch.full((len(material.features), 2), torch.nan)
+        places = find_first_map(features, sample, make_generator(seed, "start", number))
+        first[chosen] = torch.from_numpy(places).float()
         loss = imitate_first(loss, first.to(device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
@@ -122,10 +123,10 @@ def run_attempt(
     return Attempt(as_positioner(material, settings, network, centre, axes), signs, seconds)
 
 
-def choose_start(settings: LearnSettings, segments: Segments) -> Start:
-    """How to unfold: paths where most readings stand at least three to a segment, lifting elsewhere."""
+def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:
+    """How attempt ``number`` unfolds: ``auto`` takes paths where segments are long enough, else and later lifting."""
     if settings.start == "auto":
-        return "paths" if has_lines(segments) else "lifting"
+        return "paths" if number == 0 and has_lines(segments) else "lifting"
     if settings.start == "paths" and not has_lines(segments):
         raise InputError(
             "learn.start 'paths': most segments have only two readings; auto and lifting can learn from those"
@@ -146,14 +147,24 @@ def segment_loss(settings: LearnSettings) -> Loss:
 
 
 def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
-    """Pull predictions towards a first map ``known`` (N, 2) [m], less and less until ``IMITATE`` of the steps."""
+    """Pull predictions towards a first map: at once and wholly, later only those farther than ``SLACK`` from it.
+
+    Args:
+        loss: What takes over until ``IMITATE`` of the steps.
+        known: First map (N, 2) [m]; not a number for observations that have no place on it.
+    """
+    mapped = known.isfinite().all(dim=1)
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         pull = max(0.0, 1.0 - done / IMITATE)
+        told = batch.valid & mapped[batch.index]
+        away = losses.distance(out[told], known[batch.index[told]])
+        count = max(1, len(away))
+        far = (away - SLACK).clamp_min(0.0)
+        imitation, leash = away.sum() / count, far.sum() / count
         if pull == 0.0:
-            return loss(out, batch, done)
-        away = losses.distance(out, known[batch.index])[batch.valid].mean()
-        return (1.0 - pull) * loss(out, batch, done) + pull * away
+            return loss(out, batch, done) + leash
+        return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
 
     return both
 

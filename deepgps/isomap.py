@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from deepgps.data import Segments, find_owners
 from sim.errors import InputError
 
-NEIGHBOURS = 3
 LANDMARKS = 300
 LONGEST_LINK = 2.0
 CHUNK = 1000
@@ -38,7 +37,7 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
         generator: Chooses the landmarks.
 
     Returns:
-        (N, 2) [m] in a frame of its own; zero for observations that hang together with few others.
+        (N, 2) [m] in a frame of its own; not a number for observations that hang together with few others.
 
     Raises:
         InputError: when the segments do not hang together.
@@ -48,13 +47,13 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
     path = dijkstra(graph, directed=False, indices=landmarks)[:, main]
-    places = np.zeros((observations, 2))
+    places = np.full((observations, 2), np.nan)
     places[main] = scale_classically(path, np.searchsorted(main, landmarks))
     return places
 
 
-def find_links(features: torch.Tensor, segments: Segments) -> Links:
-    """Pairs of observations of different segments, each among the other's most similar by features (N, K)."""
+def find_links(features: torch.Tensor, segments: Segments, neighbours: int) -> Links:
+    """Pairs of observations of different segments, each among the other's ``neighbours`` by features (N, K)."""
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
     first, second, apart = [], [], []
@@ -64,7 +63,7 @@ def find_links(features: torch.Tensor, segments: Segments) -> Links:
         for own in (before, after):
             same |= (own[chunk][:, None] == before) | (own[chunk][:, None] == after)
         difference.masked_fill_(same | (after < 0), torch.inf)
-        nearest = difference.topk(min(NEIGHBOURS, len(features)), largest=False)
+        nearest = difference.topk(min(neighbours, len(features)), largest=False)
         first.append(chunk[:, None].expand_as(nearest.indices).flatten())
         second.append(nearest.indices.flatten())
         apart.append(nearest.values.flatten())

@@ -14,7 +14,7 @@ from deepgps.data import Segments
 from deepgps.isomap import Links
 
 ROUNDS = 20
-BELIEVED_FIRST, BELIEVED_LAST = 16.0, 1.0
+BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
 """Scale of the differences that are believed in the first and the last round, in steps between readings."""
 LOOK, MEET = 0.25, 0.06
 """Standard deviation of a difference of two look-alikes at distance zero, and of two bars that meet, in such steps."""
@@ -22,23 +22,26 @@ LARGEST_TURN = 0.5
 DAMPING = 1e-9
 
 
-def relax(places: np.ndarray, segments: Segments, links: Links) -> np.ndarray:
+def relax(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndarray, float]:
     """Move all segments, as rigid bars, to where they fit one another.
 
     Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
     ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale believed.
 
     Args:
-        places: Where the observations lie at first (N, 2) [m].
+        places: Where the observations lie at first (N, 2) [m]; not a number: unknown, and so it stays.
         segments: Weak constraints.
         links: Observations that look alike, each pair in both orders.
 
     Returns:
-        (N, 2) float64 [m]; observations on no segment stay where they are.
+        Places (N, 2) float64 [m]; observations on no segment stay where they are. And their cost, the sum of
+        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
     """
-    bar, column = np.nonzero(segments.valid.numpy())
-    observation = segments.index.numpy()[bar, column]
-    along = _from_middle(segments)[bar, column]
+    index = segments.index.numpy()
+    placed = np.asarray(np.isfinite(places).all(axis=1))
+    row, column = np.nonzero(segments.valid.numpy() & placed[index])
+    observation, along = index[row, column], _from_middle(segments)[row, column]
+    bar = np.unique(row, return_inverse=True)[1]
     step = float(np.median(np.diff(along)[np.diff(bar) == 0]))
     middle, heading = _lay_bars(places[observation], bar, along)
     reading = np.full(len(places), -1)
@@ -52,15 +55,17 @@ def relax(places: np.ndarray, segments: Segments, links: Links) -> np.ndarray:
     weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
     for believed in step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
-        point = middle[bar] + ahead
-        apart = point[a] - point[b]
+        apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
         trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)
         move = _solve(bar, a, b, ahead, apart, trust).reshape(-1, 3)
         middle += move[:, :2]
         heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+    point = middle[bar] + np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
+    squared = ((point[a] - point[b]) ** 2).sum(axis=1)
+    cost = weight * np.where(firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * step) ** 2))
     found = np.array(places, float)
-    found[observation] = middle[bar] + np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
-    return found
+    found[observation] = point
+    return found, float(cost.sum())
 
 
 def _from_middle(segments: Segments) -> np.ndarray:

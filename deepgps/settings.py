@@ -18,9 +18,9 @@ class FeatureSettings(Group):
     """Highest frequency kept around the circle."""
     principal: int = Field(default=512, ge=2, le=4096)
     """Principal components among which slow features are sought."""
-    components: int = Field(default=64, ge=2, le=4096)
+    components: int = Field(default=96, ge=2, le=4096)
     """Slow features kept."""
-    noise: float = Field(default=0.1, ge=0.0, le=10.0)
+    noise: float = Field(default=0.15, ge=0.0, le=10.0)
     """Noise added to features in training; their own root mean square is 1."""
 
 
@@ -40,13 +40,13 @@ class NetworkSettings(Group):
 class TrainSettings(Group):
     """The training loop, the same for every method that trains a network. Budgets count steps, never seconds."""
 
-    steps: int = Field(default=1500, ge=1, le=10_000_000)
+    steps: int = Field(default=4000, ge=1, le=10_000_000)
     """Steps of the optimiser."""
-    segments: int = Field(default=32, ge=1, le=4096)
+    segments: int = Field(default=16, ge=1, le=4096)
     """Segments in a batch; a supervised batch holds segments times samples observations."""
     samples: int = Field(default=16, ge=2, le=1024)
     """Samples drawn from each segment of a batch; all their pairs are used."""
-    learning_rate: float = Field(default=1e-3, gt=0.0, le=1.0)
+    learning_rate: float = Field(default=2e-3, gt=0.0, le=1.0)
     """Adam's highest rate; it rises over the first steps and falls with a cosine."""
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     """Decay of the weights (AdamW)."""
@@ -76,8 +76,8 @@ class LiftSettings(Group):
 class FoldSettings(Group):
     """The fold detector, which sees no truth, and what follows."""
 
-    restarts: int = Field(default=2, ge=0, le=20)
-    """How often training starts again from other weights when a fold is found."""
+    restarts: int = Field(default=1, ge=0, le=20)
+    """How often training starts again when a fold is found; if start is auto, then by lifting."""
     bent: float = Field(default=0.04, gt=0.0, le=1.0)
     """Fraction of the way on segments whose predicted ends do not fit the distance, above which a map is folded."""
     doubled: float = Field(default=0.02, gt=0.0, le=1.0)
@@ -97,8 +97,8 @@ class LearnSettings(Group):
     straight: float = Field(default=5.0, ge=0.0)
     """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
-    """How the map is unfolded before distances alone finish it: paths (Isomap; most segments need three readings),
-    lifting, random (not at all), or auto: paths where they are possible, else lifting."""
+    """How the map is unfolded before distances finish it: paths (a first map is imitated; most segments need three
+    readings), lifting, random (not at all), or auto: paths where they are possible, else lifting."""
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
     lift: LiftSettings = LiftSettings()
