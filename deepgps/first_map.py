@@ -24,7 +24,7 @@ def find_first_map(features: torch.Tensor, segments: Segments, generator: torch.
     Raises:
         InputError: when the segments do not hang together.
     """
-    graphs = [find_links(features, segments, neighbours) for neighbours in NEIGHBOURS]
+    graphs = find_links(features, segments, NEIGHBOURS)
     rough = [map_by_paths(len(features), segments, links, generator) for links in graphs]
     tries = [relax(places, segments, graphs[0]) for places in rough]
     places, _ = min(tries, key=lambda found: found[1])

@@ -52,26 +52,37 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     return places
 
 
-def find_links(features: torch.Tensor, segments: Segments, neighbours: int) -> Links:
-    """Pairs of observations of different segments, each among the other's ``neighbours`` by features (N, K)."""
+def find_links(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[Links]:
+    """Pairs of observations of different segments, each among the other's most similar by features (N, K).
+
+    Args:
+        features: Features (N, K).
+        segments: Weak constraints.
+        neighbours: How many are the most similar, for each list of pairs that is returned.
+    """
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
-    first, second, apart = [], [], []
+    most = min(max(neighbours), len(features))
+    second, apart = [], []
     for chunk in torch.arange(len(features)).split(CHUNK):
         difference = torch.cdist(features[chunk], features)
         same = torch.zeros(difference.shape, dtype=torch.bool)
         for own in (before, after):
             same |= (own[chunk][:, None] == before) | (own[chunk][:, None] == after)
         difference.masked_fill_(same | (after < 0), torch.inf)
-        nearest = difference.topk(min(neighbours, len(features)), largest=False)
-        first.append(chunk[:, None].expand_as(nearest.indices).flatten())
-        second.append(nearest.indices.flatten())
-        apart.append(nearest.values.flatten())
-    i, j = torch.cat(first), torch.cat(second)
-    length = torch.cat(apart) / ((rate[i] + rate[j]) / 2.0)
-    code, back = i * len(features) + j, j * len(features) + i
-    kept = torch.isin(code, back) & (length < LONGEST_LINK * spacing) & (after[i] >= 0)
-    return i[kept].numpy(), j[kept].numpy(), length[kept].double().numpy()
+        nearest = difference.topk(most, largest=False)
+        second.append(nearest.indices)
+        apart.append(nearest.values)
+    j, difference = torch.cat(second), torch.cat(apart)
+    i = torch.arange(len(features))[:, None].expand_as(j)
+    length = difference / ((rate[i] + rate[j]) / 2.0)
+    near = (length < LONGEST_LINK * spacing) & (after[i] >= 0)
+    found = []
+    for count in neighbours:
+        a, b, way = i[:, :count].flatten(), j[:, :count].flatten(), length[:, :count].flatten()
+        kept = torch.isin(a * len(features) + b, b * len(features) + a) & near[:, :count].flatten()
+        found.append((a[kept].numpy(), b[kept].numpy(), way[kept].double().numpy()))
+    return found
 
 
 def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:

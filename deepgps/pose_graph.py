@@ -13,7 +13,7 @@ from scipy.sparse.linalg import splu
 from deepgps.data import Segments
 from deepgps.isomap import Links
 
-ROUNDS = 20
+ROUNDS = 12
 BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
 """Scale of the differences that are believed in the first and the last round, in steps between readings."""
 LOOK, MEET = 0.25, 0.06

@@ -17,7 +17,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Segments,
     segments = read_segments(recording)
     generator = torch.Generator().manual_seed(0)
     _, features = fit_features(recording.observation, segments, FeatureSettings(components=10), generator)
-    links = find_links(features, segments, 3)
+    links = find_links(features, segments, (3,))[0]
     place = np.load(recording.folder / "truth" / "pose.npy")[:, :2]
     return map_by_paths(len(features), segments, links, generator), segments, links, place
 
