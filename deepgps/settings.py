@@ -18,7 +18,7 @@ class FeatureSettings(Group):
     """Highest frequency kept around the circle."""
     principal: int = Field(default=512, ge=2, le=4096)
     """Principal components among which slow features are sought."""
-    components: int = Field(default=96, ge=2, le=4096)
+    components: int = Field(default=256, ge=2, le=4096)
     """Slow features kept."""
     noise: float = Field(default=0.15, ge=0.0, le=10.0)
     """Noise added to features in training; their own root mean square is 1."""
@@ -29,9 +29,9 @@ class NetworkSettings(Group):
 
     architecture: Architecture = "spectral"
     """spectral: layers on spectral features; resnet: ResNet-18 circular around; resnet_paper: circular both ways."""
-    width: int = Field(default=512, ge=4, le=4096)
+    width: int = Field(default=256, ge=4, le=4096)
     """Neurons in each layer of the spectral network."""
-    layers: int = Field(default=4, ge=1, le=16)
+    layers: int = Field(default=6, ge=1, le=16)
     """Layers of the spectral network, the last one not counted."""
     channels: int = Field(default=64, ge=4, le=256)
     """Channels of the ResNet's first stage (ResNet-18: 64)."""
@@ -40,13 +40,13 @@ class NetworkSettings(Group):
 class TrainSettings(Group):
     """The training loop, the same for every method that trains a network. Budgets count steps, never seconds."""
 
-    steps: int = Field(default=4000, ge=1, le=10_000_000)
+    steps: int = Field(default=5000, ge=1, le=10_000_000)
     """Steps of the optimiser."""
     segments: int = Field(default=16, ge=1, le=4096)
     """Segments in a batch; a supervised batch holds segments times samples observations."""
     samples: int = Field(default=16, ge=2, le=1024)
     """Samples drawn from each segment of a batch; all their pairs are used."""
-    learning_rate: float = Field(default=2e-3, gt=0.0, le=1.0)
+    learning_rate: float = Field(default=4e-3, gt=0.0, le=1.0)
     """Adam's highest rate; it rises over the first steps and falls with a cosine."""
     weight_decay: float = Field(default=1e-4, ge=0.0, le=1.0)
     """Decay of the weights (AdamW)."""
