@@ -35,6 +35,8 @@ from sim.world import RoomWorld
 
 CHUNK = 256
 """New observations in a chunk, at least."""
+DEATHS = 3
+"""How often renderers may crash: Mesa's software renderer was seen to, three times in about a million images."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 
@@ -74,15 +76,18 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     work.mkdir(parents=True, exist_ok=True)
     world = RoomWorld(settings, drawn=False)
     test_pose = lay_grid(world, settings)
-    pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
-    try:
-        tests, jobs = _render_grid(pool, world, settings, test_pose, work)
-        drive, drive_jobs = _drive_and_render(pool, world, settings, stream(seed, "drive"), work, progress)
-        renderer = _watch([*jobs, *drive_jobs], progress)
-    except BrokenProcessPool:
-        raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
-    finally:
-        pool.shutdown(cancel_futures=True)
+    for deaths in range(DEATHS + 1):
+        pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
+        try:
+            tests, jobs = _render_grid(pool, world, settings, test_pose, work)
+            drive, drive_jobs = _drive_and_render(pool, world, settings, stream(seed, "drive"), work, progress)
+            renderer = _watch([*jobs, *drive_jobs], progress)
+            break
+        except BrokenProcessPool:  # what the dead have drawn and driven stands, and is not done again
+            if deaths == DEATHS:
+                raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
+        finally:
+            pool.shutdown(cancel_futures=True)
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
     _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
@@ -98,6 +103,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
             "ticks_per_rev": settings.encoder.ticks_per_rev,
         },
         "gl_renderer": renderer,
+        "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
     }

@@ -1,3 +1,5 @@
+import os
+
 import numpy as np
 import pytest
 
@@ -95,7 +97,31 @@ def test_another_seed_drives_elsewhere_and_lost_readings_are_counted(small_setti
     assert not np.allclose(truth.pose[:50], open_truth(small_recording).pose[:50])
 
 
-def test_a_renderer_that_dies_is_said_so(small_settings, tmp_path, monkeypatch):
+def test_a_renderer_that_dies_is_started_again(small_settings, small_recording, tmp_path, monkeypatch):
+    executor = collecting.ProcessPoolExecutor
+    pools = []
+
+    class Mortal(executor):
+        def submit(self, *args, **kwargs):
+            jobs.append(args)
+            if len(pools) == 1 and len(jobs) == 3:
+                return super().submit(os.abort)
+            return super().submit(*args, **kwargs)
+
+    def start(*args, **kwargs):
+        jobs.clear()
+        pools.append(Mortal(*args, **kwargs))
+        return pools[-1]
+
+    jobs = []
+    monkeypatch.setattr(collecting, "ProcessPoolExecutor", start)
+    collect(small_settings, 0, tmp_path / "again", lambda *_: None)
+    assert len(pools) == 2 and read_manifest(tmp_path / "again")["renderer_deaths"] == 1
+    assert read_manifest(small_recording)["renderer_deaths"] == 0
+    assert read_manifest(tmp_path / "again")["sha256"] == read_manifest(small_recording)["sha256"]
+
+
+def test_a_renderer_that_always_dies_is_said_so(small_settings, tmp_path, monkeypatch):
     class Broken:
         def __init__(self, *_: object, **__: object) -> None: ...
 
