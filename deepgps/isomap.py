@@ -42,7 +42,7 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     Raises:
         InputError: when the segments do not hang together.
     """
-    first, second, length = (np.concatenate(pair) for pair in zip(_steps(segments), links, strict=True))
+    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), links, strict=True))
     graph = _join(first, second, length, observations)
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
@@ -94,7 +94,8 @@ def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
     return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
 
 
-def _steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Consecutive readings' first (r,) and second (r,) observations, and the way between them (r,) [m]."""
     valid = segments.valid[:, 1:]
     way = segments.distance[:, 1:] - segments.distance[:, :-1]
     chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
@@ -103,7 +104,7 @@ def _steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:
     # How much features change per metre at each observation (N,), and the median way between readings.
-    first, second, way = (torch.from_numpy(part) for part in _steps(segments))
+    first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
     change = (features[first] - features[second]).norm(dim=1)
     total, length = torch.zeros(len(features)), torch.zeros(len(features))
     for end in (first, second):

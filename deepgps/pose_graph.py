@@ -22,7 +22,9 @@ LARGEST_TURN = 0.5
 DAMPING = 1e-9
 
 
-def relax(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndarray, float]:
+def relax(
+    places: np.ndarray, segments: Segments, links: Links, believed_first: float = BELIEVED_FIRST
+) -> tuple[np.ndarray, float]:
     """Move all segments, as rigid bars, to where they fit one another.
 
     Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
@@ -32,6 +34,7 @@ def relax(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndar
         places: Where the observations lie at first (N, 2) [m]; not a number: unknown, and so it stays.
         segments: Weak constraints.
         links: Observations that look alike, each pair in both orders.
+        believed_first: The scale b of the first round, in steps between readings; the last one is ``BELIEVED_LAST``.
 
     Returns:
         Places (N, 2) float64 [m]; observations on no segment stay where they are. And their cost, the sum of
@@ -53,7 +56,7 @@ def relax(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndar
     b = np.concatenate([reading[second[known]], meet])
     firm = np.arange(len(a)) >= known.sum()
     weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
-    for believed in step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
+    for believed in step * np.geomspace(believed_first, BELIEVED_LAST, ROUNDS):
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
         apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
         trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)

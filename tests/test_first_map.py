@@ -5,7 +5,9 @@ import torch
 from deepgps import first_map
 from deepgps.data import read_segments
 from deepgps.features import fit_features
-from deepgps.first_map import find_first_map
+from deepgps.first_map import find_first_map, find_nooks, lay_over, take_nooks
+from deepgps.isomap import find_links
+from deepgps.pose_graph import relax
 from deepgps.settings import FeatureSettings
 from tests.test_pose_graph import error
 from tests.toy import make_toy
@@ -36,8 +38,44 @@ def test_of_several_maps_the_cheapest_is_kept(toy, monkeypatch: pytest.MonkeyPat
         return places, next(costs)
 
     monkeypatch.setattr(first_map, "relax", pretend)
+    monkeypatch.setattr(first_map, "take_nooks", lambda places, cost, *_: (places, cost))
     found = find_first_map(features, segments, torch.Generator().manual_seed(0))
     assert found is made[1] and len(made) == len(first_map.NEIGHBOURS)
+
+
+def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Mirror the observations in a corner about the line that cuts it off."""
+    bent = place.copy()
+    out = (place - corner) @ [0.6, 0.8]
+    inside = out > 0.0
+    bent[inside] -= 2.0 * out[inside, None] * np.array([0.6, 0.8])
+    return bent
+
+
+def test_a_nook_turned_over_is_taken_from_another_map_in_any_frame(toy):
+    features, segments, place = toy
+    links = find_links(features, segments, (3,))[0]
+    bent = turn_over(place, np.quantile(place, 0.8, axis=0))
+    wrong = np.linalg.norm(bent - place, axis=1) > 0.05
+    other = place[:, ::-1] @ np.array([[0.6, -0.8], [0.8, 0.6]]) + [4.0, -1.0]
+    laid = lay_over(other, bent)
+    assert 10 < wrong.sum() < len(place) / 4
+    assert np.linalg.norm(laid - place, axis=1).max() < 1e-6
+    nooks = find_nooks(bent, laid, segments, links)
+    assert np.mean(wrong[np.concatenate(nooks)]) == 1.0 and len(np.concatenate(nooks)) > 0.5 * wrong.sum()
+    _, dear = relax(bent, segments, links, 2.0)
+    found, cost = take_nooks(bent, dear, other, segments, links)
+    assert cost <= dear
+    assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
+
+
+def test_nothing_is_taken_from_an_equal_map_nor_from_a_worse_one(toy):
+    features, segments, place = toy
+    links = find_links(features, segments, (3,))[0]
+    right, cost = relax(place, segments, links)
+    assert not find_nooks(right, lay_over(right, right), segments, links)
+    kept, same = take_nooks(right, cost, turn_over(place, np.quantile(place, 0.8, axis=0)), segments, links)
+    assert same <= cost and np.sqrt(np.mean(error(kept, place) ** 2)) < 0.01
 
 
 def test_same_generator_same_map(toy):
