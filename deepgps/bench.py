@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.bench_memory import measure_memory
+from deepgps.bench_paper import measure_paper
 from deepgps.bench_rows import KEPT, Row, write_bench
 from deepgps.bench_speed import measure_speed, measure_spread
 from deepgps.bench_studies import read_studies
@@ -46,6 +47,7 @@ class Size:
         repeats: How often what is timed is repeated; medians count.
         long: Observations of the long recording.
         steps: Of each training on it.
+        paper_steps: Of the paper's recipe.
     """
 
     scenario: str
@@ -56,9 +58,10 @@ class Size:
     repeats: int
     long: int
     steps: int
+    paper_steps: int
 
 
-FULL = Size("living_room", "quick", {}, places=60, headings=64, repeats=9, long=1_000_000, steps=200)
+FULL = Size("living_room", "quick", {}, places=60, headings=64, repeats=9, long=1_000_000, steps=200, paper_steps=40)
 TINY_SETTINGS = {
     "camera.rings": 8,
     "camera.sectors": 32,
@@ -67,7 +70,7 @@ TINY_SETTINGS = {
     "grid.spacing_m": 0.5,
     "learn.train.steps": 60,
 }
-TINY = Size("tiny", "tiny", TINY_SETTINGS, places=3, headings=4, repeats=2, long=500, steps=20)
+TINY = Size("tiny", "tiny", TINY_SETTINGS, places=3, headings=4, repeats=2, long=500, steps=20, paper_steps=2)
 
 
 def choose_size(tiny: bool, memory_samples: int | None) -> Size:
@@ -129,6 +132,9 @@ def measure(
         lambda: measure_quick(size, demo, folder / "quick", progress),
         lambda: measure_pictures(scenario, size, demo, draw_poses, measure_rendering),
         lambda: measure_positions(demo, size),
+        lambda: measure_paper(
+            load_scenario("paper", size.settings), demo, size.paper_steps, folder / "paper", progress
+        ),
         lambda: measure_memory(demo / "recording", scenario.learn, size.long, size.steps, min(size.repeats, 3), folder),
         read_studies,
     ]

@@ -1,6 +1,6 @@
 """Evaluation: every method on the test grid, against the simulator's truth."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,16 @@ def measure_field(folder: Path, method: MethodName, recording: Recording, truth:
     predicted = alignment.apply(positioner(images)).reshape(cells, headings, 2)
     field = ErrorField(truth.test_pose[:, 0, :2], truth.test_pose[0, :, 2], predicted)
     return field, alignment.scale
+
+
+def measure_part(run: Path, folder: Path, method: MethodName, every: int) -> dict[str, float]:
+    """Figures of a method trained in ``folder`` on a run's recording, by every so many-th position and sample."""
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    thin = replace(
+        recording, observation=recording.observation[::every], test_observation=recording.test_observation[::every]
+    )
+    fewer = replace(truth, pose=truth.pose[::every], test_pose=truth.test_pose[::every])
+    return summarise(measure_field(folder, method, thin, fewer)[0].worst, truth.free_space.shorter_side_m)
 
 
 def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:

@@ -52,6 +52,8 @@ class TrainSettings(Group):
     """Decay of the weights (AdamW)."""
     checkpoint_steps: int = Field(default=500, ge=1)
     """Steps between two checkpoints."""
+    snapshots: int = Field(default=30, ge=2, le=1000)
+    """Times at which predictions are kept, from the first to the last step, to show how the map unfolds."""
     device: str = Field(default="cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
     """cpu, cuda, cuda:N, or auto: CUDA where there is one."""
     threads: int = Field(default=1, ge=1, le=256)

@@ -21,7 +21,6 @@ from deepgps.settings import TrainSettings
 from sim.errors import InputError
 from sim.files import write_arrays
 
-SNAPSHOTS = 30
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP = 0.05
@@ -184,7 +183,7 @@ def _train(
     )
     generator = torch.Generator(device).manual_seed(seed)
     fast = settings.bfloat16 and has_fast_bfloat16(device)
-    history = History.start(len(inputs), settings.steps)
+    history = History.start(len(inputs), settings.steps, settings.snapshots)
     done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
     start = time.perf_counter() - seconds
     running = torch.zeros((), device=device)
@@ -243,11 +242,11 @@ class History:
     arrays: dict[str, list]
 
     @classmethod
-    def start(cls, observations: int, steps: int) -> "History":
+    def start(cls, observations: int, steps: int, snapshots: int) -> "History":
         """An empty history that will snapshot observations spread evenly over the recording."""
         count = min(observations, SNAPSHOT_SAMPLES)
         index = torch.linspace(0, observations - 1, count).round().long()
-        at = frozenset(round(steps * k / (SNAPSHOTS - 1)) for k in range(SNAPSHOTS - 1))
+        at = frozenset(round(steps * k / (snapshots - 1)) for k in range(snapshots - 1))
         return cls(index, at, {"step": [], "loss": [], "snapshot_step": [], "snapshot": []})
 
     def add_loss(self, step: int, value: float) -> None:

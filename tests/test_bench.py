@@ -59,6 +59,7 @@ def test_a_small_bench_measures_everything(tmp_path: Path):
     measured = {
         *("train", "demo", "collect", "quick", "quick_rms", "spread", "spread_worst"),
         *("render", "render_plain", "render_rate", "latency", "rate", "memory", "step_ratio"),
+        *("paper", "paper_rms"),
     }
     assert all(rows[name]["value"] > 0 for name in measured)
     assert all(row["verdict"] == "" for name, row in rows.items() if name in measured)
