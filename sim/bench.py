@@ -117,7 +117,7 @@ def _stand(world: RoomWorld, state: np.ndarray) -> None:
 
 
 def _get_ready(settings: SimSettings, ready: Barrier) -> None:
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # the processes share the cores already
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the processes share the cores already
     try:
         world, fisheye = _open(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
         fisheye.polar(world.data)

@@ -260,7 +260,7 @@ def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
 @lru_cache(maxsize=1)
 def _open_camera(settings: SimSettings) -> tuple[mujoco.MjModel, mujoco.MjData, Fisheye]:
     """The scene and its camera, opened once in each worker: a context belongs to its process."""
-    os.environ.setdefault("LP_NUM_THREADS", "1")  # the workers share the cores already
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the workers share the cores already
     world = RoomWorld(settings)
     return world.model, world.data, Fisheye(world.model, settings.camera)
 
