@@ -36,7 +36,7 @@ from sim.world import RoomWorld
 CHUNK = 256
 """New observations in a chunk, at least."""
 DEATHS = 3
-"""How often renderers may crash: Mesa's software renderer was seen to, three times in about a million images."""
+"""How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 
