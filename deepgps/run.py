@@ -7,7 +7,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -57,6 +57,7 @@ def open_run(folder: Path) -> Scenario:
 @contextmanager
 def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
     """Hold a run folder for one process at a time and for one scenario."""
+    new = [path for path in folder.parents if not path.exists()]
     with lock(folder):
         if fresh or not (folder / "scenario.yaml").is_file():
             clear(folder, "scenario.yaml")
@@ -72,6 +73,9 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
         except InputError:
             if not begun:  # wrong input leaves nothing behind
                 shutil.rmtree(folder)
+                for parent in new:
+                    with suppress(OSError):  # another run may have begun in it
+                        parent.rmdir()
             raise
 
 

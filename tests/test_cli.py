@@ -107,7 +107,7 @@ def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_fac
     folder.mkdir()
     (folder.parent / "secret.xml").write_text("<mujoco/>")
     (folder / "room.xml").write_text('<mujoco><include file="../secret.xml"/></mujoco>')
-    done = deepgps("run", "tiny", "--room.mjcf", str(folder / "room.xml"), "--out", "new", cwd=tmp_path)
+    done = deepgps("run", "tiny", "--room.mjcf", str(folder / "room.xml"), "--out", "new/deep", cwd=tmp_path)
     assert_one_clear_line(done, 2, "../secret.xml", tmp_path)
 
 
