@@ -13,8 +13,9 @@ import tyro
 from rich.console import Console
 
 from deepgps.progress import show_progress
-from deepgps.scenario import Scenario, load_scenario, scenario_names
+from deepgps.scenario import Scenario, load_scenario, names_in
 from sim.errors import InputError, WorkError
+from sim.paths import SCENARIOS, STUDIES
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -111,11 +112,11 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
     from deepgps.engine import carry_out, default_folder
-    from deepgps.study import load_study, plan_runs, study_names
+    from deepgps.study import load_study, plan_runs
     from deepgps.study_report import report_study
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
-        raise InputError(f"deepgps study needs a study first: {', '.join(study_names())}, or a path")
+        raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = _parse(StudyArguments, "study", words)
     study = load_study(arguments.study, arguments.tiny)
     plans = plan_runs(study)
@@ -249,7 +250,7 @@ def _parse_scenario(command: str, words: Sequence[str]) -> tuple[RunArguments, S
         _show_settings(command)
     own, overrides = _split(words, {"--out", "--fresh"})
     if not own or own[0].startswith("-"):
-        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(scenario_names())}, or a path")
+        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
     arguments = _parse(RunArguments, command, own)
     return arguments, load_scenario(arguments.scenario, overrides)
 

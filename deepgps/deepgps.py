@@ -160,10 +160,7 @@ def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
         told = batch.valid & mapped[batch.index]
         away = losses.distance(out[told], known[batch.index[told]])
         count = max(1, len(away))
-        far = (away - SLACK).clamp_min(0.0)
-        imitation, leash = away.sum() / count, far.sum() / count
-        if pull == 0.0:
-            return loss(out, batch, done) + leash
+        imitation, leash = away.sum() / count, (away - SLACK).clamp_min(0.0).sum() / count
         return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
 
     return both

@@ -57,13 +57,13 @@ def relax(
     firm = np.arange(len(a)) >= known.sum()
     weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
     for believed in step * np.geomspace(believed_first, BELIEVED_LAST, ROUNDS):
-        ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
+        ahead = _ahead(heading, bar, along)
         apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
         trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)
         move = _solve(bar, a, b, ahead, apart, trust).reshape(-1, 3)
         middle += move[:, :2]
         heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
-    point = middle[bar] + np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
+    point = middle[bar] + _ahead(heading, bar, along)
     squared = ((point[a] - point[b]) ** 2).sum(axis=1)
     cost = weight * np.where(firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * step) ** 2))
     found = np.array(places, float)
@@ -84,6 +84,11 @@ def _lay_bars(point: np.ndarray, bar: np.ndarray, along: np.ndarray) -> tuple[np
     middle = np.stack([np.bincount(bar, point[:, axis]) / count for axis in range(2)], axis=1)
     pull = [np.bincount(bar, along * point[:, axis]) for axis in range(2)]
     return middle, np.arctan2(pull[1], pull[0])
+
+
+def _ahead(heading: np.ndarray, bar: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Where each reading lies from the middle of its bar (r, 2) [m]."""
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
 
 
 def _solve(

@@ -54,7 +54,7 @@ def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
     Raises:
         InputError: Names the field, the value and what is allowed.
     """
-    path = find_scenario(source)
+    path = find_settings("scenario", SCENARIOS, source)
     values = read_yaml(path)
     values.setdefault("name", path.stem)
     for dotted, value in overrides.items():
@@ -62,22 +62,26 @@ def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
     return check_scenario(values, path, overrides)
 
 
-def find_scenario(source: str) -> Path:
-    """Path of the scenario called ``source``; raises InputError with the names that exist."""
+def find_settings(kind: str, folder: Path, source: str) -> Path:
+    """Path of the settings file called ``source`` in a folder, or at that path.
+
+    Raises:
+        InputError: Names what does not exist, as a ``kind`` of thing, and what does.
+    """
     path = Path(source)
     if path.suffix in {".yaml", ".yml"} or "/" in source:
         if not path.is_file():
-            raise InputError(f"scenario {source}: no such file")
+            raise InputError(f"{kind} {source}: no such file")
         return path
-    path = SCENARIOS / f"{source}.yaml"
+    path = folder / f"{source}.yaml"
     if not path.is_file():
-        raise InputError(f"scenario {source!r} does not exist; there are {', '.join(scenario_names())}, or a path")
+        raise InputError(f"{kind} {source!r} does not exist; there are {', '.join(names_in(folder))}, or a path")
     return path
 
 
-def scenario_names() -> list[str]:
-    """Names in assets/scenarios."""
-    return sorted(path.stem for path in SCENARIOS.glob("*.yaml"))
+def names_in(folder: Path) -> list[str]:
+    """Names of the settings files in a folder."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
 def read_yaml(path: Path) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice, product
-from pathlib import Path
 from typing import Any, Literal
 
 import yaml
@@ -15,6 +14,7 @@ from deepgps.scenario import (
     describe_problems,
     digest,
     digest_recording,
+    find_settings,
     load_scenario,
     read_yaml,
 )
@@ -115,7 +115,7 @@ def load_study(source: str, tiny: bool) -> Study:
     Raises:
         InputError: Names every wrong field, the value and what is allowed.
     """
-    path = find_study(source)
+    path = find_settings("study", STUDIES, source)
     values = read_yaml(path)
     values.setdefault("name", path.stem)
     try:
@@ -126,24 +126,6 @@ def load_study(source: str, tiny: bool) -> Study:
     if study.scenario.endswith((".yaml", ".yml")) and beside.is_file():
         study = study.model_copy(update={"scenario": str(beside)})
     return _shrink(study) if tiny else study
-
-
-def find_study(source: str) -> Path:
-    """Path of the study called ``source``; raises InputError with the names that exist."""
-    path = Path(source)
-    if path.suffix in {".yaml", ".yml"} or "/" in source:
-        if not path.is_file():
-            raise InputError(f"study {source}: no such file")
-        return path
-    path = STUDIES / f"{source}.yaml"
-    if not path.is_file():
-        raise InputError(f"study {source!r} does not exist; there are {', '.join(study_names())}, or a path")
-    return path
-
-
-def study_names() -> list[str]:
-    """Names in assets/studies."""
-    return sorted(path.stem for path in STUDIES.glob("*.yaml"))
 
 
 def plan_runs(study: Study) -> list[Plan]:

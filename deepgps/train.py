@@ -151,7 +151,43 @@ def train(
         Seconds of training, earlier parts of a cut-off training counted in.
     """
     with use_threads(settings.threads):
-        return _train(network, inputs, draw, loss, settings, seed, folder, progress, label)
+        device = choose_device(settings.device)
+        network = network.to(device).train()
+        optimiser = torch.optim.AdamW(
+            network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
+        )
+        generator = torch.Generator(device).manual_seed(seed)
+        fast = settings.bfloat16 and has_fast_bfloat16(device)
+        history = History.start(len(inputs), settings.steps, settings.snapshots)
+        done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
+        start = time.perf_counter() - seconds
+        running = torch.zeros((), device=device)
+        every = max(1, settings.steps // LOSS_POINTS)
+        for step in range(done, settings.steps):
+            if step in history.snapshot_steps:
+                history.add_snapshot(step, predict(network, inputs, history.index))
+            for group in optimiser.param_groups:
+                group["lr"] = settings.learning_rate * schedule(step, settings.steps)
+            batch = draw(generator, step / settings.steps)
+            with torch.autocast(device.type, torch.bfloat16, enabled=fast):
+                out = network(inputs.take(batch.index.flatten(), generator))
+            value = loss(out.unflatten(0, batch.index.shape), batch, step / settings.steps)
+            optimiser.zero_grad(set_to_none=True)
+            value.backward()
+            optimiser.step()
+            running += value.detach()
+            if (step + 1) % every == 0:
+                history.add_loss(step + 1, running.item() / every)
+                running.zero_()
+                progress(label, step + 1, settings.steps)
+            # A checkpoint falls on a loss point, so that the running mean need not be saved.
+            if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0 or step + 1 == settings.steps:
+                seconds = time.perf_counter() - start
+                save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays, seconds)
+        history.add_snapshot(settings.steps, predict(network, inputs, history.index))
+        write_arrays(folder / "history.npz", history.tables())
+        network.eval()
+        return seconds
 
 
 @contextmanager
@@ -163,56 +199,6 @@ def use_threads(count: int) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _train(
-    network: nn.Module,
-    inputs: Inputs,
-    draw: Draw,
-    loss: Loss,
-    settings: TrainSettings,
-    seed: int,
-    folder: Path,
-    progress: Report,
-    label: str,
-) -> float:
-    device = choose_device(settings.device)
-    network = network.to(device).train()
-    optimiser = torch.optim.AdamW(
-        network.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay, fused=True
-    )
-    generator = torch.Generator(device).manual_seed(seed)
-    fast = settings.bfloat16 and has_fast_bfloat16(device)
-    history = History.start(len(inputs), settings.steps, settings.snapshots)
-    done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
-    start = time.perf_counter() - seconds
-    running = torch.zeros((), device=device)
-    every = max(1, settings.steps // LOSS_POINTS)
-    for step in range(done, settings.steps):
-        if step in history.snapshot_steps:
-            history.add_snapshot(step, predict(network, inputs, history.index))
-        for group in optimiser.param_groups:
-            group["lr"] = settings.learning_rate * schedule(step, settings.steps)
-        batch = draw(generator, step / settings.steps)
-        with torch.autocast(device.type, torch.bfloat16, enabled=fast):
-            out = network(inputs.take(batch.index.flatten(), generator))
-        value = loss(out.unflatten(0, batch.index.shape), batch, step / settings.steps)
-        optimiser.zero_grad(set_to_none=True)
-        value.backward()
-        optimiser.step()
-        running += value.detach()
-        if (step + 1) % every == 0:
-            history.add_loss(step + 1, running.item() / every)
-            running.zero_()
-            progress(label, step + 1, settings.steps)
-        # A checkpoint falls on a loss point, so that the running mean need not be saved.
-        if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0 or step + 1 == settings.steps:
-            seconds = time.perf_counter() - start
-            save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays, seconds)
-    history.add_snapshot(settings.steps, predict(network, inputs, history.index))
-    write_arrays(folder / "history.npz", history.tables())
-    network.eval()
-    return seconds
 
 
 def schedule(step: int, steps: int) -> float:

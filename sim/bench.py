@@ -1,18 +1,17 @@
 """How fast pictures are: our camera against MuJoCo's own renderer, and how many images several processes draw."""
 
-import os
 import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from copy import deepcopy
-from functools import lru_cache
 from multiprocessing import get_context
 from threading import Barrier, BrokenBarrierError
 
 import mujoco
 import numpy as np
 
+from sim.collect import draw_states, open_camera
 from sim.errors import WorkError
 from sim.render import CAMERA_SITE, Fisheye
 from sim.settings import SimSettings
@@ -117,27 +116,14 @@ def _stand(world: RoomWorld, state: np.ndarray) -> None:
 
 
 def _get_ready(settings: SimSettings, ready: Barrier) -> None:
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the processes share the cores already
     try:
-        world, fisheye = _open(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-        fisheye.polar(world.data)
+        _draw(settings, np.zeros((1, 3)))
     except Exception:
         ready.abort()  # or the others would wait for this one
         raise
     ready.wait(START_S)
 
 
-@lru_cache(maxsize=1)
-def _open(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
-    world = RoomWorld(settings)
-    _stand(world, world.rest_states(np.zeros((1, 3)))[0])
-    return world, Fisheye(world.model, settings.camera)
-
-
 def _draw(settings: SimSettings, poses: np.ndarray) -> np.ndarray:
-    world, fisheye = _open(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    images = []
-    for state in world.rest_states(poses):
-        _stand(world, state)
-        images.append(fisheye.polar(world.data))
-    return np.stack(images)
+    world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    return draw_states(settings, world.rest_states(poses))

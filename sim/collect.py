@@ -246,23 +246,28 @@ def _watch(jobs: Sequence[Future], progress: Report) -> str:
 
 def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
     """In a worker: write the polar images of states (n, nq) to ``path``, if they do not stand; name the renderer."""
-    model, data, fisheye = _open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     if not path.is_file():
-        images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
-        for image, state in zip(images, states, strict=True):
-            data.qpos[:] = state
-            mujoco.mj_kinematics(model, data)
-            image[:] = fisheye.polar(data)
-        write_array(path, images)
-    return fisheye.renderer_string
+        write_array(path, draw_states(settings, states))
+    return open_camera(settings)[1].renderer_string  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+
+
+def draw_states(settings: SimSettings, states: np.ndarray) -> np.ndarray:
+    """In a worker: polar images (n, rings, sectors, 3) of states (n, nq)."""
+    world, fisheye = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
+    for image, state in zip(images, states, strict=True):
+        world.data.qpos[:] = state
+        mujoco.mj_kinematics(world.model, world.data)
+        image[:] = fisheye.polar(world.data)
+    return images
 
 
 @lru_cache(maxsize=1)
-def _open_camera(settings: SimSettings) -> tuple[mujoco.MjModel, mujoco.MjData, Fisheye]:
+def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
     """The scene and its camera, opened once in each worker: a context belongs to its process."""
     os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the workers share the cores already
     world = RoomWorld(settings)
-    return world.model, world.data, Fisheye(world.model, settings.camera)
+    return world, Fisheye(world.model, settings.camera)
 
 
 def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...]) -> None:

@@ -1,8 +1,9 @@
 import pytest
 from pydantic import ValidationError
 
-from deepgps.scenario import Scenario, check_scenario, digest, load_scenario, scenario_names, write_out
+from deepgps.scenario import Scenario, check_scenario, digest, load_scenario, names_in, write_out
 from sim.errors import InputError
+from sim.paths import SCENARIOS
 
 
 def write(tmp_path, text: str) -> str:
@@ -11,7 +12,7 @@ def write(tmp_path, text: str) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", names_in(SCENARIOS))
 def test_every_scenario_loads_and_comes_back_from_what_it_writes(name, tmp_path):
     scenario = load_scenario(name, {})
     assert scenario.name == name

@@ -12,11 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from deepgps.study import load_study, plan_runs, study_names
+from deepgps.scenario import names_in
+from deepgps.study import load_study, plan_runs
 from deepgps.study_report import write_report
 from deepgps.viz import find_recording
 from sim.errors import InputError
 from sim.files import read_json
+from sim.paths import STUDIES
 
 SCENARIO = """
 room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
@@ -158,7 +160,7 @@ def test_tiny_replaces_only_what_it_names(tmp_path):
     assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
 
 
-@pytest.mark.parametrize("name", study_names())
+@pytest.mark.parametrize("name", names_in(STUDIES))
 @pytest.mark.parametrize("tiny", [False, True])
 def test_every_study_can_be_planned(name, tiny):
     assert len(plan_runs(load_study(name, tiny))) >= 2
