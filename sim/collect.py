@@ -21,7 +21,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from sim.drive import Segment, next_segment
+from sim.drive import Course, Segment, next_segment
 from sim.encoder import read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
@@ -129,25 +129,27 @@ def drive_chunk(
     if before is None:
         world.start(rng)
         segments = observations = 0
-        continues = False
+        course = Course()
     else:
         world.set_state(before["world_state"])
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
-        continues = bool(before["continues"])
+        course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
     first, driven, dropped = observations, list[dict[str, np.ndarray]](), 0
     while observations - first < CHUNK:
-        segment = next_segment(world, settings.drive, rng, continues)
+        segment = next_segment(world, settings.drive, rng, course)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
-        segments, continues = segments + 1, segment.reached_end
+        segments, course = segments + 1, segment.course
         dropped += segment.dropped
     return {
         **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
         "dropped": np.array(dropped),
         "segments": np.array(segments),
         "observations": np.array(observations),
-        "continues": np.array(continues),
+        "continues": np.array(course.continues),
+        "mode": np.array(course.mode),
+        "side": np.array(course.side),
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }

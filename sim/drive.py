@@ -1,30 +1,33 @@
 """The drive: turn in place, drive straight until something says stop, and again. Wheel angles, ranges and bumper only.
 
+Headings are drawn by chance, but a robot that only bounces about seldom finds a nook whose mouth is hardly wider than
+itself. So it turns into some of the openings that it passes; and now and then it searches for a while: after every
+segment it turns back to one side as far as it can, and stops wherever there is anything to turn into on that side.
+
 No position, no map: the same code could drive the real robot. Each call of `next_segment` starts and ends with the
-robot at rest and keeps nothing in between, so that a drive can be cut off and continued after any segment.
+robot at rest and keeps only a `Course`, so that a drive can be cut off and continued after any segment.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from sim.errors import WorkError
-from sim.ranges import REACH_M, clear_length
-from sim.robot import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, planar_pose, wheel_speeds
+from sim.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, look, ramp, stand, turn, way
+from sim.openings import Openings
+from sim.ranges import REACH_M
+from sim.robot import RADIUS_M, planar_pose, wheel_speeds
 from sim.settings import DriveSettings
 
-Ended = Literal["length", "range", "contact", "stall"]
+Ended = Literal["length", "opening", "range", "contact", "stall"]
+TOUCHED = ("contact", "stall")
+"""After these the robot no longer stands where it last took a sample."""
+Mode = Literal["chance", "enter", "search"]
 
-ACCELERATION_MPS2 = 0.5
-TURN_ACCELERATION_RPS2 = 6.0
 STRAIGHTEN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of their speeds over difference of their angles [1/s]."""
-REST_S = 0.12
-"""The robot stands this long after it has stopped, so that it no longer rocks [s]."""
-PATIENCE_TURNS = 4
-"""A turn that takes longer than this many whole turns would is given up."""
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """In a narrow place the robot is content with less and less of SHORTEST_M and of the stopping distance."""
 CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
@@ -32,31 +35,32 @@ CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
 FURTHER_RAD = 0.3
 """After the first clear heading the robot turns on by up to this [rad], not to graze what it just missed."""
 CLOSE_M = 0.002
-CLOSE_RAD = 0.01
 """Nearer than this to its goal the robot stops: a controller that decides in periods cannot do better."""
 SHORTEST_M = 0.16
 """A heading is taken when at least this is clear ahead [m]."""
+SEARCHED = 20
+"""Segments for which the robot searches, on average."""
+TOWARDS_RAD = 0.6 * np.pi
+"""To search, the robot turns by this to one side, then back until the way is clear [rad]."""
+GRAZE_RAD = 0.05
+"""Searching, it turns on by up to this [rad]: it is to graze."""
 DOUBT_M = 0.12
 """A contact or stall makes the samples of this last stretch of wheel way doubtful: they are dropped [m]."""
 STALL_S = 0.2
 """Wheels that turned less than half of what they were told for this long are blocked [s]."""
 SLIP_M = 0.10
-SEEN_M = 0.01
-"""The wheels turned by SLIP_M while what is ahead came nearer by less than SEEN_M: they slip [m]."""
-BACK_M = 0.06
-BACK_MPS = 0.08
+"""The wheels turned by this while what is ahead came no nearer: they slip [m]."""
 TRIES = 500
 
 
-class Robot(Protocol):
-    """What the drive needs of a robot; none of it is the truth, and it never looks into a snapshot."""
+class Course(NamedTuple):
+    """Where the next segment is to go, and what it must know of the last."""
 
-    def step(self, wheel_speed: np.ndarray) -> None: ...
-    def wheel_angle(self) -> np.ndarray: ...
-    def ranges(self, reach_m: float) -> np.ndarray: ...
-    def bumped(self) -> bool: ...
-    def time(self) -> float: ...
-    def snapshot(self) -> np.ndarray: ...
+    continues: bool = False
+    """The robot stands where the last segment ended."""
+    mode: Mode = "chance"
+    side: int = 0
+    """Of the opening to enter, or on which it searches: 1 left, -1 right."""
 
 
 class Sample(NamedTuple):
@@ -79,6 +83,7 @@ class Segment:
         continues: The first sample is where the last segment ended, before the turn: the same observation.
         ended: What ended it.
         dropped: How many samples were dropped as doubtful.
+        course: How to go on.
     """
 
     state: np.ndarray
@@ -87,154 +92,124 @@ class Segment:
     continues: bool
     ended: Ended
     dropped: int
+    course: Course
 
     @property
     def pose(self) -> np.ndarray:
         """True planar pose at each sample (m, 3)."""
         return planar_pose(self.state)
 
-    @property
-    def reached_end(self) -> bool:
-        """Whether its last sample is where the robot now stands, so that the next segment may continue it."""
-        return self.ended in ("length", "range")
-
 
 def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
     """Drive for ever, one segment after another."""
-    continues = False
+    course = Course()
     while True:
-        segment = next_segment(robot, settings, rng, continues)
-        continues = segment.reached_end
+        segment = next_segment(robot, settings, rng, course)
+        course = segment.course
         yield segment
 
 
-def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator, continues: bool) -> Segment:
+def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> Segment:
     """Turn to a clear heading and drive one straight segment of at least two samples.
 
     Args:
         robot: Stands still.
         settings: How to drive and when to look.
-        rng: Decides headings and lengths.
-        continues: The robot stands where the last segment ended (its ``reached_end``).
+        rng: Decides headings, and when to enter or search.
+        course: The last segment's, or a new one.
 
     Raises:
         WorkError: the robot is stuck.
     """
     for _ in range(TRIES):
-        stop_m = _turn_to_clear(robot, settings, rng)
-        segment = _go_straight(robot, settings, stop_m, continues)
-        if not segment.reached_end:
-            _back_off(robot, settings)
+        stop_m = _turn_to_clear(robot, settings, rng, course)
+        segment = _go_straight(robot, settings, rng, stop_m, course)
+        if segment.ended in TOUCHED:
+            back_off(robot, settings)
         if len(segment.time) >= 2:
             return segment
-        continues = False
+        course = segment.course._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
 
-def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> float:
-    """Turn by a random angle, and on in the same direction until enough is clear ahead.
+def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> float:
+    """Turn where the course says, and on until enough is clear ahead.
 
     Returns:
         The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear.
     """
-    angle = rng.uniform(-np.pi, np.pi)
-    _turn(robot, settings, angle)
+    angle, sense, further_rad = _aim(rng, course)
+    turn(robot, settings, angle)
     for share in SHARES:
         enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
         # The clear headings may be fewer than a brisk turn overshoots: from try to try more slowly and less far on.
         for caution in CAUTION:
-            if _look_ahead(robot, REACH_M) - stop_m >= enough_m:
+            if look(robot, REACH_M) - stop_m >= enough_m:
                 return stop_m
-            further = np.copysign(rng.uniform(0.0, FURTHER_RAD) * caution, angle)
-            if not _turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
+            further = sense * rng.uniform(0.0, further_rad) * caution
+            if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
                 break
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
 
 
-def _look_ahead(robot: Robot, reach_m: float) -> float:
-    """How far the robot may go straight ahead before it touches [m], as far as rays of a reach tell."""
-    return clear_length(robot.ranges(reach_m))
+def _aim(rng: np.random.Generator, course: Course) -> tuple[float, float, float]:
+    """Angle to turn [rad]; the sense to go on where that is not clear; how far past what blocks it [rad]."""
+    if course.mode == "search":
+        return course.side * TOWARDS_RAD, -course.side, GRAZE_RAD
+    angle = course.side * np.pi / 2 if course.mode == "enter" else rng.uniform(-np.pi, np.pi)
+    return angle, np.sign(angle), FURTHER_RAD
 
 
-def _turn(
-    robot: Robot,
-    settings: DriveSettings,
-    angle: float,
-    until_clear_m: float | None = None,
-    caution: float = 1.0,
-) -> bool:
-    """Turn in place by an angle [rad], closed on the wheel angles.
-
-    Args:
-        robot: Stands still.
-        settings: How fast to turn.
-        angle: How far; counted from the first heading with this much clear ahead where ``until_clear_m`` [m] is given.
-        until_clear_m: See there.
-        caution: Share of the settings' turn rate to turn with.
-
-    Returns:
-        False where a whole turn found nothing clear.
-    """
-    period, start = settings.control_period_s, robot.wheel_angle()
-    goal = abs(angle) if until_clear_m is None else np.inf
-    rate, highest = 0.0, settings.turn_rate_rps * caution
-    deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
-    while robot.time() < deadline:
-        left, right = robot.wheel_angle() - start
-        turned = abs(right - left) * WHEEL_RADIUS_M / TRACK_M
-        if until_clear_m is not None and goal == np.inf:
-            if _look_ahead(robot, until_clear_m + RADIUS_M + SEEN_M) >= until_clear_m:
-                goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
-            elif turned > 2 * np.pi:
-                break
-        if goal - turned < CLOSE_RAD:
-            break
-        rate = _ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
-        robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
-    _stand(robot, settings)
-    return goal < np.inf
-
-
-def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues: bool) -> Segment:
-    """Drive straight until the length, the ranges, the bumper or a stall stop it, and take the samples.
+def _go_straight(
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, course: Course
+) -> Segment:
+    """Drive straight until the length, an opening, the ranges, the bumper or a stall stop it, and take the samples.
 
     Args:
         robot: Stands still.
         settings: How fast, how far, when to look.
+        rng: Decides at which openings to stop, and how to go on.
         stop_m: Room to leave before the body [m].
-        continues: See `next_segment`.
+        course: Whether it continues the last segment, and on which side it searches.
     """
     period, spacing = settings.control_period_s, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
     speed = way_m = slip_from_m = held_s = 0.0
-    seen_m = np.inf
+    seen_m, length_m, opening = np.inf, settings.longest_m, 0
+    if course.mode == "search":
+        openings, heed = Openings((course.side,), SHORTEST_M + stop_m), 1.0
+    else:
+        openings, heed = Openings((1, -1) if settings.enter > 0.0 else (), None), settings.enter
     # Near rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + RADIUS_M + SEEN_M
     ended: Ended | None = None
     while True:
-        clear_m = _look_ahead(robot, reach_m) - stop_m
+        clear_m = look(robot, reach_m) - stop_m
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
             seen_m, slip_from_m = clear_m, way_m
-        rest_m = min(settings.longest_m - way_m, clear_m)
+        for side in openings.beside(robot, way_m) if not opening else ():
+            if rng.uniform() < heed:
+                opening, length_m = side, min(length_m, way_m + speed**2 / (2 * ACCELERATION_MPS2))
+        rest_m = min(length_m - way_m, clear_m)
         if ended := _why_stop(robot.bumped(), held_s, way_m - slip_from_m, clear_m, rest_m):
             break
-        speed = _ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
+        speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
         left, right = robot.wheel_angle() - start
         even = STRAIGHTEN_PER_S * (left - right) / 2
         robot.step(wheel_speeds(speed, 0.0) + (-even, even))
-        before_m, way_m = way_m, _way(robot, start)
+        before_m, way_m = way_m, way(robot, start)
         held_s = held_s + period if way_m - before_m < speed * period / 2 else 0.0
         if settings.strategy == "dense" and way_m >= len(samples) * spacing:
             samples.append(_sample(robot, way_m))
-    _stand(robot, settings)
+    stand(robot, settings)
     taken = len(samples)
-    if ended in ("contact", "stall"):
+    if ended in TOUCHED:
         samples = [sample for sample in samples if sample.way_m <= way_m - DOUBT_M]
     elif way_m < CLOSE_M:
         samples = []
     else:
-        samples.append(_sample(robot, _way(robot, start)))
+        samples.append(_sample(robot, way(robot, start)))
         # The end is the next segment's start: a regular sample just before it gives way.
         if len(samples) > 2 and samples[-1].way_m - samples[-2].way_m < spacing / 2:
             del samples[-2]
@@ -242,9 +217,10 @@ def _go_straight(robot: Robot, settings: DriveSettings, stop_m: float, continues
         state=np.array([sample.state for sample in samples]),
         wheel_angle=np.array([sample.wheel_angle for sample in samples]),
         time=np.array([sample.time for sample in samples]),
-        continues=continues,
-        ended=ended,
+        continues=course.continues,
+        ended="opening" if ended == "length" and opening else ended,
         dropped=max(taken - len(samples), 0),
+        course=_go_on(settings, rng, course, ended, opening),
     )
 
 
@@ -258,32 +234,16 @@ def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, res
     return None
 
 
-def _back_off(robot: Robot, settings: DriveSettings) -> None:
-    """Roll back a little from what was touched."""
-    start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
-    while _way(robot, start) > -BACK_M and robot.time() < deadline:
-        robot.step(wheel_speeds(-BACK_MPS, 0.0))
-    _stand(robot, settings)
-
-
-def _stand(robot: Robot, settings: DriveSettings) -> None:
-    for _ in range(max(1, round(REST_S / settings.control_period_s))):
-        robot.step(wheel_speeds(0.0, 0.0))
-
-
-def _ramp(speed: float, highest: float, acceleration: float, rest: float, period: float) -> float:
-    """Speed for the next period: rises and falls no faster than the acceleration, and is zero where nothing rests.
-
-    Braking from v needs v^2 / 2a; the way of the period to come is spent before braking can begin.
-    """
-    braking = np.sqrt(2 * acceleration * max(rest - speed * period, 0.0))
-    return float(min(highest, speed + acceleration * period, braking))
-
-
-def _way(robot: Robot, start: np.ndarray) -> float:
-    """Way by the wheel angles since they were ``start`` (2,) [m]."""
-    left, right = robot.wheel_angle() - start
-    return float(left + right) / 2 * WHEEL_RADIUS_M
+def _go_on(settings: DriveSettings, rng: np.random.Generator, course: Course, ended: Ended, opening: int) -> Course:
+    """Draw the next course; the next segment continues this one if the robot stands where its last sample is."""
+    continues, chance = ended not in TOUCHED, rng.uniform()
+    if course.mode == "search" and chance > 1 / SEARCHED:
+        return Course(continues, "search", course.side)
+    if course.mode != "search" and opening:
+        return Course(continues, "enter", opening)
+    if course.mode != "search" and chance < settings.search:
+        return Course(continues, "search", 1 if chance < settings.search / 2 else -1)
+    return Course(continues)
 
 
 def _sample(robot: Robot, way_m: float) -> Sample:

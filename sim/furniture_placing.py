@@ -15,6 +15,8 @@ from sim.outline import Wall
 
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
+NEIGHBOUR_M = 0.58
+"""From the middle of a chair to that of the next: no gap between them that leads nowhere [m]."""
 WALK_M = 0.5
 """Left on each side of what stands freely, where the room allows it."""
 Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
@@ -176,7 +178,7 @@ def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Ge
     """Places for chairs, half pushed in, at the long sides and then the ends of a table of ``size`` (width, depth)."""
     c, s = np.cos(table.yaw), np.sin(table.yaw)
     along = 1 if size[0] < 1.3 else 2
-    offsets = [((i - (along - 1) / 2) * size[0] / along, side) for i in range(along) for side in (-1, 1)]
+    offsets = [((i - (along - 1) / 2) * NEIGHBOUR_M, side) for i in range(along) for side in (-1, 1)]
     places = [(x, side * (size[1] / 2 + 0.13), 0.0 if side > 0 else np.pi) for x, side in offsets]
     places += [(side * (size[0] / 2 + 0.13), 0.0, -side * np.pi / 2) for side in (-1, 1)]
     poses = []

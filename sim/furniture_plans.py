@@ -104,7 +104,7 @@ def furnish_kitchen(room: Room) -> None:
     if counter is not None and room.area_m2 > 16:
         island = centre(room, "island", tables.island, near(counter.ahead(1.9)))
         if island is not None:
-            set_at(room, "stool", seating.stool, [island.ahead(0.6, x) for x in (-0.3, 0.3)])
+            set_at(room, "stool", seating.stool, [island.ahead(0.6, x) for x in (-0.27, 0.27)])
     stand(room, "cabinet", partial(storage.cabinet, width_m=1.2))
     stand(room, "shelving", partial(storage.shelving, width_m=0.9))
     hang(room, "wall_shelf", wall.wall_shelf)
@@ -137,7 +137,7 @@ def furnish_workshop(room: Room) -> None:
         bench = stand(room, "workbench", partial(tables.workbench, width_m=float(rng.uniform(1.6, 2.1))))
         if bench is not None:
             hang(room, "tool_wall", wall.tool_wall, near(bench))
-            set_at(room, "stool", seating.stool, [bench.ahead(0.75, rng.uniform(-0.4, 0.4))])
+            set_at(room, "stool", seating.stool, [bench.ahead(0.9, rng.uniform(-0.4, 0.4))])
     for _ in range(2):
         stand(room, "shelving", partial(storage.shelving, width_m=float(rng.uniform(1.1, 1.5))))
     centre(room, "workbench", partial(tables.workbench, width_m=1.6))
@@ -250,11 +250,16 @@ def _with_chairs(body, rng, look, size):
 
 def _work(room: Room, width_m: float) -> None:
     """A desk with its chair, and something on the wall above it."""
-    desk = stand(room, "desk", partial(tables.desk, width_m=width_m))
+    rng, side = room.rng, int(room.rng.choice((-1, 1)))
+    desk = stand(room, "desk", partial(tables.desk, width_m=width_m, side=side))
     if desk is None:
         return
-    pose = desk.ahead(0.71, float(room.rng.uniform(-0.1, 0.1)), np.pi)
-    set_at(room, "office_chair", seating.office_chair, [pose], jitter_rad=0.5)
+    # Left where its owner stood up, or pushed in whole: half-way it all but closes the place below the desk.
+    aside, turn = float(rng.uniform(-0.1, 0.1)), np.pi + float(rng.uniform(-0.5, 0.5))
+    left_behind = [desk.ahead(ahead, aside, turn) for ahead in (1.02, 1.1, 1.2)]
+    if put(room, "office_chair", seating.office_chair, left_behind) is None:
+        pushed_in = desk.ahead(0.22, side * tables.KNEES_M, np.pi)
+        set_at(room, "office_chair", seating.office_chair, [pushed_in], at_table=True)
 
 
 def _adorn(room: Room, plants: int, pictures: int, lamp: bool = True) -> None:

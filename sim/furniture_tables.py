@@ -7,6 +7,8 @@ from sim import textures, textures_pictures
 from sim.furniture import Footprint, Look, ball, block, box, legs, paper, pole, turned
 
 TABLE_TOP_M = 0.74
+KNEES_M = 0.18
+"""The middle of the place for knees lies so far from a desk's middle [m]."""
 
 
 def dining_table(
@@ -42,16 +44,15 @@ def bedside_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) ->
     return Footprint(width, depth, top + 0.44)
 
 
-def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.4) -> Footprint:
-    """A desk with a drawer pedestal on one side, room for knees on the other, and a computer on it."""
+def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.4, side: int = 1) -> Footprint:
+    """A desk with a drawer pedestal on one side, 1 or -1 along x, room for knees on the other, and a computer."""
     depth, top = 0.7, 0.74
-    side = rng.choice((-1, 1))
     box(body, (0, 0, top - 0.02), (width_m, depth, 0.04), look.wood, solid=True)
     drawers = paper(look.spec, textures.drawers(rng, (96, 64), 0.5 + 0.4 * textures.muted(rng), 3))
     box(body, (side * (width_m / 2 - 0.22), 0, 0.35), (0.4, depth - 0.08, 0.68), drawers, solid=True)
     box(body, (-side * (width_m / 2 - 0.03), 0, 0.35), (0.05, depth - 0.06, 0.7), look.dark_wood, solid=True)
     _computer(body, rng, look, rng.uniform(-0.15, 0.15) * width_m, top)
-    return Footprint(width_m, depth, top + 0.5, front_m=0.0)
+    return Footprint(width_m, depth, top + 0.5, front_m=0.35)
 
 
 def workbench(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.8) -> Footprint:

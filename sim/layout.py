@@ -18,6 +18,10 @@ PATH_RADIUS_M = 0.3
 """Half the width that a person needs to walk."""
 CUT_OFF_SHARE = 0.1
 """Floor wide enough to walk on but cut off from the door may be this part of what is not."""
+GAP_CELLS = 2
+"""Pieces may stand this near to one another..."""
+BROOM_CELLS = 7
+"""...or leave a gap for a broom, at least so many cells wide; what lies behind a gap between the two is a nook."""
 NEAR_WALL_M = 0.3
 """What stands nearer to a wall than this hides what hangs there."""
 
@@ -66,7 +70,7 @@ class Layout:
         self.overhead = ~self.inside
         self.tall = np.zeros(self.inside.shape)
         self.entrance: Pose | None = None
-        self.cut_off = 0
+        self.cut_off = self.nooks = 0
 
     def against_wall(
         self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
@@ -107,6 +111,7 @@ class Layout:
             wall.taken.append(rectangle)
         if self.entrance is not None:
             self.cut_off = self._walk(self.taken)[1]
+            self.nooks = self._count_nooks(self.taken)
 
     def hang(
         self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
@@ -211,7 +216,7 @@ class Layout:
         return bool(self._footprint(piece, pose, self.inside).all())
 
     def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether a person can still walk from the entrance to nearly all open floor and to the piece's front."""
+        """Whether one can still walk from the entrance to nearly all open floor and to the piece's front, and sweep."""
         if self.entrance is None:
             return True
         taken = self.taken.copy()
@@ -219,6 +224,8 @@ class Layout:
         joined, cut_off = self._walk(taken)
         # Where something had to stand in the way before, it must not become worse.
         if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
+            return False
+        if self._count_nooks(taken) > self.nooks:
             return False
         if piece.front_m == 0.0:
             return True
@@ -233,6 +240,17 @@ class Layout:
         first = 0 if self.entrance is None else label[self.cell(self.entrance)]
         joined = (label == first) & (first > 0)
         return joined, int(walkable.sum() - joined.sum())
+
+    def _count_nooks(self, taken: np.ndarray) -> int:
+        """How many cells lie behind a gap too wide to be closed and too narrow for a broom."""
+        clear = self.inside & ~taken
+        broom = ndimage.binary_erosion(clear, np.ones((BROOM_CELLS, BROOM_CELLS)))
+        label = np.zeros(clear.shape, np.int32)
+        ndimage.label(broom, output=label)
+        first = 0 if self.entrance is None else label[self.cell(self.entrance)]
+        swept = ndimage.binary_dilation((label == first) & (first > 0), np.ones((BROOM_CELLS, BROOM_CELLS)))
+        open_floor = ndimage.binary_opening(clear, np.ones((GAP_CELLS + 1, GAP_CELLS + 1)))
+        return int(np.logical_and(open_floor, np.logical_not(swept)).sum())
 
     def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
         """The walls that a piece stands close to, with the rectangle it hides on each."""

@@ -1,4 +1,4 @@
-"""The forward range finder: level fans of rays from the robot's axis at several heights, floor to mast top.
+"""The range finder: level fans of rays from the robot's axis at several heights, floor to mast top.
 
 It answers what a short lidar of several layers would: distance to the first thing that collides. The room without
 the robot is its model, so that it cannot see the robot itself, and a curtain or a lamp's light does not stop it.

@@ -104,6 +104,10 @@ class DriveSettings(Group):
     """The robot stops when a range ray leaves less room than this before its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
+    enter: float = Field(default=0.2, ge=0.0, le=1.0)
+    """Chance to turn into an opening that the robot passes."""
+    search: float = Field(default=0.05, ge=0.0, le=1.0)
+    """Chance, after a segment, to search for a while on one side for places that chance would not find."""
 
 
 class GridSettings(Group):

@@ -105,10 +105,15 @@ class RoomWorld:
         sensor = self.data.sensordata
         return np.array((sensor[self._left], sensor[self._right]))
 
-    def ranges(self, reach_m: float = REACH_M) -> np.ndarray:
-        """Distances (K,) of the forward range rays [m], fan after fan; ``reach_m`` where nothing is nearer."""
+    def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
+        """Distances (K,) of the range rays [m], fan after fan; ``reach_m`` where nothing is nearer.
+
+        Args:
+            reach_m: Longest distance to measure [m].
+            turned_rad: Where the fans look: 0 straight ahead, positive to the left [rad].
+        """
         x, y, yaw = self.pose()
-        return self._finder.measure(x, y, yaw, reach_m)
+        return self._finder.measure(x, y, yaw + turned_rad, reach_m)
 
     def bumped(self) -> bool:
         """Whether something presses against the body or the mast."""

@@ -4,6 +4,7 @@ from typing import get_args
 import mujoco
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from sim.free_space import find_free_space
 from sim.records import FreeSpace
@@ -58,6 +59,20 @@ def test_doors_can_be_reached(kind, shape):
         inward = -data.xmat[door].reshape(3, 3)[:2, 1]
         for away in (0.2, 0.4, 0.6):
             assert space.is_reachable(data.xpos[door, :2] + away * inward)
+
+
+@pytest.mark.parametrize(("kind", "shape"), EVERY)
+def test_little_floor_lies_behind_gaps_hardly_wider_than_the_robot(kind, shape):
+    """What a robot 4 cm wider all around cannot come near, though it starts at the same place."""
+    _, _, space = _room(kind, shape)
+    wider = 0.04
+    clear = np.asarray(ndimage.distance_transform_edt(np.pad(space.reachable, 1)))[1:-1, 1:-1] * space.cell_m
+    label = np.zeros(clear.shape, np.int32)
+    ndimage.label(clear > wider + space.cell_m / 2, output=label)
+    column, row = np.rint((space.start - space.origin) / space.cell_m).astype(int)
+    away = np.asarray(ndimage.distance_transform_edt(label != label[row, column])) * space.cell_m
+    behind = space.reachable & (away > wider + 1.5 * space.cell_m)
+    assert behind.sum() < 0.02 * space.reachable.sum()
 
 
 @pytest.mark.parametrize(("kind", "shape"), EVERY)
