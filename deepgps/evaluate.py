@@ -15,7 +15,14 @@ from sim.files import read_json, write_arrays
 from sim.records import Recording, Truth, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
-ALIGNMENT: dict[MethodName, AlignmentKind] = {"deepgps": "E2", "posenet": "SE2", "odometry": "SE2", "knn": "SE2"}
+ALIGNMENT: dict[MethodName, AlignmentKind] = {
+    "deepgps": "E2",
+    "posenet": "SE2",
+    "odometry": "SE2",
+    "knn": "SE2",
+    "explicit": "E2",
+    "explicit_mds": "E2",
+}
 SEEN_WITHIN_M = 0.25
 
 
@@ -127,8 +134,7 @@ def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) 
     Returns:
         The share of neighbourhoods (a position, its right and its upper neighbour) of the rarer orientation.
     """
-    cell = np.rint(truth / spacing_m).astype(int)
-    cell -= cell.min(axis=0)
+    cell = np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int)
     number = np.full(cell.max(axis=0) + 2, -1)  # a margin, so that the last have neighbours that are not there
     number[tuple(cell.T)] = np.arange(len(cell))
     right, up = number[cell[:, 0] + 1, cell[:, 1]], number[cell[:, 0], cell[:, 1] + 1]

@@ -114,6 +114,22 @@ def fit_features(
     return fitted, projected / size if len(chosen) == len(observation) else fitted.apply(observation)
 
 
+def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
+    """Features of vectors (N, M): each is moved by its mean, and all are scaled together to a mean square of 1.
+
+    Distances to landmarks change slowly along the drive, and not at all when the robot turns: nothing is to be chosen.
+
+    Returns:
+        The projection and the observations' features (N, M).
+    """
+    described = describe(observation, 0)
+    mean = described.mean(dim=0)
+    described -= mean
+    size = described.square().mean().sqrt().clamp_min(1e-12)
+    basis = torch.eye(described.shape[1]) / size
+    return Features(tuple(observation.shape[1:]), 0, mean, basis), described / size
+
+
 def cached_features(
     path: Path,
     key: str,

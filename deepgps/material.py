@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from deepgps.data import Segments, read_segments
-from deepgps.features import Features, cached_features
+from deepgps.features import Features, cached_features, normalise
 from deepgps.network import make_network
 from deepgps.positioner import NetworkPositioner
 from deepgps.settings import LearnSettings
@@ -37,14 +37,20 @@ class Material:
 
 
 def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:
-    """Read the segments and make the features, or take these from ``folder``, where another method has left them."""
+    """Read the segments and make the features, or take these from ``folder``, where another method has left them.
+
+    Images become slow spectral features; vectors, such as distances to landmarks, are only normalised.
+    """
     segments = read_segments(recording)
-    key = hashlib.sha256(f"{settings.features} {seed} {_mark(recording)}".encode()).hexdigest()
-    generator = make_generator(seed, "features")
-    with use_threads(settings.train.threads):
-        projection, features = cached_features(
-            folder / "features.safetensors", key, recording.observation, segments, settings.features, generator
-        )
+    if recording.observation.ndim == 2:
+        projection, features = normalise(recording.observation)
+    else:
+        key = hashlib.sha256(f"{settings.features} {seed} {_mark(recording)}".encode()).hexdigest()
+        generator, path = make_generator(seed, "features"), folder / "features.safetensors"
+        with use_threads(settings.train.threads):
+            projection, features = cached_features(
+                path, key, recording.observation, segments, settings.features, generator
+            )
     table = features
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn

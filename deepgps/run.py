@@ -17,6 +17,7 @@ from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_
 from sim.errors import InputError
 from sim.files import read_json, sweep, write_json, write_text
 from sim.records import read_manifest
+from sim.settings import WorldName
 
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
 
@@ -116,9 +117,7 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
 
 def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and look: write the recording ``folder``, or what is missing of it."""
-    from sim.collect import collect as collect_recording
-
-    collect_recording(scenario.sim, scenario.seed, folder, progress)
+    RECORD[scenario.world](scenario, folder, progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
@@ -214,6 +213,22 @@ def _cpu_name() -> str:
     return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
+def _record_room(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.collect import collect as collect_room
+
+    collect_room(scenario.sim, scenario.seed, folder, progress)
+
+
+def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.landmarks import collect as collect_landmarks
+
+    collect_landmarks(scenario.sim, scenario.seed, folder, progress)
+
+
+RECORD: dict[WorldName, Callable[[Scenario, Path, Report], None]] = {
+    "room": _record_room,
+    "landmarks": _record_landmarks,
+}
 STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
     "collect": collect,
     "train": train,

@@ -303,9 +303,9 @@ def _eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0) -> rrb.EyeCont
 
 def _log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    stream.log(
-        "world/room", rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary"), static=True
-    )
+    if scene.is_file():  # a plane world has no walls to see
+        room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
+        stream.log("world/room", room, static=True)
     plan, corner = playback.draw_floor_plan(space)
     stream.log(
         "world/floor_plan",
@@ -391,7 +391,8 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -
         "world/drive/leg", indexes, rr.LineStrips3D.columns(strips=np.stack([place[start], place], axis=1))
     )
     _log_distances(stream, recording, truth)
-    _log_images(stream, recording, seen, recording.time[first])
+    if recording.observation.ndim == 4:
+        _log_images(stream, recording, seen, recording.time[first])
 
 
 def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:

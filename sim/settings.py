@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+WorldName = Literal["room", "landmarks"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop"]
 RoomShape = Literal["rectangle", "l", "u", "pillar"]
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
@@ -30,6 +31,21 @@ class RoomSettings(Group):
     """Extent along y [m]; none: the kind's own."""
     mjcf: str | None = None
     """A room of your own: path of an MJCF file, used in place of kind, shape, seed and size."""
+
+
+class LandmarksSettings(Group):
+    """The paper's plane world: a square with landmarks in it, whose distances are all that is seen (Sec. IV-A)."""
+
+    count: int = Field(default=128, ge=3, le=4096)
+    """Landmarks, numbered, so that each distance is known to be that of its own."""
+    seed: int | None = Field(default=None, ge=0)
+    """Where the landmarks stand comes from this number; none: from the scenario's seed."""
+    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
+    """Side of the square, its middle at the origin [m]."""
+    reach_m: float | None = Field(default=None, gt=0.0)
+    """Landmarks farther than this are not seen, their distance reads as this [m] (the paper's d_max); none: all are."""
+    segments: int = Field(default=128, ge=1, le=1_000_000)
+    """Straight segments to drive, each from wall to wall; drive.samples may end the drive before."""
 
 
 class RobotSettings(Group):
@@ -113,7 +129,7 @@ class DriveSettings(Group):
 class GridSettings(Group):
     """The test grid, rendered while collecting so that nothing later needs the simulator."""
 
-    spacing_m: float = Field(default=0.08, ge=0.02, le=1.0)
+    spacing_m: float = Field(default=0.08, ge=0.005, le=1.0)
     """Distance between test positions [m]."""
     headings: int = Field(default=4, ge=1, le=64)
     """Headings at each test position, evenly spread from +x."""
@@ -122,7 +138,10 @@ class GridSettings(Group):
 class SimSettings(Group):
     """All that decides a recording."""
 
+    world: WorldName = "room"
+    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks, where no camera and no physics is used."""
     room: RoomSettings = RoomSettings()
+    landmarks: LandmarksSettings = LandmarksSettings()
     robot: RobotSettings = RobotSettings()
     camera: CameraSettings = CameraSettings()
     encoder: EncoderSettings = EncoderSettings()
