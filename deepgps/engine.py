@@ -25,6 +25,7 @@ from sim.processes import end_with_parent
 
 MARK = "study.yaml"
 FAILURE = "failure.txt"
+TRAINED = ("deepgps", "posenet", "odometry")  # step by step
 Failures = dict[str, str]  # reasons by the hash of the run
 
 
@@ -171,7 +172,7 @@ def _half_and_half(progress: Report, before: int, size: int, total: int) -> Repo
 
 def _steps(scenario: Scenario) -> int:
     """Training steps of a run without restarts; one at least, so that every run counts."""
-    return max(1, scenario.learn.train.steps * sum(method != "knn" for method in scenario.methods))
+    return max(1, scenario.learn.train.steps * sum(method in TRAINED for method in scenario.methods))
 
 
 def _one_line(error: Exception) -> str:

@@ -36,6 +36,7 @@ LINES = {
     "posenet": "#e07b00",
     "posenet_noisy": "#b8860b",
     "explicit": "#7a4fbf",
+    "explicit_mds": "#4b5563",
     "knn": "#1a936f",
     "odometry": "#c2255c",
 }

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from deepgps import deepgps, knn, odometry, posenet
+from deepgps import deepgps, explicit, knn, odometry, posenet
 from deepgps.positioner import Positioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
@@ -11,4 +11,11 @@ from sim.records import Recording
 
 Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
 
-METHODS: dict[str, Fit] = {"deepgps": deepgps.fit, "posenet": posenet.fit, "odometry": odometry.fit, "knn": knn.fit}
+METHODS: dict[str, Fit] = {
+    "deepgps": deepgps.fit,
+    "posenet": posenet.fit,
+    "odometry": odometry.fit,
+    "knn": knn.fit,
+    "explicit": explicit.fit,
+    "explicit_mds": explicit.fit_from_mds,
+}

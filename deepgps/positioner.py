@@ -17,6 +17,7 @@ from deepgps.features import Features, check_shape
 from deepgps.network import make_network
 from deepgps.settings import NetworkSettings
 from deepgps.train import Inputs
+from deepgps.triangulate import LandmarkPositioner
 from sim.errors import InputError
 from sim.files import read_json, write_bytes, write_json
 
@@ -90,7 +91,7 @@ class NeighbourPositioner:
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
-Positioner = NetworkPositioner | NeighbourPositioner
+Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner
 
 
 def is_finished(folder: Path) -> bool:
@@ -125,6 +126,9 @@ def load_positioner(folder: Path) -> Positioner:
 
 
 def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    if isinstance(positioner, LandmarkPositioner):
+        reach_m = None if np.isinf(positioner.reach_m) else positioner.reach_m
+        return {"landmark": torch.from_numpy(positioner.landmark)}, {"kind": "landmarks", "reach_m": reach_m}
     features = positioner.features
     tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
     frequencies = None if features is None else features.frequencies
@@ -141,6 +145,9 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
 
 
 def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> Positioner:
+    if description.get("kind") == "landmarks":
+        reach_m = description["reach_m"]
+        return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
     shape = tuple(description["shape"])
     features = None
     if description["frequencies"] is not None:

@@ -17,6 +17,7 @@ TITLES = {
     "posenet": "PoseNet",
     "posenet_noisy": "PoseNet, noisy labels",
     "explicit": "Explicit positioning",
+    "explicit_mds": "Explicit, from MDS",
     "knn": "Nearest neighbour",
     "odometry": "Odometry labels",
 }

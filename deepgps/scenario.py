@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import yaml
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
 from deepgps.settings import LearnSettings
@@ -16,7 +16,7 @@ from sim.paths import SCENARIOS
 from sim.records import SCHEMA
 from sim.settings import Group, SimSettings
 
-MethodName = Literal["deepgps", "posenet", "odometry", "knn"]
+MethodName = Literal["deepgps", "posenet", "odometry", "knn", "explicit", "explicit_mds"]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 
 
@@ -37,6 +37,17 @@ class Scenario(SimSettings):
         if not methods or len(set(methods)) != len(methods):
             raise ValueError("at least one method, each once")
         return methods
+
+    @model_validator(mode="after")
+    def _methods_suit_the_world(self) -> "Scenario":
+        if self.world == "room" and (explicit := [name for name in self.methods if name.startswith("explicit")]):
+            raise ValueError(f"methods: {explicit[0]} needs distances to landmarks, which world landmarks alone gives")
+        if self.world == "landmarks" and self.learn.network.architecture != "spectral":
+            raise ValueError(
+                f"learn.network.architecture {self.learn.network.architecture!r} needs images, which world landmarks "
+                "does not give; spectral takes distances as they are"
+            )
+        return self
 
     @property
     def sim(self) -> SimSettings:

@@ -86,6 +86,15 @@ class FoldSettings(Group):
     """Fraction of observations whose neighbours on the map look unlike them, above which a map is folded."""
 
 
+class ExplicitSettings(Group):
+    """Explicit positioning, which solves for landmarks and positions at once; only where distances are observed."""
+
+    readings: int = Field(default=2000, ge=3, le=1_000_000)
+    """Readings, spread over the segments, whose positions are unknowns, at most."""
+    evaluations: int = Field(default=100, ge=1, le=100_000)
+    """Steps of the solver that are tried, at most."""
+
+
 class LearnSettings(Group):
     """All that decides how a recording is learned."""
 
@@ -103,5 +112,6 @@ class LearnSettings(Group):
     readings), lifting, random (not at all), or auto: paths where they are possible, else lifting."""
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
+    explicit: ExplicitSettings = ExplicitSettings()
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -42,6 +42,12 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("drive: {control_period_s: 0.013}", "must be a whole multiple of robot.timestep_s"),
         ("methods: []", "methods: at least one method, each once"),
         ("methods: [deepgps, deepgps]", "methods: at least one method, each once"),
+        ("methods: [explicit]", "methods: explicit needs distances to landmarks, which world landmarks alone gives"),
+        (
+            "{world: landmarks, learn: {network: {architecture: resnet}}}",
+            "'resnet' needs images, which world landmarks",
+        ),
+        ("world: {}", "world {}: must be 'room' or 'landmarks'"),
         ("seed: {", "line 1"),
         ("seed: 1\nseed: 2", "line 2: seed stands twice"),
         ("name: ../up", "name '../up': string should match pattern"),
