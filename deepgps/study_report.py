@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure as Picture
 
-from deepgps import study_precision, study_seeds
+from deepgps import study_landmarks, study_precision, study_seeds
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
@@ -34,6 +34,7 @@ KINDS: dict[ReportName, Kind] = {
     "plain": Kind(report_plain, lambda rows: {}, None),
     "precision": Kind(study_precision.report, study_precision.measure, study_precision.draw),
     "seeds": Kind(study_seeds.report, study_seeds.measure, study_seeds.draw),
+    "landmarks": Kind(study_landmarks.report, study_landmarks.measure, study_landmarks.draw),
 }
 
 

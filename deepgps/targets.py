@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from deepgps.markdown import tabulate
 
 # unit -> factor, digits, what follows
-FORMS = {"cm": (100, 1, " cm"), "s": (1, 0, " s"), "%": (100, 1, " %"), "": (1, 2, "")}
+FORMS = {"cm": (100, 1, " cm"), "mm": (1000, 2, " mm"), "s": (1, 0, " s"), "%": (100, 1, " %"), "": (1, 2, "")}
 
 
 @dataclass(frozen=True)
