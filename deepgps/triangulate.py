@@ -57,13 +57,24 @@ def triangulate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> n
     lever = landmark - middle
     square = (landmark**2).sum(axis=1) - measured**2
     known = square - (share[..., 0] * square).sum(axis=1, keepdims=True)
-    point = _solve(2.0 * lever, known, weight)
+    middle, farthest = middle[:, 0], (weight * measured).max(axis=1)
+    point = _hold(_solve(2.0 * lever, known, weight), middle, farthest)
     for _ in range(ROUNDS):
         apart = point[:, None] - landmark
         length = np.linalg.norm(apart, axis=2)
         direction = apart / length.clip(1e-12)[..., None]
-        point = point + _solve(direction, measured - length, weight)
+        point = _hold(point + _solve(direction, measured - length, weight), middle, farthest)
     return point
+
+
+def _hold(point: np.ndarray, middle: np.ndarray, farthest: np.ndarray) -> np.ndarray:
+    """Points (B, 2), those farther from the middle (B, 2) of what they see than the farthest of it (B,) moved there.
+
+    True points are never that far; of landmarks that are all wrong Gauss-Newton would run away without end.
+    """
+    away = point - middle
+    length = np.linalg.norm(away, axis=1)
+    return middle + away * (np.minimum(length, farthest) / length.clip(1e-12))[:, None]
 
 
 def _solve(rows: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -57,6 +57,14 @@ def test_too_few_landmarks_give_a_finite_point_that_fits(count: int):
         assert np.abs(distances(found)[:, 0] - short[:, 0]).max() < 1e-6
 
 
+def test_wrong_landmarks_do_not_make_points_run_away():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        wrong, measured = rng.uniform(-1, 1, (5, 2)), rng.uniform(0.1, 2.0, (200, 5))
+        found = triangulate(wrong, measured, np.inf)
+        assert (np.linalg.norm(found - wrong.mean(axis=0), axis=1) <= measured.max(axis=1) + 1e-9).all()
+
+
 @pytest.mark.parametrize("reach_m", [0.8, np.inf])
 def test_it_is_saved_and_loaded_and_refuses_other_shapes(reach_m: float, tmp_path: Path):
     positioner = LandmarkPositioner(LANDMARK, reach_m)
