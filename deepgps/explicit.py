@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
@@ -105,11 +105,17 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
     return triangulate(landmark, distance, reach_m), landmark
 
 
-def choose_readings(segments: Segments, most: int) -> Segments:
-    """Segments with every so many-th of their readings, so that about ``most`` are left."""
+def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
+    """Segments with every so many-th of their readings, so that about ``most`` are left.
+
+    Returns:
+        The segments, their observations numbered anew, and which observation each of these is (n,) int64.
+    """
     every = max(1, -(-int(segments.count.sum()) // most))
     index, distance = segments.index[:, ::every].contiguous(), segments.distance[:, ::every]
-    return Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped)
+    fewer = Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped)
+    chosen = index[fewer.valid].unique()
+    return Segments(torch.searchsorted(chosen, index) * fewer.valid, distance, fewer.count, fewer.skipped), chosen
 
 
 def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
@@ -125,23 +131,9 @@ def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equation
     )
 
 
-def _fit(
-    start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
-) -> Positioner:
-    if is_finished(folder):
-        return load_positioner(folder)
-    began = time.perf_counter()
-    reach_m = read_reach(recording)
-    segments = choose_readings(read_segments(recording), settings.explicit.readings)
-    chosen = segments.index[segments.valid].unique()
-    numbered = Segments(
-        torch.searchsorted(chosen, segments.index) * segments.valid, segments.distance, segments.count, segments.skipped
-    )
-    distance = np.asarray(recording.observation[chosen.numpy()])
-    rng = np.random.default_rng(derive_seed(seed, "start"))
-    first = np.concatenate(start(distance, reach_m, rng))
-    equations = set_up(distance, reach_m, numbered)
-    solution = least_squares(
+def solve(equations: Equations, first: np.ndarray, evaluations: int) -> OptimizeResult:
+    """Least squares of the equations from first points (P, 2) [m], by a trust region with a sparse Jacobian."""
+    return least_squares(
         equations.residual,
         first.ravel(),
         equations.jacobian,  # pyright: ignore[reportArgumentType] (its stub knows dense ones only)
@@ -150,8 +142,21 @@ def _fit(
         ftol=TOLERANCE,
         xtol=TOLERANCE,
         gtol=TOLERANCE,
-        max_nfev=settings.explicit.evaluations,
+        max_nfev=evaluations,
     )
+
+
+def _fit(
+    start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Positioner:
+    if is_finished(folder):
+        return load_positioner(folder)
+    began = time.perf_counter()
+    reach_m = read_reach(recording)
+    segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
+    distance = np.asarray(recording.observation[chosen.numpy()])
+    first = start(distance, reach_m, np.random.default_rng(derive_seed(seed, "start")))
+    solution = solve(set_up(distance, reach_m, segments), np.concatenate(first), settings.explicit.evaluations)
     landmark = solution.x.reshape(-1, 2)[len(distance) :]
     training = {
         "steps": int(solution.nfev),

@@ -157,3 +157,13 @@ class SimSettings(Group):
                 f"robot.timestep_s {self.robot.timestep_s} s, and is {steps:g} times it"
             )
         return self
+
+    @model_validator(mode="after")
+    def _segments_have_room(self) -> "SimSettings":
+        longest = min(self.landmarks.side_m, self.drive.longest_m)
+        if self.world == "landmarks" and 4 * self.drive.spacing_m > longest:
+            raise ValueError(
+                f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
+                f"landmarks world, {longest} m"
+            )
+        return self

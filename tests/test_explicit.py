@@ -87,13 +87,15 @@ def test_the_truth_solves_the_equations(which: str, request: pytest.FixtureReque
 
 def test_readings_are_thinned_along_their_segments(complete: Recording):
     segments = read_segments(complete)
-    fewer = choose_readings(segments, 200)
-    assert fewer.count.sum() <= 200 + len(segments.count)
-    assert torch.equal(fewer.index[:, 0], segments.index[:, 0])
-    held = dict(zip(segments.index[segments.valid].tolist(), segments.distance[segments.valid].tolist(), strict=True))
-    last = fewer.index[fewer.valid].tolist(), fewer.distance[fewer.valid].tolist()
-    inside = [(index, way) for index, way in zip(*last, strict=True) if way > 0]
-    assert inside and all(held[index] in (0.0, way) for index, way in inside)
+    fewer, chosen = choose_readings(segments, 200)
+    assert 100 < fewer.count.sum() <= 200 + len(segments.count)
+    assert torch.equal(fewer.index[fewer.valid].unique(), torch.arange(len(chosen)))
+    for row, count in enumerate(fewer.count.tolist()):
+        kept = chosen[fewer.index[row, :count]]
+        place = torch.searchsorted(segments.index[row, 1 : segments.count[row]].contiguous(), kept[1:]) + 1
+        assert kept[0] == segments.index[row, 0]
+        assert torch.equal(segments.index[row, place], kept[1:])
+        assert torch.equal(segments.distance[row, place], fewer.distance[row, 1:count])
 
 
 @pytest.mark.parametrize("which", ["complete", "incomplete"])
