@@ -140,7 +140,8 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
         axes.set_axis_off()
     _add_scale(figure, list(grid.flat))
     figure.suptitle(
-        f"Where each method thinks it is: {metrics['scenario']}, seed {metrics['seed']}, {metrics['samples']} images",
+        f"Where each method thinks it is: {metrics['scenario']}, seed {metrics['seed']}, "
+        f"{metrics['samples']} observations",
         fontsize=14,
     )
     return figure
@@ -201,7 +202,7 @@ def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     axes.annotate("start", (start[0], start[1]), xytext=(7, 6), textcoords="offset points", color="white", fontsize=10)
     length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
     count = len(np.unique(segment))
-    axes.set_title(f"The drive: {len(truth.pose)} images, {count} straight segments, {length:.0f} m", fontsize=13)
+    axes.set_title(f"The drive: {len(truth.pose)} observations, {count} straight segments, {length:.0f} m", fontsize=13)
     bar = figure.colorbar(lines, ax=axes, shrink=0.8, pad=0.02, ticks=[0, max(len(pieces) - 1, 1)])
     bar.ax.set_yticklabels(["start", "end"])
     return figure

@@ -77,10 +77,10 @@ def describe(metrics: Mapping[str, Any]) -> list[str]:
     timing = {name: float(value) for name, value in metrics["timing_s"].items()}
     parts = ", ".join(f"{name} {value:.1f} s" for name, value in timing.items())
     sentences = [
-        f"{metrics['samples']} images on {metrics['segments']} straight segments, "
+        f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
         f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
         f"{seen} of {reachable} reachable test positions ({100 * seen / max(reachable, 1):.1f} %) lie within "
-        "0.25 m of an image the robot learned from.",
+        "0.25 m of an observation the robot learned from.",
         f"Time: {parts}; {sum(timing.values()):.1f} s in all.",
     ]
     if trajectory := metrics.get("trajectory"):

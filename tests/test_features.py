@@ -7,8 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data import read_segments
-from deepgps.features import cached_features, describe, fit_features, solve_generalised
-from deepgps.settings import FeatureSettings
+from deepgps.features import cached_features, describe, fit_features, normalise, solve_generalised
+from deepgps.material import prepare
+from deepgps.settings import FeatureSettings, LearnSettings
 from sim.errors import InputError
 from tests.toy import make_toy
 
@@ -107,6 +108,20 @@ def test_features_are_taken_from_the_cache_of_the_same_key(tmp_path: Path):
     assert torch.equal(first[1], same[1]) and torch.equal(first[0].basis, same[0].basis)
     assert torch.equal(first[0].apply(recording.observation), same[0].apply(recording.observation))
     assert not torch.equal(first[1], other[1])
+
+
+def test_vectors_are_normalised_and_nothing_else(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    vectors = np.asarray(recording.observation, float)
+    fitted, features = normalise(recording.observation)
+    assert np.allclose(features.mean(dim=0), 0.0, atol=1e-5)
+    assert float(features.square().mean()) == pytest.approx(1.0, rel=1e-4)
+    apart = np.linalg.norm(vectors[1:] - vectors[:-1], axis=1)
+    ratio = (features[1:] - features[:-1]).norm(dim=1).numpy() / apart
+    assert np.allclose(ratio, ratio[0], rtol=1e-3)
+    assert torch.allclose(fitted.apply(recording.observation), features, atol=1e-4)
+    material = prepare(recording, LearnSettings(), 0, tmp_path / "run")
+    assert torch.equal(material.features, features) and not (tmp_path / "run").exists()
 
 
 def test_generalised_eigenvectors_solve_their_equation():
