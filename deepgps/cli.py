@@ -83,7 +83,7 @@ def run_command(words: Sequence[str]) -> None:
 
     arguments, scenario = _parse_scenario("run", words)
     folder = arguments.out or default_folder(scenario)
-    _choose_renderer()
+    _choose_renderer_for([scenario])
     with show_progress() as progress:
         run(scenario, folder, arguments.fresh, progress)
     print_report(folder, console)
@@ -98,7 +98,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
         arguments, scenario = _parse_scenario(stage, words)
         folder = arguments.out or default_folder(scenario)
-        _choose_renderer()
+        _choose_renderer_for([scenario])
         with claim(scenario, folder, arguments.fresh), show_progress() as progress:
             for name, work in STAGES.items():
                 work(scenario, folder, progress)
@@ -121,7 +121,7 @@ def study_command(words: Sequence[str]) -> None:
     study = load_study(arguments.study, arguments.tiny)
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
-    _choose_renderer()
+    _choose_renderer_for([plan.scenario for plan in plans])
     with show_progress() as progress:
         failures = carry_out(study, plans, folder, arguments.fresh, progress)
     console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
@@ -325,6 +325,11 @@ def _parse_seeds(text: str) -> list[int]:
     if not seeds or min(seeds) < 0 or len(seeds) > 100:
         raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
     return seeds
+
+
+def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
+    if any(scenario.world == "room" for scenario in scenarios):  # nothing else is drawn
+        _choose_renderer()
 
 
 def _choose_renderer() -> None:

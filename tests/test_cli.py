@@ -102,6 +102,14 @@ def test_an_empty_study_gives_one_clear_line(tmp_path, tmp_path_factory):
     assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
 
 
+def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
+    words = ("collect", "landmarks", "--landmarks.segments", "4", "--grid.spacing-m", "0.5", "--out", "plane")
+    done = deepgps(*words, cwd=tmp_path, MUJOCO_GL="nothing")
+    assert done.returncode == 0, done.stderr
+    check_recording(tmp_path / "plane" / "recording")
+    assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
+
+
 def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_factory):
     folder = tmp_path_factory.mktemp("house") / "rooms"
     folder.mkdir()
