@@ -41,7 +41,7 @@ def armchair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Foot
 
 
 def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A chair with a straight back; crossed stretchers tie its legs, so that nothing drives under the seat."""
+    """A chair with a straight back; stretchers tie its legs all around, so that nothing drives under the seat."""
     width, depth, back_top = 0.44, 0.46, rng.uniform(0.86, 0.98)
     wood = look.wood
     x, y = width / 2 - 0.022, depth / 2 - 0.022
@@ -49,10 +49,9 @@ def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
         box(body, (*at, tall / 2), (0.045, 0.045, tall), wood, solid=True)
     box(body, (0, 0, 0.45), (width, depth, 0.045), look.cushion, solid=True)
     box(body, (0, y, back_top - 0.13), (width - 0.08, 0.03, 0.22), wood, solid=True)
-    diagonal = float(np.hypot(width, depth)) - 0.08
-    for angle in (1, -1):
-        across = turned(angle * float(np.arctan2(depth, width)))
-        box(body, (0, 0, 0.13), (diagonal, 0.03, 0.08), wood, solid=True, quat=across)
+    for side in (-1, 1):
+        box(body, (0, side * y, 0.13), (2 * x, 0.03, 0.06), wood, solid=True)
+        box(body, (side * x, 0, 0.13), (0.03, 2 * y, 0.06), wood, solid=True)
     return Footprint(width, depth, back_top)
 
 
