@@ -75,7 +75,7 @@ class LandmarkWorld:
         direction = np.array([np.cos(yaw), np.sin(yaw)])
         low, high = self.bounds
         room = np.where(direction > 0, high - place, place - low)
-        with np.errstate(divide="ignore", invalid="ignore"):  # along a wall the way to it is infinite
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # along a wall the way to it is infinite
             return float(np.nanmin(room / np.abs(direction)))
 
 

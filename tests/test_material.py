@@ -1,5 +1,7 @@
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -9,7 +11,9 @@ from tests.toy import make_toy
 
 
 def test_features_do_not_depend_on_the_number_of_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    recording = make_toy(tmp_path / "toy", samples=300)
+    toy = make_toy(tmp_path / "toy", samples=300)
+    images = np.random.default_rng(0).integers(0, 256, (len(toy.observation), 4, 16, 3), np.uint8)
+    recording = replace(toy, observation=images)
     threads = []
     plain = material.cached_features
 
