@@ -7,8 +7,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 
 from deepgps.bench_rows import Row
-from deepgps.study import load_study
-from deepgps.study_report import KINDS
+from deepgps.studies.report import KINDS
+from deepgps.studies.study import load_study
 from sim.files import read_json
 
 STUDIES = ("precision", "seeds")

@@ -111,9 +111,9 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.engine import carry_out, default_folder
-    from deepgps.study import load_study, plan_runs
-    from deepgps.study_report import report_study
+    from deepgps.studies.engine import carry_out, default_folder
+    from deepgps.studies.report import report_study
+    from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")

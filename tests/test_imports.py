@@ -24,7 +24,7 @@ WITHOUT_MUJOCO = {
 }
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
 FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks"}
-ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.engine"}
+ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.studies.engine"}
 OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "viz", "figures")}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
 GLOBAL_SEEDS = {
@@ -172,7 +172,7 @@ def test_package_has_no_import_cycle(package):
         ("sim.render", "from . import lens", "relative"),
         ("deepgps.train", "import rerun", "only deepgps.viz may"),
         ("deepgps.train", "from tyro import cli", "only deepgps.cli may"),
-        ("deepgps.run", "import ray", "only deepgps.engine may"),
+        ("deepgps.run", "import ray", "only deepgps.studies.engine may"),
         ("deepgps.train", "import mujoco.viewer", "never imports mujoco"),
         ("deepgps.train", "def f():\n    import sim.collect", "only the modules without MuJoCo"),
         ("deepgps.run", "import sim.collect", "only inside a function"),

@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from deepgps.scenario import names_in
-from deepgps.study import load_study, plan_runs
-from deepgps.study_report import write_report
+from deepgps.studies.report import write_report
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.viz import find_recording
 from sim.errors import InputError
 from sim.files import read_json

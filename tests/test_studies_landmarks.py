@@ -8,10 +8,10 @@ import pytest
 from deepgps.progress import ignore
 from deepgps.run import run
 from deepgps.scenario import load_scenario
-from deepgps.study import FIGURES, load_study, plan_runs
-from deepgps.study_landmarks import PAPER, measure, report
-from deepgps.study_report import write_report
-from deepgps.table import Row
+from deepgps.studies.landmarks import PAPER, measure, report
+from deepgps.studies.report import write_report
+from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.table import Row
 from deepgps.viz import RECORDING, read_error_field
 
 SMALL = {

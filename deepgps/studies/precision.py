@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import LINES
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.table import ERRORS, Row, write_errors
+from deepgps.studies.table import ERRORS, Row, write_errors
 from deepgps.targets import Figure, write
 
 SHARES = ("relative_rms", "seen", "flipped")

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from deepgps.markdown import tabulate
-from deepgps.table import ERRORS, Row, write_errors
+from deepgps.studies.table import ERRORS, Row, write_errors
 from deepgps.targets import Figure, write
 
 # Of maps of 8,000 images, right ones turned over 1 to 5 % of their neighbourhoods, folded ones 21 to 47 %.

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import LINES
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.table import Row
+from deepgps.studies.table import Row
 from deepgps.targets import Figure
 
 REACH = "landmarks.reach_m"

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure as Picture
 
-from deepgps import study_landmarks, study_precision, study_seeds
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.study import Plan, ReportName, Study
-from deepgps.table import ERRORS, Row, gather, write_errors, write_table
+from deepgps.studies import landmarks, precision, seeds
+from deepgps.studies.study import Plan, ReportName, Study
+from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
 from sim.files import write_bytes, write_text
 
@@ -32,9 +32,9 @@ def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 KINDS: dict[ReportName, Kind] = {
     "plain": Kind(report_plain, lambda rows: {}, None),
-    "precision": Kind(study_precision.report, study_precision.measure, study_precision.draw),
-    "seeds": Kind(study_seeds.report, study_seeds.measure, study_seeds.draw),
-    "landmarks": Kind(study_landmarks.report, study_landmarks.measure, study_landmarks.draw),
+    "precision": Kind(precision.report, precision.measure, precision.draw),
+    "seeds": Kind(seeds.report, seeds.measure, seeds.draw),
+    "landmarks": Kind(landmarks.report, landmarks.measure, landmarks.draw),
 }
 
 

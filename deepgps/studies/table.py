@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from deepgps.report import read_metrics
 from deepgps.scenario import Scenario
-from deepgps.study import Plan
+from deepgps.studies.study import Plan
 from sim.files import write_atomic
 
 Row = dict[str, Any]

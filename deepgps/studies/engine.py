@@ -18,7 +18,7 @@ from pathlib import Path
 from deepgps.progress import Report
 from deepgps.run import claim, clear, evaluate, lock, make_recording, show, train
 from deepgps.scenario import Scenario
-from deepgps.study import Plan, Study, write_out
+from deepgps.studies.study import Plan, Study, write_out
 from sim.errors import InputError, WorkError
 from sim.files import sweep, write_text
 from sim.processes import end_with_parent
