@@ -18,6 +18,7 @@ from sim.records import Recording, Truth, open_recording, open_truth
 ALIGNMENT: dict[MethodName, AlignmentKind] = {
     "deepgps": "E2",
     "posenet": "SE2",
+    "posenet_noisy": "SE2",
     "odometry": "SE2",
     "knn": "SE2",
     "explicit": "E2",

@@ -14,6 +14,7 @@ Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
 METHODS: dict[str, Fit] = {
     "deepgps": deepgps.fit,
     "posenet": posenet.fit,
+    "posenet_noisy": posenet.fit_noisy,
     "odometry": odometry.fit,
     "knn": knn.fit,
     "explicit": explicit.fit,

@@ -16,7 +16,7 @@ from sim.paths import SCENARIOS
 from sim.records import SCHEMA
 from sim.settings import Group, SimSettings
 
-MethodName = Literal["deepgps", "posenet", "odometry", "knn", "explicit", "explicit_mds"]
+MethodName = Literal["deepgps", "posenet", "posenet_noisy", "odometry", "knn", "explicit", "explicit_mds"]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 
 

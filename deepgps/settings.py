@@ -112,6 +112,8 @@ class LearnSettings(Group):
     readings), lifting, random (not at all), or auto: paths where they are possible, else lifting."""
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
+    label_noise_m: float = Field(default=0.01, ge=0.0, le=10.0)
+    """Standard deviation of the error of posenet_noisy's labels, in x and in y [m]."""
     explicit: ExplicitSettings = ExplicitSettings()
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

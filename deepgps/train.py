@@ -25,7 +25,7 @@ SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP = 0.05
 
-Purpose = Literal["features", "start", "weights", "shuffling", "fold"]
+Purpose = Literal["features", "start", "weights", "shuffling", "fold", "labels"]
 
 
 @dataclass(frozen=True)

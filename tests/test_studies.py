@@ -173,6 +173,13 @@ def test_precision_covers_every_kind_and_shape():
     assert {room.shape for room in rooms} == {"rectangle", "l", "u", "pillar"}
 
 
+def test_rooms30_has_every_kind_in_every_shape_and_no_room_that_was_developed_on():
+    rooms = [plan.scenario.room for plan in plan_runs(load_study("rooms30", tiny=False))]
+    assert len(rooms) == 30
+    assert len({(room.kind, room.shape) for room in rooms}) == 24
+    assert min(room.seed for room in rooms) >= 30
+
+
 def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     study = load_study("precision", tiny=False)
     plans = plan_runs(study)[:2]
@@ -185,11 +192,16 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     ]
     lines = write_report(study, plans, {}, rows).splitlines()
     verdicts = {
-        line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]] for line in lines if "=" in line
+        line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
+        for line in lines[lines.index("## In all") :]
+        if "|" in line
     }
     assert verdicts["RMS"] == ["2.0 cm", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]
     assert verdicts["max"][:4] == ["30.0 cm", "30.0 cm", "<= 20.0 cm", "missed"]
     assert verdicts["RMS / PoseNet's RMS"][:4] == ["1.00", "1.50", "<= 1.05", "met"]
+    assert verdicts["PoseNet, RMS"][:2] == ["2.0 cm", "2.0 cm"]
+    assert verdicts["rooms with RMS below PoseNet's"][0] == "50.0 %"
+    assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS, 0 by median, 0 by max." in lines
 
 
 @pytest.mark.parametrize(
@@ -197,7 +209,7 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     [
         ({"seedz": [0]}, "seedz: there is no such setting, did you mean seeds?"),
         ({"seeds": [], "report": "fancy"}, "seeds []: tuple should have at least 1 item"),
-        ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'precision', 'seeds' or 'landmarks'"),
+        ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'rooms', 'seeds' or 'landmarks'"),
         ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
         ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
         ({"axes": {"learn.seed": [1]}}, "learn.seed stands both in cases and in axes"),

@@ -25,7 +25,7 @@ from sim.processes import end_with_parent
 
 MARK = "study.yaml"
 FAILURE = "failure.txt"
-TRAINED = ("deepgps", "posenet", "odometry")  # step by step
+TRAINED = ("deepgps", "posenet", "posenet_noisy", "odometry")  # step by step
 Failures = dict[str, str]  # reasons by the hash of the run
 
 

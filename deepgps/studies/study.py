@@ -22,11 +22,14 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "precision", "seeds", "landmarks"]
+ReportName = Literal["plain", "rooms", "seeds", "landmarks"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
-    "precision": ("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "train_s"),
+    "rooms": (
+        *("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins", "train_s"),
+        *("posenet_rms_m", "posenet_median_m", "posenet_max_m"),
+    ),
     "seeds": ("unfolded", "found", "false_alarms"),
     "landmarks": (
         *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
@@ -72,8 +75,8 @@ class Study(Variation):
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
-    """How the table is reported. plain: as it is; precision: rooms and targets; seeds: folds and their detector;
-    landmarks: the paper's Table I."""
+    """How the table is reported. plain: as it is; rooms: every room, means and who wins; seeds: folds and their
+    detector; landmarks: the paper's Table I."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)

@@ -1,4 +1,4 @@
-"""The report of precision: every room, the mean and the worst, and DeepGPS against PoseNet."""
+"""The report of rooms: every room, the mean and the worst, and DeepGPS against its rivals: who wins how often."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,6 +13,7 @@ from deepgps.studies.table import ERRORS, Row, write_errors
 from deepgps.targets import Figure, write
 
 SHARES = ("relative_rms", "seen", "flipped")
+WINS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 NOTE = (
     "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
     "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
@@ -20,7 +21,7 @@ NOTE = (
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """The table of all rooms and methods, then the means, then the worst; and how to read it."""
+    """The table of all rooms and methods, then the means, then the worst; how to read it; and who wins how often."""
     headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
     rival = _rival(rows)
     cells = []
@@ -34,25 +35,28 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
             if title == "worst":
                 whole["seen"] = min(row["seen"] for row in group)
             cells.append([title, method_title(method), *_write(whole), "-"])
-    return [tabulate(headings, cells), NOTE]
+    return [tabulate(headings, cells), NOTE, *_count_wins(rows)]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS over all rooms; its ratio to PoseNet is that of the mean RMS, over the rooms that both have."""
-    ours, rival = _by_method(rows).get("deepgps", []), _rival(rows)
+    """DeepGPS over all rooms, then every rival; the ratio to PoseNet is that of mean RMS, over rooms that both have."""
+    methods, rival = _by_method(rows), _rival(rows)
+    ours = methods.pop("deepgps", [])
     if not ours:
         return {}
-    figures = {}
-    for name, heading in ERRORS.items():
-        values = [row[name] for row in ours]
-        figures[name] = Figure(heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+    figures = _measure_errors(ours)
     both = [(row["rms_m"], rival[row["recording"]]) for row in ours if row["recording"] in rival]
     if both:
         mine, other = np.array(both).T
         ratio, worst = float(mine.mean() / other.mean()), float((mine / other).max())
         figures["posenet_ratio"] = Figure("RMS / PoseNet's RMS", ratio, "", worst=worst)
+        wins = float((mine < other).mean())
+        figures["wins"] = Figure("rooms with RMS below PoseNet's", wins, "%", at_least=True)
     seconds = [row["train_s"] for row in ours]
     figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
+    for method, group in methods.items():
+        title = f"{method_title(method)}, "
+        figures |= {f"{method}_{name}": figure for name, figure in _measure_errors(group, title).items()}
     return figures
 
 
@@ -76,6 +80,28 @@ def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
     axes.grid(alpha=0.25, which="both")
     axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
     return picture
+
+
+def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
+    figures = {}
+    for name, heading in ERRORS.items():
+        values = [row[name] for row in group]
+        figures[name] = Figure(title + heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+    return figures
+
+
+def _count_wins(rows: Sequence[Row]) -> list[str]:
+    """A sentence for each rival: in how many of the rooms that both have DeepGPS has the lower error."""
+    methods = _by_method(rows)
+    ours = {row["recording"]: row for row in methods.pop("deepgps", [])}
+    sentences = []
+    for method, group in methods.items():
+        pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
+        wins = [f"{sum(mine[name] < other[name] for mine, other in pairs)} by {word}" for name, word in WINS.items()]
+        sentences.append(
+            f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
+        )
+    return sentences
 
 
 def _by_method(rows: Sequence[Row]) -> dict[str, list[Row]]:
