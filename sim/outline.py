@@ -8,6 +8,9 @@ import numpy as np
 
 from sim.settings import RoomShape
 
+DIVIDER_M, DOORWAY_M = 0.3, 0.9
+"""Thickness of the wall between two rooms, and width of the doorway in it [m]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Wall:
@@ -52,7 +55,7 @@ class Wall:
 
 
 def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:
-    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; L and U lack a piece of seeded size."""
+    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; what L, U and two rooms lack is seeded."""
     w, d = width_m / 2, depth_m / 2
     if shape == "l":
         x, y = w - rng.uniform(0.34, 0.42) * width_m, d - rng.uniform(0.34, 0.42) * depth_m
@@ -62,6 +65,13 @@ def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Gen
         y = d - rng.uniform(0.36, 0.44) * depth_m
         corners = [(-w, -d), (w, -d), (w, d), (middle + half, d), (middle + half, y)]
         corners += [(middle - half, y), (middle - half, d), (-w, d)]
+    elif shape == "two_rooms":
+        left = rng.uniform(-0.06, 0.06) * width_m - DIVIDER_M / 2
+        right = left + DIVIDER_M
+        low = rng.uniform(0.2 - d, d - 0.2 - DOORWAY_M)
+        high = low + DOORWAY_M
+        corners = [(-w, -d), (left, -d), (left, low), (right, low), (right, -d), (w, -d)]
+        corners += [(w, d), (right, d), (right, high), (left, high), (left, d), (-w, d)]
     else:
         corners = [(-w, -d), (w, -d), (w, d), (-w, d)]
     points = np.array(corners)

@@ -11,12 +11,13 @@ from sim.furniture import COLLISION_GROUP, Footprint, block, box, make_look, pap
 from sim.furniture_placing import Finish, Room, surface
 from sim.furniture_plans import FURNISH, finish_ceiling
 from sim.layout import Layout
-from sim.outline import outline, slabs
+from sim.outline import DOORWAY_M, outline, slabs
 from sim.settings import RoomKind, RoomSettings, RoomShape
 
 FLOOR = "floor"
 WALL_M = 0.15
 CORNER_GAP_M = 0.002
+DOORWAY_HEIGHT_M = 2.05
 
 SIZE_M: dict[RoomKind, tuple[float, float, float]] = {
     "living_room": (7.0, 4.3, 2.65),
@@ -68,6 +69,8 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     _close_ceiling(room, settings.kind)
     if settings.shape == "pillar":
         _raise_pillars(room)
+    elif settings.shape == "two_rooms":
+        _lay_lintel(room, settings.kind)
     FURNISH[settings.kind](room)
     finish_ceiling(room, settings.kind)
     _light(spec)
@@ -149,6 +152,16 @@ def _raise_pillars(room: Room) -> None:
         material = surface(room.look, rng, finish, (side, room.height_m), textures.muted(rng))
         box(body, (0, 0, room.height_m / 2), (side, side, room.height_m), material)
         block(body, (0, 0, room.height_m / 2), (side, side, room.height_m))
+
+
+def _lay_lintel(room: Room, kind: RoomKind) -> None:
+    """The wall above the doorway between two rooms."""
+    low, high = room.layout.corners[2], room.layout.corners[8]  # where the doorway begins and ends
+    size = (*(high - low), room.height_m - DOORWAY_HEIGHT_M)
+    colour = textures.muted(room.rng) * 0.7 + 0.25
+    material = surface(room.look, room.rng, FINISHES[kind][0], (DOORWAY_M, size[2]), colour)
+    body = room.spec.worldbody.add_body(name="lintel", pos=(*(low + high) / 2, DOORWAY_HEIGHT_M + size[2] / 2))
+    box(body, (0, 0, 0), size, material)
 
 
 def _light(spec: mujoco.MjSpec) -> None:

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 WorldName = Literal["room", "landmarks"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop"]
-RoomShape = Literal["rectangle", "l", "u", "pillar"]
+RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
@@ -22,7 +22,7 @@ class RoomSettings(Group):
     kind: RoomKind = "living_room"
     """What the room is for; decides its furniture."""
     shape: RoomShape = "rectangle"
-    """Outline of the walls."""
+    """Outline of the walls; two_rooms: a wall between two rooms, with a doorway."""
     seed: int = Field(default=0, ge=0)
     """Everything random about the room comes from this number."""
     width_m: Metres | None = None
