@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import landmarks, precision, seeds
+from deepgps.studies import compare, landmarks, mds, networks, precision, seeds, strategies
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -41,11 +41,16 @@ def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     return [tabulate([*varied, "method", *ERRORS.values()], cells)]
 
 
+PICTURES: Mapping[str, Draw] = {"errors": compare.draw, "error_fields": compare.draw_fields}
 KINDS: dict[ReportName, Kind] = {
     "plain": Kind(report_plain, lambda rows: {}, {}),
     "precision": Kind(precision.report, precision.measure, {"precision": precision.draw}),
     "seeds": Kind(seeds.report, seeds.measure, {"seeds": seeds.draw}),
     "landmarks": Kind(landmarks.report, landmarks.measure, {"landmarks": landmarks.draw}),
+    "compare": Kind(compare.report, lambda rows: {}, PICTURES),
+    "networks": Kind(networks.report, networks.measure, PICTURES, networks.add_turn_spread),
+    "strategies": Kind(compare.report, strategies.measure, PICTURES),
+    "mds": Kind(mds.report, mds.measure, {"mds": mds.draw}, mds.add_distances),
 }
 
 
