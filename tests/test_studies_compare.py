@@ -91,6 +91,7 @@ def test_networks_are_judged_as_they_train_with_shifted_images():
     figures = networks.measure(rows)
     assert set(figures) == set(FIGURES["networks"])
     assert figures["plain_ratio"].value == pytest.approx(2.0)
+    assert figures["plain_turned"].value == pytest.approx(2.5)
     assert figures["resnet_plain"].value == pytest.approx(0.12)
     assert figures["invariant_turned"].value == pytest.approx(2e-6)
     text = "\n".join(networks.report(rows, [networks.NETWORK, networks.SHIFT]))

@@ -39,8 +39,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
             spreads = [row["turn_spread_m"] for row in group]
             figures[f"{name}_turned"] = Figure(f"turned, {name}", float(np.mean(spreads)), "mm", worst=max(spreads))
     if shifted.get("resnet_plain") and shifted.get("resnet_paper"):
-        ratio = compare.mean(shifted["resnet_plain"], "rms_m") / compare.mean(shifted["resnet_paper"], "rms_m")
-        figures["plain_ratio"] = Figure("RMS, resnet_plain / resnet_paper", ratio, "", at_least=True)
+        for name, column, title in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
+            plain, paper = (compare.mean(shifted[one], column) for one in ("resnet_plain", "resnet_paper"))
+            figures[name] = Figure(f"{title}, resnet_plain / resnet_paper", plain / paper, "", at_least=True)
     return figures
 
 

@@ -35,7 +35,7 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "compare": (),
     "networks": (
         *("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"),
-        *("spectral_turned", "invariant_turned", "plain_ratio"),
+        *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
     ),
     "strategies": ("travel_ratio", "samples_ratio", "way_ratio"),
     "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
