@@ -49,17 +49,20 @@ class NetworkPositioner:
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+        return self.embed(observations) @ self.axes.double().numpy()
+
+    def embed(self, observations: np.ndarray) -> np.ndarray:
+        """What the network says before it is laid into the plane (B, D) float64 [m], from the middle of the plane."""
         check_shape(observations, self.shape)
-        found = np.empty((len(observations), 2))
+        found = np.empty((len(observations), len(self.centre)))
         with torch.inference_mode():
             for start in range(0, len(observations), CHUNK):
-                found[start : start + CHUNK] = self._position(np.asarray(observations[start : start + CHUNK])).numpy()
+                found[start : start + CHUNK] = self._embed(np.asarray(observations[start : start + CHUNK])).numpy()
         return found
 
-    def _position(self, observations: np.ndarray) -> torch.Tensor:
+    def _embed(self, observations: np.ndarray) -> torch.Tensor:
         table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
-        out = self.network(Inputs(table).take(slice(None)))
-        return (out - self.centre).double() @ self.axes.double()
+        return self.network(Inputs(table).take(slice(None))) - self.centre
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "rooms", "seeds", "landmarks"]
+ReportName = Literal["plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -35,6 +35,13 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
         *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
         *("explicit_complete", "explicit_incomplete", "explicit_mds_complete", "explicit_mds_incomplete", "train_s"),
     ),
+    "compare": (),
+    "networks": (
+        *("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"),
+        *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
+    ),
+    "strategies": ("travel_ratio", "samples_ratio", "way_ratio"),
+    "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
@@ -75,8 +82,9 @@ class Study(Variation):
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
-    """How the table is reported. plain: as it is; rooms: every room, means and who wins; seeds: folds and their
-    detector; landmarks: the paper's Table I."""
+    """How the table is reported. plain: as it is; rooms: every room, means, who wins; seeds: folds and their detector;
+    landmarks: the paper's Table I; compare: means over seeds of all else that varies; networks: the same, with turned
+    images; strategies: the same, end-point against dense; mds: distances between positions, and the map they make."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)

@@ -1,0 +1,121 @@
+"""The report that compares: means over rooms and seeds for each choice of what else varies, and for each method."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures import LINES, add_scale, print_error_field
+from deepgps.markdown import tabulate
+from deepgps.report import method_title
+from deepgps.studies.seeds import is_folded
+from deepgps.studies.table import ERRORS, Row, write_errors
+
+NOTE = (
+    "Means over runs that differ in seeds alone. Errors on the test grid, the worst heading of each position; aligned "
+    "on training samples, never scaled. Headings: RMS distance of the predictions at one position from their mean. "
+    "Folded: maps that turn over more than a tenth of the neighbourhoods; said: those that the detector, without the "
+    "truth, calls folded."
+)
+Groups = Mapping[tuple[str, ...], Sequence[Row]]
+
+
+def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] | None = None) -> list[str]:
+    """A line for each group, and how to read it.
+
+    Args:
+        rows: What was measured.
+        varied: Names that vary.
+        also: More columns [m], written in centimetres, with their headings.
+    """
+    more = {"heading_spread_m": "headings [cm]", **(also or {})}
+    kinds = [name.rpartition(".")[2] for name in choices(varied)]
+    ours = [
+        "runs",
+        "images",
+        "travel [m]",
+        *ERRORS.values(),
+        "worst RMS",
+        *more.values(),
+        "folded",
+        "said",
+        "train [s]",
+    ]
+    cells = []
+    for key, group in group_rows(rows, varied).items():
+        *kind, method = key
+        means = {name: mean(group, name) for name in ("samples", "distance_m", *ERRORS, "train_s")}
+        worst = f"{100 * max(row['rms_m'] for row in group):.1f}"
+        spreads = ["-" if group[0][name] is None else f"{100 * mean(group, name):.3g}" for name in more]
+        finder = group[0]["fold_found"] is not None
+        folded = [
+            str(sum(is_folded(row) for row in group)),
+            str(sum(row["fold_found"] for row in group) if finder else "-"),
+        ]
+        driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
+        figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
+        cells.append([*kind, method_title(method), str(len(group)), *figures])
+    return [tabulate([*kinds, "method", *ours], cells), NOTE]
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (filled) and median (open) of every run, a line for each group."""
+    groups = group_rows(rows, varied)
+    picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
+    axes = picture.add_subplot()
+    for place, (key, group) in enumerate(groups.items()):
+        colour = LINES.get(key[-1], "#555555")
+        for name, inside in (("rms_m", colour), ("median_m", "none")):
+            axes.plot([100 * row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
+    axes.set_yticks(range(len(groups)), [describe(key, varied) for key in groups])
+    axes.set(xscale="log", ylim=(len(groups) - 0.5, -0.5))
+    axes.set_xlabel("error of the worst heading [cm]; filled: RMS, open: median")
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axes.grid(alpha=0.25, which="both")
+    return picture
+
+
+def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """The error field of each group's run whose RMS is the middle one."""
+    groups = group_rows(rows, varied)
+    columns = min(3, len(groups))
+    lines = -(-len(groups) // columns)
+    picture = Picture(figsize=(4.6 * columns + 0.8, 3.3 * lines + 0.3), layout="constrained")
+    panels = list(picture.subplots(lines, columns, squeeze=False).flat)
+    for axes, (key, group) in zip(panels, groups.items(), strict=False):
+        row = sorted(group, key=lambda row: row["rms_m"])[(len(group) - 1) // 2]
+        print_error_field(axes, folder / "runs" / row["run"], row["method"])
+        axes.set_title(f"{describe(key, varied)}: RMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+    for axes in panels[len(groups) :]:
+        axes.set_axis_off()
+    add_scale(picture, panels)
+    return picture
+
+
+def choices(varied: Sequence[str]) -> list[str]:
+    """Names that vary by choice: those of seeds vary only to repeat."""
+    return [name for name in varied if name.rpartition(".")[2] != "seed"]
+
+
+def group_rows(rows: Sequence[Row], varied: Sequence[str]) -> Groups:
+    """Rows by the values of what varies by choice, and the method at the end."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((*(str(row[name]) for name in choices(varied)), row["method"]), []).append(row)
+    return groups
+
+
+def describe(key: tuple[str, ...], varied: Sequence[str]) -> str:
+    """A group in words; numbers and flags are told with their names."""
+    names = [name.rpartition(".")[2] for name in choices(varied)]
+    words = [value if value[:1].islower() else f"{name} {value}" for name, value in zip(names, key, strict=False)]
+    return ", ".join([*words, method_title(key[-1])])
+
+
+def mean(rows: Sequence[Row], name: str) -> float:
+    """Mean of one column."""
+    return float(np.mean([row[name] for row in rows]))
