@@ -13,6 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
@@ -237,6 +238,13 @@ def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = S
     bar.ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
     bar.ax.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
+
+
+def count_by_decades(axis: Axis) -> None:
+    """Write 1, 2, 5, 10 and so on, as they are, at an axis that grows by decades."""
+    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axis.set_minor_formatter(ticker.NullFormatter())
 
 
 def to_png(figure: Figure) -> bytes:

@@ -25,7 +25,9 @@ WITHOUT_MUJOCO = {
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
 FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks"}
 ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.studies.engine"}
-OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "viz", "figures", "studies.mds")}
+OPENS_TRUTH = {
+    f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "viz", "figures", "studies.mds", "studies.concave")
+}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
 GLOBAL_SEEDS = {
     "torch.manual_seed",

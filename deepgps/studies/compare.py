@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, add_scale, print_error_field
+from deepgps.figures import LINES, add_scale, count_by_decades, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.seeds import is_folded
@@ -72,9 +71,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes.set_yticks(range(len(groups)), [describe(key, varied) for key in groups])
     axes.set(xscale="log", ylim=(len(groups) - 0.5, -0.5))
     axes.set_xlabel("error of the worst heading [cm]; filled: RMS, open: median")
-    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
+    count_by_decades(axes.xaxis)
     axes.grid(alpha=0.25, which="both")
     return picture
 

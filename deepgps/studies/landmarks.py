@@ -90,4 +90,6 @@ def _group(rows: Sequence[Row]) -> Groups:
 
 
 def _millimetres(value: float) -> str:
-    return f"{1000 * value:.3g}"
+    # three digits that count, but nothing finer than a micrometre
+    value = round(1000 * value, 3)
+    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import compare, landmarks, mds, networks, rooms, seeds, strategies
+from deepgps.studies import compare, concave, landmarks, mds, networks, rooms, seeds, strategies
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -51,6 +51,9 @@ KINDS: dict[ReportName, Kind] = {
     "networks": Kind(networks.report, networks.measure, PICTURES, networks.add_turn_spread),
     "strategies": Kind(compare.report, strategies.measure, PICTURES),
     "mds": Kind(mds.report, mds.measure, {"mds": mds.draw}, mds.add_distances),
+    "concave": Kind(
+        concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
+    ),
 }
 
 

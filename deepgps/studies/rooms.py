@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES
+from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import ERRORS, Row, write_errors
@@ -75,9 +74,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         )
     axes.set_yticks(range(len(rooms)), rooms)
     axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(rooms) - 0.5, -0.5))
-    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
+    count_by_decades(axes.xaxis)
     axes.grid(alpha=0.25, which="both")
     axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
     return picture

@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds"]
+ReportName = Literal["plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds", "concave"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -42,6 +42,7 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     ),
     "strategies": ("travel_ratio", "samples_ratio", "way_ratio"),
     "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
+    "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
@@ -84,7 +85,8 @@ class Study(Variation):
     report: ReportName = "plain"
     """How the table is reported. plain: as it is; rooms: every room, means, who wins; seeds: folds and their detector;
     landmarks: the paper's Table I; compare: means over seeds of all else that varies; networks: the same, with turned
-    images; strategies: the same, end-point against dense; mds: distances between positions, and the map they make."""
+    images; strategies: the same, end-point against dense; mds: distances between positions, and the map they make;
+    concave: by how much of the room straight drives reach."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
