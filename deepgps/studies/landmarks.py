@@ -90,6 +90,4 @@ def _group(rows: Sequence[Row]) -> Groups:
 
 
 def _millimetres(value: float) -> str:
-    # three digits that count, but nothing finer than a micrometre
-    value = round(1000 * value, 3)
-    return f"{value:.3g}" if value < 1000 else f"{value:.0f}"
+    return f"{1000 * value:.3g}" if value < 1.0 else f"{1000 * value:.0f}"
