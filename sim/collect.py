@@ -34,7 +34,7 @@ from sim.streams import stream
 from sim.world import RoomWorld
 
 CHUNK = 256
-"""New observations in a chunk, at least."""
+"""New observations in a chunk, at least; the last one ends with the drive."""
 DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
@@ -136,7 +136,7 @@ def drive_chunk(
         segments, observations = int(before["segments"]), int(before["observations"])
         course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
     first, driven, dropped = observations, list[dict[str, np.ndarray]](), 0
-    while observations - first < CHUNK:
+    while observations - first < CHUNK and observations < settings.drive.samples:
         segment = next_segment(world, settings.drive, rng, course)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])

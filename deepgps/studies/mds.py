@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from scipy.linalg import eigh
@@ -218,6 +219,8 @@ def _draw_errors(axes: Axes, found: Mapping[str, Distances]) -> None:
             if points:
                 axes.plot(*np.transpose(points), line, color=colour)
     axes.set(yscale="log", xlabel="true distance [m]", ylabel="median error of the distance [cm]")
+    axes.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_formatter(ticker.NullFormatter())
     axes.set_title("Solid: a straight way joins the pair; dashed: none does", fontsize=10)
     axes.grid(alpha=0.25, which="both")
 
