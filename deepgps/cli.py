@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -39,6 +39,10 @@ class StudyArguments:
     """The study folder itself; without it runs/studies/<study>, with --tiny runs/studies/<study>-tiny."""
     tiny: bool = False
     """The small version that the study describes, half a minute: it shows the way, its figures mean nothing."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
+    address: str | None = None
+    """Of the Ray cluster, as auto or host:port; none: one is started here."""
     fresh: bool = False
     """Throw away what stands in the study folder and begin anew."""
 
@@ -111,7 +115,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.studies.engine import carry_out, default_folder
+    from deepgps.studies.engine import carry_out, default_folder, open_engine
     from deepgps.studies.report import report_study
     from deepgps.studies.study import load_study, plan_runs
 
@@ -122,8 +126,8 @@ def study_command(words: Sequence[str]) -> None:
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
     _choose_renderer_for([plan.scenario for plan in plans])
-    with show_progress() as progress:
-        failures = carry_out(study, plans, folder, arguments.fresh, progress)
+    with open_engine(arguments.engine, arguments.address) as run_all, show_progress() as progress:
+        failures = carry_out(study, plans, folder, arguments.fresh, run_all, progress)
     console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
     done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
     if done:

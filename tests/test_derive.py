@@ -100,7 +100,7 @@ def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Pat
 @pytest.mark.parametrize(
     ("changes", "seed", "message"),
     [
-        ({"landmarks": LandmarksSettings(count=21, segments=12)}, 0, "is a recording of another drive: more than encod"),
+        ({"landmarks": LandmarksSettings(count=21, segments=12)}, 0, "is a recording of another drive: more than"),
         ({}, 1, "is a recording of another drive"),
         ({"drive": DriveSettings(spacing_m=0.05, samples=401)}, 0, "has 400 samples, too few for drive.samples 401"),
     ],
