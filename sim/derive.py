@@ -1,7 +1,7 @@
 """Deriving: a recording made of another one of the same drive, which is neither driven nor drawn again.
 
 Recordings whose settings differ only in the encoder are one drive with the same images; only the ticks are read again,
-from its wheel angles. And the drive never asks how long it will be: a shorter recording is the beginning of a longer one.
+from its wheel angles. And no drive depends on how long it will be: a shorter one is the beginning of a longer one.
 """
 
 import os

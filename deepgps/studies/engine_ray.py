@@ -2,11 +2,13 @@
 
 The recordings are made before, on the machine that gives the command and by all of its cores: it alone needs a
 renderer. On all others the same version of this project is installed. Without an address a cluster of this machine's
-cores is started, and ended with the command.
+cores is started, with a token that no other process knows, and ended with the command.
 """
 
 import logging
 import os
+import secrets
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -22,6 +24,7 @@ from sim.errors import InputError
 
 RETRIES = 2
 """How often a run is taken up again whose process or machine was lost; it goes on from its last checkpoint."""
+KNOCK_S = 5.0
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # what GPUs can be seen stays as it is, without a word
@@ -42,12 +45,16 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
         raise InputError("--engine ray needs the package ray, which is not installed: pip install 'deepgps[ray]'")
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
+    own = {}
+    if not address:
+        own = {"num_cpus": os.cpu_count(), "include_dashboard": False}
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # else Ray leaves one in the user's home
     import ray
 
-    own = {} if address else {"num_cpus": os.cpu_count(), "include_dashboard": False}
     try:
+        _knock(address or "")
         ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
         raise InputError(f"--address {address}: no Ray cluster answers there: {one_line(error)}") from None
     try:
         yield partial(_run_all, ray)
@@ -78,6 +85,13 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progre
         done += count_steps(plan.scenario)
         progress(f"steps of {len(plans)} runs", done, total)
     return failed
+
+
+def _knock(address: str) -> None:
+    """Raise OSError where nothing answers at host:port: Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if host and "/" not in host and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=KNOCK_S).close()
 
 
 def _wants_gpu(scenario: Scenario) -> bool:

@@ -57,6 +57,12 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     return text
 
 
+def publish(folder: Path, target: Path) -> None:
+    """Copy what a study found, without its runs, to a folder that can be committed."""
+    for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
+        write_bytes(target / path.relative_to(folder), path.read_bytes())
+
+
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
     """The report in Markdown: the table, the targets, and what failed."""
     varied, kind = varied_names(study), KINDS[study.report]

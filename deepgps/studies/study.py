@@ -38,7 +38,7 @@ Point = dict[str, Any]
 
 
 class Variation(Group):
-    """What varies; in a study's ``tiny`` only what is given replaces the study's own."""
+    """What varies; in a study's ``tiny`` and ``full`` only what is given replaces the study's own."""
 
     methods: tuple[MethodName, ...] | None = None
     """Methods to train and compare; none: the scenario's own."""
@@ -82,6 +82,8 @@ class Study(Variation):
     """What the paper reports for them."""
     tiny: Variation = Variation()
     """What --tiny replaces; its set is added to the study's."""
+    full: Variation | None = None
+    """What --full replaces, for those who can wait; its set is added to the study's. None: there is no such version."""
 
     @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
@@ -110,16 +112,19 @@ class Plan:
     recording: str
 
 
-def load_study(source: str, tiny: bool) -> Study:
+def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     """Read a study.
 
     Args:
         source: A name in assets/studies, or the path of a YAML file.
         tiny: Whether to take the small one that its ``tiny`` describes.
+        full: Whether to take the long one that its ``full`` describes.
 
     Raises:
         InputError: Names every wrong field, the value and what is allowed.
     """
+    if tiny and full:
+        raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
     values = read_yaml(path)
     values.setdefault("name", path.stem)
@@ -130,6 +135,8 @@ def load_study(source: str, tiny: bool) -> Study:
     beside = path.parent / study.scenario
     if study.scenario.endswith((".yaml", ".yml")) and beside.is_file():
         study = study.model_copy(update={"scenario": str(beside)})
+    if full:
+        return _enlarge(study)
     return _shrink(study) if tiny else study
 
 
@@ -166,18 +173,27 @@ def describe(plan: Plan) -> str:
 
 def write_out(study: Study) -> str:
     """The resolved study as YAML."""
-    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny"}), sort_keys=False)
+    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny", "full"}), sort_keys=False)
 
 
 def _shrink(study: Study) -> Study:
-    small = {name: getattr(study.tiny, name) for name in study.tiny.model_fields_set}
-    small["set"] = {**study.set, **study.tiny.set}
-    no_verdict = {"target": {}, "paper": {}, "tiny": {}}  # so small a study meets no target and misses none
-    values = {**study.model_dump(), **small, "name": f"{study.name}-tiny", **no_verdict}
+    small = _replace(study, study.tiny, "tiny")
+    return small.model_copy(update={"target": {}, "paper": {}})  # so small a study meets no target and misses none
+
+
+def _enlarge(study: Study) -> Study:
+    if study.full is None:
+        raise InputError(f"study {study.name} has no long version: --full takes what a study's full describes")
+    return _replace(study, study.full, "full")
+
+
+def _replace(study: Study, other: Variation, kind: str) -> Study:
+    given = {name: getattr(other, name) for name in other.model_fields_set}
+    given |= {"set": {**study.set, **other.set}, "name": f"{study.name}-{kind}", "tiny": {}, "full": None}
     try:
-        return Study.model_validate(values)
+        return Study.model_validate({**study.model_dump(), **given})
     except ValidationError as error:
-        raise InputError(f"study {study.name}, tiny: {describe_problems(error, Study)}") from None
+        raise InputError(f"study {study.name}, {kind}: {describe_problems(error, Study)}") from None
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:
