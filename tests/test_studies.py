@@ -158,7 +158,10 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     [
         ({"seedz": [0]}, "seedz: there is no such setting, did you mean seeds?"),
         ({"seeds": [], "report": "fancy"}, "seeds []: tuple should have at least 1 item"),
-        ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'precision', 'seeds' or 'landmarks'"),
+        (
+            {"seeds": ["a"], "report": "fancy"},
+            "report 'fancy': must be 'plain', 'precision', 'seeds', 'landmarks' or 'curves'",
+        ),
         ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
         ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
         ({"axes": {"learn.seed": [1]}}, "learn.seed stands both in cases and in axes"),

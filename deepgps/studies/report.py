@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import landmarks, precision, seeds
+from deepgps.studies import curves, landmarks, precision, seeds
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -35,6 +35,7 @@ KINDS: dict[ReportName, Kind] = {
     "precision": Kind(precision.report, precision.measure, precision.draw),
     "seeds": Kind(seeds.report, seeds.measure, seeds.draw),
     "landmarks": Kind(landmarks.report, landmarks.measure, landmarks.draw),
+    "curves": Kind(curves.report, curves.measure, curves.draw),
 }
 
 

@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "precision", "seeds", "landmarks"]
+ReportName = Literal["plain", "precision", "seeds", "landmarks", "curves"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -32,6 +32,7 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
         *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
         *("explicit_complete", "explicit_incomplete", "explicit_mds_complete", "explicit_mds_incomplete", "train_s"),
     ),
+    "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
@@ -45,7 +46,7 @@ class Variation(Group):
     set: Point = Field(default_factory=dict)
     """Settings by dotted name, the same for all runs."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
-    """Settings by dotted name, listed one by one."""
+    """Settings by dotted name, listed one by one; ``scenario`` names another scenario than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     """Values by dotted name; each case is run with every combination of them."""
     seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
@@ -61,6 +62,9 @@ class Variation(Group):
             raise ValueError(f"{both[0]} stands both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:
             raise ValueError(f"axes.{empty[0]} has no values")
+        sources = [*(case["scenario"] for case in self.cases if "scenario" in case), *self.axes.get("scenario", ())]
+        if wrong := [source for source in sources if not isinstance(source, str)]:
+            raise ValueError(f"scenario {wrong[0]!r} must be a name in assets/scenarios, or a path")
         return self
 
 
@@ -73,7 +77,7 @@ class Study(Variation):
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
     """How the table is reported. plain: as it is; precision: rooms and targets; seeds: folds and their detector;
-    landmarks: the paper's Table I."""
+    landmarks: the paper's Table I; curves: errors along the last axis."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
@@ -84,6 +88,16 @@ class Study(Variation):
     """What --tiny replaces; its set is added to the study's."""
     full: Variation | None = None
     """What --full replaces, for those who can wait; its set is added to the study's. None: there is no such version."""
+
+    @model_validator(mode="after")
+    def _curves_run_along_numbers(self) -> "Study":
+        last = [*self.axes.values()][-1:]
+        numbers = [
+            isinstance(value, int | float) and not isinstance(value, bool) for values in last for value in values
+        ]
+        if self.report == "curves" and not (numbers and all(numbers)):
+            raise ValueError("report curves needs numbers in the last of the study's axes, along which curves run")
+        return self
 
     @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
@@ -149,7 +163,9 @@ def plan_runs(study: Study) -> list[Plan]:
     for seed, varied in points:
         methods = {} if study.methods is None else {"methods": study.methods}
         try:
-            scenario = load_scenario(study.scenario, {**study.set, **varied, **methods, "seed": seed})
+            settings = {name: value for name, value in varied.items() if name != "scenario"}
+            source = varied.get("scenario", study.scenario)
+            scenario = load_scenario(source, {**study.set, **settings, **methods, "seed": seed})
         except InputError as error:
             problems.append(str(error))
             continue
