@@ -15,7 +15,7 @@ from deepgps.targets import Figure
 
 SHOWN = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
 TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
-# What the paper says of an axis: the share of the side that the RMS stays below (Sec. V-A); the RMS at a value [m] (V-B).
+# What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
 PAPER_SHARE = {"encoder.gap_noise": 0.02}
 PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
 KNEE = 1.25
@@ -98,14 +98,12 @@ def find_axis(rows: Sequence[Row]) -> str:
 def find_knee(line: Sequence[Row], axis: str) -> float | None:
     """The least value of the axis from which on the RMS, a mean over the seeds, is within KNEE times that at the end.
 
-    None where the RMS does not fall along the axis.
+    None where that is the first: a line that is flat or rises has no knee.
     """
     means = {value: _mean(group, "rms_m") for value, group in sorted(_by(axis, line).items())}
-    (first, *_), last = means.values(), list(means.values())[-1]
-    if first <= last:
-        return None
+    last = list(means.values())[-1]
     beyond = [value for value, rms in means.items() if rms > KNEE * last]
-    return min(value for value in means if value > max(beyond, default=-np.inf))
+    return min(value for value in means if value > max(beyond)) if beyond else None
 
 
 def _knees(rows: Sequence[Row]) -> dict[tuple[str, ...], float]:
@@ -165,7 +163,7 @@ def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
 
 def _tell_apart(rows: Sequence[Row]) -> list[str]:
     """As many of the settings beside the axis as it takes to tell all cases apart."""
-    names = varied_in(rows[0])[:-1]
+    names = sorted(varied_in(rows[0])[:-1], key=lambda name: name != "scenario")  # it says most
     cases = [len({tuple(str(row[name]) for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
     return names[: cases.index(cases[-1])]
 
@@ -179,6 +177,8 @@ def _mean(rows: Sequence[Row], name: str) -> float:
 
 
 def _write_paper(axis: str, value: float, row: Row) -> str:
+    if row["method"] != "deepgps":
+        return "-"
     if axis in PAPER_SHARE:
         return f"< {_centimetres(PAPER_SHARE[axis] * row['shorter_side_m'])}"
     rms_m = PAPER_RMS[axis].get(value)
