@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.console import Console
@@ -36,9 +36,17 @@ class StudyArguments:
     study: Annotated[str, tyro.conf.Positional]
     """A name in assets/studies, or the path of a YAML file."""
     out: Path | None = None
-    """The study folder itself; without it runs/studies/<study>, with --tiny runs/studies/<study>-tiny."""
+    """The study folder itself; without it runs/studies/<study>, with --tiny or --full <study>-tiny or <study>-full."""
     tiny: bool = False
     """The small version that the study describes, half a minute: it shows the way, its figures mean nothing."""
+    full: bool = False
+    """The long version, where the study describes one."""
+    engine: Literal["local", "ray"] = "local"
+    """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
+    address: str | None = None
+    """Of the Ray cluster, as auto or host:port; none: one is started here."""
+    publish: Path | None = None
+    """Copy table, report and figures to the folder of the study's name in this one, as docs/results."""
     fresh: bool = False
     """Throw away what stands in the study folder and begin anew."""
 
@@ -111,20 +119,23 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.studies.engine import carry_out, default_folder
-    from deepgps.studies.report import report_study
+    from deepgps.studies.engine import carry_out, default_folder, open_engine
+    from deepgps.studies.report import publish, report_study
     from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = _parse(StudyArguments, "study", words)
-    study = load_study(arguments.study, arguments.tiny)
+    study = load_study(arguments.study, arguments.tiny, arguments.full)
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
     _choose_renderer_for([plan.scenario for plan in plans])
-    with show_progress() as progress:
-        failures = carry_out(study, plans, folder, arguments.fresh, progress)
+    with open_engine(arguments.engine, arguments.address) as run_all, show_progress() as progress:
+        failures = carry_out(study, plans, folder, arguments.fresh, run_all, progress)
     console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
+    if arguments.publish:
+        publish(folder, arguments.publish / study.name)
+        console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
     done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
     if done:
         console.print(f"look at a run: deepgps view {done[0]}", soft_wrap=True)

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from deepgps.markdown import tabulate
 
 # unit -> factor, digits, what follows
-FORMS = {"cm": (100, 1, " cm"), "mm": (1000, 2, " mm"), "s": (1, 0, " s"), "%": (100, 1, " %"), "": (1, 2, "")}
+FORMS = {
+    "cm": (100, 1, " cm"),
+    "mm": (1000, 2, " mm"),
+    "s": (1, 0, " s"),
+    "%": (100, 1, " %"),
+    "": (1, 2, ""),
+    "count": (1, 0, ""),
+}
 
 
 @dataclass(frozen=True)

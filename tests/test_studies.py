@@ -2,15 +2,12 @@
 
 import os
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 import yaml
+from small_study import STUDY, start, wait_until, write_study
 
 from deepgps.scenario import names_in
 from deepgps.studies.report import write_report
@@ -20,43 +17,7 @@ from sim.errors import InputError
 from sim.files import read_json
 from sim.paths import STUDIES
 
-SCENARIO = """
-room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
-camera: {rings: 8, sectors: 32, face_px: 16}
-drive: {samples: 60}
-grid: {spacing_m: 0.5, headings: 2}
-learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}
-"""
-STUDY = {
-    "scenario": "mini.yaml",
-    "methods": ["deepgps"],
-    "cases": [{"learn.start": "auto", "learn.seed": 0}, {"learn.start": "random", "learn.seed": 1}],
-    "report": "seeds",
-    "target": {"unfolded": 1.0},
-}
 MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
-
-
-def write_study(folder: Path, **changes: object) -> Path:
-    """Write the scenario and the study beside it."""
-    (folder / "mini.yaml").write_text(SCENARIO)
-    (folder / "mine.yaml").write_text(yaml.safe_dump({**STUDY, **changes}))
-    return folder / "mine.yaml"
-
-
-def start(study: Path, out: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "deepgps.cli", "study", str(study), "--out", str(out)]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=out.parent
-    )
-
-
-def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
-    end = time.monotonic() + 60
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from deepgps.progress import ignore
 from deepgps.settings import Architecture, NetworkSettings
 from deepgps.studies import compare, networks, strategies
 from deepgps.studies.engine import carry_out
+from deepgps.studies.engine_local import run_all
 from deepgps.studies.report import report_study, write_report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
@@ -114,7 +115,7 @@ def test_only_the_invariant_network_does_not_see_a_turn(architecture: Architectu
 def test_the_networks_study_runs_to_its_pictures(tmp_path: Path):
     study = load_study("networks", tiny=True)
     plans = plan_runs(study)
-    assert carry_out(study, plans, tmp_path / "study", fresh=False, progress=ignore) == {}
+    assert carry_out(study, plans, tmp_path / "study", fresh=False, run_all=run_all, progress=ignore) == {}
     text = report_study(study, plans, {}, tmp_path / "study")
     assert float(cells(text, "invariant", "True", "DeepGPS")[9]) < 0.01
     assert float(cells(text, "resnet_plain", "True", "DeepGPS")[9]) > 0.01

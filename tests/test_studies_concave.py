@@ -7,6 +7,7 @@ from deepgps.figures import read_fields
 from deepgps.progress import ignore
 from deepgps.studies.concave import EDGES, add_reach, measure, pool
 from deepgps.studies.engine import carry_out
+from deepgps.studies.engine_local import run_all
 from deepgps.studies.report import report_study
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
@@ -55,7 +56,7 @@ def test_the_study_runs_to_its_pictures_and_its_columns_add_up(tmp_path: Path):
     study = load_study("concave", tiny=True)
     plans = plan_runs(study)
     folder = tmp_path / "study"
-    assert carry_out(study, plans, folder, fresh=False, progress=ignore) == {}
+    assert carry_out(study, plans, folder, fresh=False, run_all=run_all, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "50-100 %" in text
     assert {path.name for path in folder.glob("figures/*")} == {"concave.png", "rooms.png"}

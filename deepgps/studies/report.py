@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import compare, concave, landmarks, mds, networks, rooms, seeds, strategies
+from deepgps.studies import compare, concave, curves, landmarks, mds, networks, rooms, seeds, strategies
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -54,6 +54,7 @@ KINDS: dict[ReportName, Kind] = {
     "concave": Kind(
         concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
     ),
+    "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
 }
 
 
@@ -83,6 +84,12 @@ def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Pa
     added = [add(folder / "runs" / row["run"], row) if row["failure"] is None else {} for row in rows]
     names = dict.fromkeys(name for columns in added for name in columns)
     return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
+
+
+def publish(folder: Path, target: Path) -> None:
+    """Copy what a study found, without its runs, to a folder that can be committed."""
+    for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
+        write_bytes(target / path.relative_to(folder), path.read_bytes())
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:

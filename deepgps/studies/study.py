@@ -22,7 +22,9 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds", "concave"]
+ReportName = Literal[
+    "plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds", "concave", "curves"
+]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -43,20 +45,21 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "strategies": ("travel_ratio", "samples_ratio", "way_ratio"),
     "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
     "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
+    "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
 
 
 class Variation(Group):
-    """What varies; in a study's ``tiny`` only what is given replaces the study's own."""
+    """What varies; in a study's ``tiny`` and ``full`` only what is given replaces the study's own."""
 
     methods: tuple[MethodName, ...] | None = None
     """Methods to train and compare; none: the scenario's own."""
     set: Point = Field(default_factory=dict)
     """Settings by dotted name, the same for all runs."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
-    """Settings by dotted name, listed one by one."""
+    """Settings by dotted name, listed one by one; ``scenario`` names another scenario than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     """Values by dotted name; each case is run with every combination of them."""
     seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
@@ -72,6 +75,9 @@ class Variation(Group):
             raise ValueError(f"{both[0]} stands both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:
             raise ValueError(f"axes.{empty[0]} has no values")
+        sources = [*(case["scenario"] for case in self.cases if "scenario" in case), *self.axes.get("scenario", ())]
+        if wrong := [source for source in sources if not isinstance(source, str)]:
+            raise ValueError(f"scenario {wrong[0]!r} must be a name in assets/scenarios, or a path")
         return self
 
 
@@ -86,7 +92,7 @@ class Study(Variation):
     """How the table is reported. plain: as it is; rooms: every room, means, who wins; seeds: folds and their detector;
     landmarks: the paper's Table I; compare: means over seeds of all else that varies; networks: the same, with turned
     images; strategies: the same, end-point against dense; mds: distances between positions, and the map they make;
-    concave: by how much of the room straight drives reach."""
+    concave: by how much of the room straight drives reach; curves: errors along the last axis."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
@@ -95,6 +101,18 @@ class Study(Variation):
     """What the paper reports for them."""
     tiny: Variation = Variation()
     """What --tiny replaces; its set is added to the study's."""
+    full: Variation | None = None
+    """What --full replaces, for those who can wait; its set is added to the study's. None: there is no such version."""
+
+    @model_validator(mode="after")
+    def _curves_run_along_numbers(self) -> "Study":
+        last = [*self.axes.values()][-1:]
+        numbers = [
+            isinstance(value, int | float) and not isinstance(value, bool) for values in last for value in values
+        ]
+        if self.report == "curves" and not (numbers and all(numbers)):
+            raise ValueError("report curves needs numbers in the last of the study's axes, along which curves run")
+        return self
 
     @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
@@ -123,16 +141,19 @@ class Plan:
     recording: str
 
 
-def load_study(source: str, tiny: bool) -> Study:
+def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     """Read a study.
 
     Args:
         source: A name in assets/studies, or the path of a YAML file.
         tiny: Whether to take the small one that its ``tiny`` describes.
+        full: Whether to take the long one that its ``full`` describes.
 
     Raises:
         InputError: Names every wrong field, the value and what is allowed.
     """
+    if tiny and full:
+        raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
     values = read_yaml(path)
     values.setdefault("name", path.stem)
@@ -143,6 +164,8 @@ def load_study(source: str, tiny: bool) -> Study:
     beside = path.parent / study.scenario
     if study.scenario.endswith((".yaml", ".yml")) and beside.is_file():
         study = study.model_copy(update={"scenario": str(beside)})
+    if full:
+        return _enlarge(study)
     return _shrink(study) if tiny else study
 
 
@@ -155,7 +178,9 @@ def plan_runs(study: Study) -> list[Plan]:
     for seed, varied in points:
         methods = {} if study.methods is None else {"methods": study.methods}
         try:
-            scenario = load_scenario(study.scenario, {**study.set, **varied, **methods, "seed": seed})
+            settings = {name: value for name, value in varied.items() if name != "scenario"}
+            source = varied.get("scenario", study.scenario)
+            scenario = load_scenario(source, {**study.set, **settings, **methods, "seed": seed})
         except InputError as error:
             problems.append(str(error))
             continue
@@ -179,18 +204,27 @@ def describe(plan: Plan) -> str:
 
 def write_out(study: Study) -> str:
     """The resolved study as YAML."""
-    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny"}), sort_keys=False)
+    return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny", "full"}), sort_keys=False)
 
 
 def _shrink(study: Study) -> Study:
-    small = {name: getattr(study.tiny, name) for name in study.tiny.model_fields_set}
-    small["set"] = {**study.set, **study.tiny.set}
-    no_verdict = {"target": {}, "paper": {}, "tiny": {}}  # so small a study meets no target and misses none
-    values = {**study.model_dump(), **small, "name": f"{study.name}-tiny", **no_verdict}
+    small = _replace(study, study.tiny, "tiny")
+    return small.model_copy(update={"target": {}, "paper": {}})  # so small a study meets no target and misses none
+
+
+def _enlarge(study: Study) -> Study:
+    if study.full is None:
+        raise InputError(f"study {study.name} has no long version: --full takes what a study's full describes")
+    return _replace(study, study.full, "full")
+
+
+def _replace(study: Study, other: Variation, kind: str) -> Study:
+    given = {name: getattr(other, name) for name in other.model_fields_set}
+    given |= {"set": {**study.set, **other.set}, "name": f"{study.name}-{kind}", "tiny": {}, "full": None}
     try:
-        return Study.model_validate(values)
+        return Study.model_validate({**study.model_dump(), **given})
     except ValidationError as error:
-        raise InputError(f"study {study.name}, tiny: {describe_problems(error, Study)}") from None
+        raise InputError(f"study {study.name}, {kind}: {describe_problems(error, Study)}") from None
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:

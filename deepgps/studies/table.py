@@ -32,8 +32,16 @@ def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> 
         failures: Why runs failed, by their hash.
         folder: The study's folder.
     """
-    varied = list(dict.fromkeys(name for plan in plans for name in plan.varied))
+    names = dict.fromkeys(name for plan in plans for name in plan.varied)
+    # what only some cases set comes first, and axes last
+    varied = sorted(names, key=lambda name: all(name in plan.varied for plan in plans))
     return [row for plan in plans for row in _rows(plan, varied, failures.get(plan.run), folder)]
+
+
+def varied_in(row: Row) -> list[str]:
+    """Names of the settings that vary in a study, from one of its rows; axes come last."""
+    names = list(row)
+    return names[names.index("seed") + 1 : names.index("samples")]
 
 
 def write_table(path: Path, rows: Sequence[Row]) -> None:
@@ -76,6 +84,8 @@ def _figures(measured: Mapping[str, Any]) -> Row:
 
 def _value(scenario: Scenario, dotted: str) -> Any:
     """A setting as a column holds it; a whole group as text."""
+    if dotted == "scenario":
+        return scenario.name
     value: Any = scenario
     for part in dotted.split("."):
         value = getattr(value, part)

@@ -1,0 +1,188 @@
+"""The report of curves: errors of every method along an axis of numbers, a panel for each case, a band of the seeds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures import LINES, count_by_decades
+from deepgps.markdown import tabulate
+from deepgps.report import method_title
+from deepgps.studies.table import Row, varied_in
+from deepgps.targets import Figure
+
+SHOWN = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
+TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
+# What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
+PAPER_SHARE = {"encoder.gap_noise": 0.02}
+PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
+KNEE = 1.25
+DECADES = 10.0
+NOTE = (
+    "Errors in centimetres on the test grid, the worst heading of each position, means over the seeds, and the RMS of "
+    "the worst seed; aligned on training samples, never scaled."
+)
+Panels = Mapping[tuple[str, ...], Sequence[Row]]
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each case, method and value of the axis; where the knee is; how to read it."""
+    axis, names = find_axis(rows), _tell_apart(rows)
+    paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
+    headings = [*names, "method", axis, "seeds", *SHOWN.values(), "worst RMS", "RMS / side", "train [s]", *paper]
+    cells = []
+    for title, panel in _panels(rows).items():
+        for method, line in _by("method", panel).items():
+            for value, group in sorted(_by(axis, line).items()):
+                errors = [_centimetres(_mean(group, name)) for name in SHOWN]
+                worst = _centimetres(max(row["rms_m"] for row in group))
+                tail = [worst, f"{100 * _mean(group, 'relative_rms'):.2f} %", f"{_mean(group, 'train_s'):.0f}"]
+                theirs = [_write_paper(axis, value, group[0])] if paper else []
+                cells.append([*title, method_title(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
+    knees = [
+        f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the least from which on the RMS of "
+        f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in rows):g}."
+        for title, knee in _knees(rows).items()
+    ]
+    return [tabulate(headings, cells), *knees, NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS at the highest value of the axis, means over the seeds of the worst case; and the farthest knee."""
+    rows = [row for row in rows if row["method"] == "deepgps"]
+    if not rows:
+        return {}
+    axis = find_axis(rows)
+    last = max(row[axis] for row in rows)
+    ends = [[row for row in panel if row[axis] == last] for panel in _panels(rows).values()]
+    ends = [end for end in ends if end]
+    where = f"at {axis} {last:g}"
+    measures: dict[str, tuple[str, str, Callable[[Row], float]]] = {
+        "rms_m": (f"RMS {where}", "cm", lambda row: row["rms_m"]),
+        "relative_rms": (f"RMS / side {where}", "%", lambda row: row["relative_rms"]),
+        "relative_median": (f"median / side {where}", "%", lambda row: row["median_m"] / row["shorter_side_m"]),
+    }
+    figures = {}
+    for name, (title, unit, take) in measures.items():
+        value = max(float(np.mean([take(row) for row in end])) for end in ends)
+        figures[name] = Figure(title, value, unit, worst=max(take(row) for end in ends for row in end))
+    if knees := _knees(rows):
+        figures["knee"] = Figure(f"knee of {axis}", max(knees.values()), "count")
+    return figures
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (line, and a band from the best to the worst seed) and median (dashed) of every method along the axis."""
+    axis, panels = find_axis(rows), _panels(rows)
+    picture = Picture(figsize=(4.6 * len(panels) + 0.4, 3.8), layout="constrained")
+    for place, ((title, panel), axes) in enumerate(
+        zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
+    ):
+        for method, line in _by("method", panel).items():
+            _draw_method(axes, axis, method, line)
+        _draw_paper(axes, axis, panel)
+        _scale(axes, axis, panel)
+        axes.set(xlabel=TITLES.get(axis, axis), ylabel="error [cm]" if place == 0 else "", title=", ".join(title))
+        axes.grid(alpha=0.25)
+        axes.legend(frameon=False, fontsize=8)
+    return picture
+
+
+def find_axis(rows: Sequence[Row]) -> str:
+    """The setting along which curves run: the last that varies."""
+    return varied_in(rows[0])[-1]
+
+
+def find_knee(line: Sequence[Row], axis: str) -> float | None:
+    """The least value of the axis from which on the RMS, a mean over the seeds, is within KNEE times that at the end.
+
+    None where that is the first: a line that is flat or rises has no knee.
+    """
+    means = {value: _mean(group, "rms_m") for value, group in sorted(_by(axis, line).items())}
+    last = list(means.values())[-1]
+    beyond = [value for value, rms in means.items() if rms > KNEE * last]
+    return min(value for value in means if value > max(beyond)) if beyond else None
+
+
+def _knees(rows: Sequence[Row]) -> dict[tuple[str, ...], float]:
+    axis, knees = find_axis(rows), {}
+    for title, panel in _panels(rows).items():
+        line = [row for row in panel if row["method"] == "deepgps"]
+        if line and (knee := find_knee(line, axis)) is not None:
+            knees[title] = knee
+    return knees
+
+
+def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
+    groups = dict(sorted(_by(axis, line).items()))
+    values, colour, title = list(groups), LINES.get(method, "#555555"), method_title(method)
+    seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
+    axes.plot(values, [np.mean(one) for one in seeds], "o-", color=colour, markersize=4, label=f"{title}, RMS")
+    axes.fill_between(values, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0)
+    medians = [100 * _mean(group, "median_m") for group in groups.values()]
+    axes.plot(values, medians, "--", color=colour, linewidth=1, label=f"{title}, median")
+
+
+def _draw_paper(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
+    if share := PAPER_SHARE.get(axis):
+        label = f"paper: below {100 * share:g} % of the side"
+        axes.axhline(100 * share * panel[0]["shorter_side_m"], color="black", linestyle=":", label=label)
+    for index, (value, rms_m) in enumerate(PAPER_RMS.get(axis, {}).items()):
+        label = None if index else "paper's RMS"
+        axes.plot(value, 100 * rms_m, "D", color="black", markerfacecolor="none", label=label)
+
+
+def _scale(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
+    """Logarithmic where numbers span decades; errors begin at zero elsewhere."""
+    values, errors = [row[axis] for row in panel], [row[name] for row in panel for name in ("rms_m", "median_m")]
+    if _span(values) >= DECADES:
+        axes.set_xscale("log")
+        axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))], fontsize=8)
+        axes.xaxis.set_minor_locator(ticker.NullLocator())
+    if _span(errors) >= DECADES:
+        axes.set_yscale("log")
+        count_by_decades(axes.yaxis)
+    else:
+        axes.set_ylim(bottom=0)
+
+
+def _span(values: Sequence[float]) -> float:
+    return max(values) / min(values) if min(values) > 0 else 1.0
+
+
+def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
+    names, panels = _tell_apart(rows), {}
+    for row in rows:
+        panels.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    return panels
+
+
+def _tell_apart(rows: Sequence[Row]) -> list[str]:
+    """As many of the settings beside the axis as it takes to tell all cases apart."""
+    names = sorted(varied_in(rows[0])[:-1], key=lambda name: name != "scenario")  # it says most
+    cases = [len({tuple(str(row[name]) for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
+    return names[: cases.index(cases[-1])]
+
+
+def _by(name: str, rows: Sequence[Row]) -> dict:
+    return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
+
+
+def _mean(rows: Sequence[Row], name: str) -> float:
+    return float(np.mean([row[name] for row in rows]))
+
+
+def _write_paper(axis: str, value: float, row: Row) -> str:
+    if row["method"] != "deepgps":
+        return "-"
+    if axis in PAPER_SHARE:
+        return f"< {_centimetres(PAPER_SHARE[axis] * row['shorter_side_m'])}"
+    rms_m = PAPER_RMS[axis].get(value)
+    return "-" if rms_m is None else _centimetres(rms_m)
+
+
+def _centimetres(value: float) -> str:
+    return f"{100 * value:.3g}"

@@ -1,0 +1,111 @@
+"""Deriving: a recording made of another one of the same drive, which is neither driven nor drawn again.
+
+Recordings whose settings differ only in the encoder are one drive with the same images; only the ticks are read again,
+from its wheel angles. And no drive depends on how long it will be: a shorter one is the beginning of a longer one.
+"""
+
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.encoder import read_encoders
+from sim.errors import InputError
+from sim.files import write_array
+from sim.records import Recording, Truth, finish_recording, open_recording, open_truth
+from sim.settings import EncoderSettings, SimSettings
+from sim.streams import stream
+
+PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
+PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
+NEW = ("reading.npy", "time.npy")
+
+
+def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
+    """Settings of the recording of so many samples from which others of the same drive are derived: no faults."""
+    drive = settings.drive.model_copy(update={"samples": samples})
+    return settings.model_copy(update={"encoder": EncoderSettings(), "drive": drive})
+
+
+def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
+    """Make a recording of one of the same drive, byte for byte as if it had been collected.
+
+    What stays the same is a hard link, or a copy where there can be none: each recording is whole without the other.
+
+    Args:
+        base: Folder of the other recording: no shorter, and none of its readings is lost.
+        settings: As the other's but for the encoder and the samples.
+        seed: The other's.
+        folder: The recording's folder; finished once it holds ``manifest.json``.
+
+    Raises:
+        InputError: The other recording does not fit.
+    """
+    if (folder / "manifest.json").is_file():
+        return
+    start = time.perf_counter()
+    recording, truth = open_recording(base), open_truth(base)
+    _check(recording, settings, seed)
+    shutil.rmtree(folder, ignore_errors=True)  # what a killed process left
+    samples = min(settings.drive.samples, len(truth.pose))
+    kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
+    whole = samples == len(truth.pose)
+    for name in recording.manifest["sha256"]:
+        if name in PER_SAMPLE + PER_READING and not whole:
+            array = np.load(base / name, mmap_mode="r", allow_pickle=False)
+            write_array(folder / name, array[: samples if name in PER_SAMPLE else kept])
+        elif name not in NEW:
+            _link(base / name, folder / name)
+    manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
+    if not whole:
+        manifest.pop("samples_dropped", None)  # known of the whole drive only
+    manifest |= _read_again(recording, truth, kept, settings, seed, folder)
+    manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
+    manifest |= {"derived_from": base.name, "collect_s": round(time.perf_counter() - start, 2)}
+    finish_recording(folder, manifest)
+
+
+def _read_again(
+    recording: Recording, truth: Truth, kept: int, settings: SimSettings, seed: int, folder: Path
+) -> dict[str, Any]:
+    """Write the first readings of a drive as these encoders see them; returns what the manifest says of them."""
+    odometry, encoder = recording.manifest["odometry"], settings.encoder
+    number, angle = truth.reading[:kept], truth.wheel_angle[:kept]
+    ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
+    write_array(folder / "reading.npy", np.column_stack([number, ticks]).astype(np.int64)[arrived])
+    write_array(folder / "time.npy", recording.time[:kept][arrived])
+    step_m = np.diff(angle.mean(axis=1) * odometry["wheel_radius_m"])[np.diff(number[:, 0]) == 0]
+    track_m = odometry["track_m"] / (1.0 + recording.manifest["settings"]["encoder"]["track_error"])
+    return {
+        "segments": int(number[-1, 0]) + 1,
+        "readings": kept,
+        "readings_lost": int((~arrived).sum()),
+        "distance_driven_m": round(float(np.abs(step_m).sum()), 3),
+        "odometry": {
+            **odometry,
+            "track_m": track_m * (1.0 + encoder.track_error),
+            "ticks_per_rev": encoder.ticks_per_rev,
+        },
+    }
+
+
+def _check(base: Recording, settings: SimSettings, seed: int) -> None:
+    other = SimSettings.model_validate(base.manifest["settings"])
+    samples = settings.drive.samples
+    if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
+        raise InputError(f"{base} is a recording of another drive: more than encoder and drive.samples differ")
+    if other.drive.samples < samples:
+        raise InputError(f"{base} has {other.drive.samples} samples, too few for drive.samples {samples}")
+    if base.manifest["readings_lost"]:
+        raise InputError(f"{base} has lost readings, whose times are not known: nothing can be derived from it")
+
+
+def _link(source: Path, target: Path) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)

@@ -1,0 +1,117 @@
+"""Deriving: the same bytes as collecting, in every world; and what does not fit is refused by its text."""
+
+from pathlib import Path
+
+import pytest
+
+from sim import landmarks
+from sim.collect import collect
+from sim.derive import choose_drive, derive
+from sim.errors import InputError
+from sim.records import check_recording, read_manifest
+from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
+
+FAULTY = EncoderSettings(
+    ticks_per_rev=128,
+    rounding="nearest",
+    radius_error_left=0.02,
+    radius_error_right=-0.01,
+    track_error=0.03,
+    slip_per_m=0.01,
+    gap_noise=0.1,
+    lost=0.2,
+)
+PLANE = SimSettings(
+    world="landmarks",
+    landmarks=LandmarksSettings(count=20, segments=12),
+    drive=DriveSettings(spacing_m=0.05, samples=400),
+    grid=GridSettings(spacing_m=0.25, headings=2),
+)
+COLLECT = {"room": collect, "landmarks": landmarks.collect}
+
+
+def quiet(label: str, done: int, total: int) -> None:
+    pass
+
+
+def change(settings: SimSettings, samples: int, encoder: EncoderSettings) -> SimSettings:
+    drive = settings.drive.model_copy(update={"samples": samples})
+    return settings.model_copy(update={"drive": drive, "encoder": encoder})
+
+
+@pytest.fixture(scope="module")
+def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plane") / "base"
+    landmarks.collect(choose_drive(PLANE, 400), 0, folder, quiet)
+    return folder
+
+
+def read_what_must_agree(folder: Path) -> dict:
+    """The manifest without what tells of the making."""
+    manifest = read_manifest(folder)
+    making = {"collect_s", "derived_from", "samples_dropped", "renderer_deaths"}
+    return {name: value for name, value in manifest.items() if name not in making}
+
+
+@pytest.mark.parametrize("samples", [64, 128, 400])
+@pytest.mark.parametrize("encoder", [EncoderSettings(), FAULTY], ids=["sound", "faulty"])
+def test_derived_is_as_collected_in_the_plane(samples: int, encoder: EncoderSettings, plane: Path, tmp_path: Path):
+    settings = change(PLANE, samples, encoder)
+    landmarks.collect(settings, 0, tmp_path / "collected", quiet)
+    derive(plane, settings, 0, tmp_path / "derived")
+    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
+    check_recording(tmp_path / "derived")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("samples", "encoder"), [(64, EncoderSettings()), (270, FAULTY), (300, FAULTY)])
+def test_derived_is_as_collected_in_a_room(
+    samples: int, encoder: EncoderSettings, small_recording: Path, small_settings: SimSettings, tmp_path: Path
+):
+    """Of one and of two chunks, cut in the middle of a segment, and whole."""
+    settings = change(small_settings, samples, encoder)
+    collect(settings, 0, tmp_path / "collected", quiet, workers=1)
+    derive(small_recording, settings, 0, tmp_path / "derived")
+    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
+    check_recording(tmp_path / "derived")
+
+
+def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):
+    landmarks.collect(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
+    derive(tmp_path / "base", change(PLANE, 400, FAULTY), 0, tmp_path / "derived")
+    for name in ("observation.npy", "test/observation.npy", "truth/pose.npy"):
+        assert (tmp_path / "base" / name).samefile(tmp_path / "derived" / name)
+    for path in sorted((tmp_path / "base").rglob("*.np?")):
+        path.unlink()
+    check_recording(tmp_path / "derived")
+
+
+def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Path, tmp_path: Path):
+    settings, folder = change(PLANE, 64, FAULTY), tmp_path / "derived"
+    (folder / "truth").mkdir(parents=True)
+    (folder / "observation.npy").write_bytes(b"half")
+    derive(plane, settings, 0, folder)
+    check_recording(folder)
+    written = (folder / "manifest.json").stat().st_mtime_ns
+    derive(plane, settings, 0, folder)
+    assert (folder / "manifest.json").stat().st_mtime_ns == written
+
+
+@pytest.mark.parametrize(
+    ("changes", "seed", "message"),
+    [
+        ({"landmarks": LandmarksSettings(count=21, segments=12)}, 0, "is a recording of another drive: more than"),
+        ({}, 1, "is a recording of another drive"),
+        ({"drive": DriveSettings(spacing_m=0.05, samples=401)}, 0, "has 400 samples, too few for drive.samples 401"),
+    ],
+)
+def test_what_does_not_fit_is_refused(changes: dict, seed: int, message: str, plane: Path, tmp_path: Path):
+    with pytest.raises(InputError, match=message):
+        derive(plane, PLANE.model_copy(update=changes), seed, tmp_path / "derived")
+    assert not (tmp_path / "derived").exists()
+
+
+def test_a_recording_with_losses_is_no_base(tmp_path: Path):
+    landmarks.collect(change(PLANE, 400, FAULTY), 0, tmp_path / "base", quiet)
+    with pytest.raises(InputError, match="has lost readings, whose times are not known"):
+        derive(tmp_path / "base", PLANE, 0, tmp_path / "derived")
