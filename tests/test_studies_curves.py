@@ -113,7 +113,7 @@ def test_noise_w_is_the_papers_experiment_on_both_worlds():
     assert {plan.scenario.world for plan in plans} == {"landmarks", "room"}
     assert {plan.scenario.seed for plan in plans} == {0, 1, 2}
     full = plan_runs(load_study("noise_w", tiny=False, full=True))
-    assert {plan.scenario.learn.train.steps for plan in full} == {5000}
+    assert {plan.scenario.learn.train.steps for plan in full} == {20000}
 
 
 def test_samples_is_the_papers_experiment_in_the_papers_room():
