@@ -7,15 +7,18 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 import yaml
-from small_study import STUDY, start, wait_until, write_study
+from small_study import STUDY, finish, start, wait_until, write_study
 
-from deepgps.scenario import names_in
+from deepgps.scenario import digest_recording, names_in
+from deepgps.studies.recordings import find_drives
 from deepgps.studies.report import write_report
 from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.table import gather, varied_in
 from deepgps.viz import find_recording
 from sim.errors import InputError
 from sim.files import read_json
 from sim.paths import STUDIES
+from sim.records import check_recording
 
 MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
 
@@ -121,6 +124,79 @@ def test_tiny_replaces_only_what_it_names(tmp_path):
     assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
 
 
+def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
+    full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
+    path = str(write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full))
+    study = load_study(path, tiny=False, full=True)
+    assert (study.name, study.target) == ("mine-full", {"unfolded": 1.0})
+    assert {plan.scenario.learn.train.steps for plan in plan_runs(study)} == {50}
+    assert [(plan.scenario.seed, plan.scenario.grid.headings) for plan in plan_runs(study)] == [(0, 3), (1, 3)]
+    with pytest.raises(InputError) as caught:
+        load_study(path, tiny=True, full=True)
+    assert str(caught.value) == "--tiny and --full exclude each other"
+    with pytest.raises(InputError) as caught:
+        load_study(str(write_study(tmp_path)), tiny=False, full=True)
+    assert str(caught.value) == "study mine has no long version: --full takes what a study's full describes"
+
+
+def test_a_case_may_name_its_own_scenario(tmp_path):
+    cases = [{"scenario": "landmarks", "drive.samples": 500}, {}]
+    study = write_study(tmp_path, cases=cases, axes={"encoder.gap_noise": [0.0, 0.1]})
+    plans = plan_runs(load_study(str(study), tiny=False))
+    assert [plan.scenario.name for plan in plans] == ["landmarks"] * 2 + ["mini"] * 2
+    rows = gather(plans, {plan.run: "not run" for plan in plans}, tmp_path)
+    assert [row["scenario"] for row in rows] == ["landmarks"] * 2 + ["mini"] * 2
+    assert set(varied_in(rows[0])) == {"scenario", "drive.samples", "encoder.gap_noise"}
+    assert varied_in(rows[0])[-1] == "encoder.gap_noise"  # the axis
+
+
+def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
+    axes = {"encoder.gap_noise": [0.1, 0.0], "drive.samples": [40, 60]}
+    plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
+    drives = find_drives(plans)
+    assert len(drives) == 8
+    assert {digest_recording(drive) for drive in drives.values()} == {plan.recording for plan in (plans[6], plans[7])}
+    for plan in plans:
+        drive = drives[plan.recording]
+        assert (drive.seed, drive.drive.samples, drive.encoder.gap_noise) == (plan.scenario.seed, 60, 0.0)
+
+
+@pytest.mark.slow
+def test_killed_among_derived_recordings_only_what_is_missing_is_made_and_a_seed_adds_only_itself(tmp_path):
+    axes = {"encoder.gap_noise": [0.0, 0.1], "drive.samples": [40, 60]}
+    study, out = write_study(tmp_path, cases=[{}], axes=axes, target={}), tmp_path / "out"
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    derived = [path for path in out.glob("recordings/*/manifest.json") if "derived_from" in read_json(path)]
+    assert len(derived) == 3
+    derived[0].unlink()  # as if it had been killed just then
+    made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
+    assert 4 <= len(made) < 7
+    finish(start(study, out))
+    assert {path: path.stat().st_mtime_ns for path in made} == made
+    made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
+    for path in out.glob("recordings/*"):
+        check_recording(path)
+    finish(start(write_study(tmp_path, cases=[{}], axes=axes, target={}, seeds=[0, 1]), out))
+    assert {path: path.stat().st_mtime_ns for path in made} == made
+    assert len(list(out.glob("r*/*/m*.json"))) == 2 * len(made) == 16
+
+
+@pytest.mark.slow
+def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
+    (tmp_path / "broken.xml").write_text("<mujoco")
+    cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {}]
+    axes = {"encoder.gap_noise": [0.0, 0.1]}
+    process = start(write_study(tmp_path, cases=cases, axes=axes, target={}), tmp_path / "out")
+    _, errors = process.communicate(timeout=120)
+    assert errors.startswith("failed: 2 of 4 runs failed;")
+    rows = pq.read_table(tmp_path / "out" / "table.parquet").to_pylist()
+    assert [row["failure"] is None for row in rows] == [False, False, True, True]
+    assert all(row["failure"].startswith("recording: ") and "broken.xml" in row["failure"] for row in rows[:2])
+
+
 @pytest.mark.parametrize("name", names_in(STUDIES))
 @pytest.mark.parametrize("tiny", [False, True])
 def test_every_study_can_be_planned(name, tiny):
@@ -182,6 +258,10 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
         ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "drive.samples 1: must be greater"),
         ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "; grid.headings 0: must be greater"),
         ({"cases": [{}, {"learn.start": "auto"}]}, "two runs are the same"),
+        ({"cases": [{"scenario": "nowhere"}]}, "scenario 'nowhere' does not exist"),
+        ({"cases": [{"scenario": 3}]}, "scenario 3 must be a name in assets/scenarios, or a path"),
+        ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
+        ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
     ],
 )
 def test_wrong_studies_are_named_in_one_line(changes, message, tmp_path):

@@ -40,7 +40,7 @@ NOISE = make_rows(
 
 
 def make_line(*rms: float) -> list[Row]:
-    lines = {("living_room", "deepgps"): dict(zip(SAMPLES, ((one,) for one in rms), strict=True))}
+    lines: dict = {("living_room", "deepgps"): dict(zip(SAMPLES, ((one,) for one in rms), strict=True))}
     return make_rows(lines, "drive.samples")
 
 
@@ -77,9 +77,6 @@ def test_the_knee_is_where_the_line_becomes_flat():
     rows = make_line(0.2, 0.08, 0.049, 0.04)
     assert find_knee(rows, "drive.samples") == 4000
     assert measure(rows)["knee"].value == 4000
-    assert any(
-        block.startswith("The knee of living_room") or block.startswith("The knee") for block in report(rows, [])
-    )
     text = report(rows, [])
     assert cells(text[0], "DeepGPS", "1000")[-1] == "4"
     assert "drive.samples 4000, the least from which on" in text[1]
@@ -99,16 +96,15 @@ def test_curves_run_through_the_means_and_bands_from_best_to_worst():
     panels = draw(NOISE, [], Path()).axes
     assert [axes.get_title() for axes in panels] == ["landmarks", "living_room"]
     lines = {line.get_label(): line for line in panels[0].lines}
-    np.testing.assert_allclose(lines["DeepGPS, RMS"].get_ydata(), [0.2, 0.5])
-    np.testing.assert_allclose(lines["paper: below 2 % of the side"].get_ydata(), 4.0)
-    band = panels[0].collections[0].get_paths()[0].vertices
+    np.testing.assert_allclose(np.asarray(lines["DeepGPS, RMS"].get_ydata()), [0.2, 0.5])
+    np.testing.assert_allclose(np.asarray(lines["paper: below 2 % of the side"].get_ydata()), 4.0)
+    band = np.asarray(panels[0].collections[0].get_paths()[0].vertices)
     np.testing.assert_allclose([band[:, 1].min(), band[:, 1].max()], [0.1, 0.6])
     assert panels[0].get_xscale() == "linear"
     (panel,) = draw(make_line(0.2, 0.08, 0.05, 0.04), [], Path()).axes
     assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
-    assert [line.get_xydata().tolist() for line in panel.lines if line.get_label() == "paper's RMS"] == [
-        [[1000.0, 4.0]]
-    ]
+    (paper,) = [line for line in panel.lines if line.get_label() == "paper's RMS"]
+    assert np.asarray(paper.get_xydata()).tolist() == [[1000.0, 4.0]]
 
 
 def test_noise_w_is_the_papers_experiment_on_both_worlds():
@@ -117,7 +113,7 @@ def test_noise_w_is_the_papers_experiment_on_both_worlds():
     assert {plan.scenario.world for plan in plans} == {"landmarks", "room"}
     assert {plan.scenario.seed for plan in plans} == {0, 1, 2}
     full = plan_runs(load_study("noise_w", tiny=False, full=True))
-    assert {plan.scenario.learn.train.steps for plan in full} == {5000}
+    assert {plan.scenario.learn.train.steps for plan in full} == {20000}
 
 
 def test_samples_is_the_papers_experiment_in_the_papers_room():

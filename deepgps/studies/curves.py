@@ -77,7 +77,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """RMS (line, and a band from the best to the worst seed) and median (dashed) of every method along the axis."""
     axis, panels = find_axis(rows), _panels(rows)
-    picture = Picture(figsize=(4.6 * len(panels) + 0.4, 3.8), layout="constrained")
+    picture = Picture(figsize=(4.6 * len(panels) + 0.4, 4.2), layout="constrained")
     for place, ((title, panel), axes) in enumerate(
         zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
     ):
@@ -87,7 +87,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         _scale(axes, axis, panel)
         axes.set(xlabel=TITLES.get(axis, axis), ylabel="error [cm]" if place == 0 else "", title=", ".join(title))
         axes.grid(alpha=0.25)
-        axes.legend(frameon=False, fontsize=8)
+    lines = {line.get_label(): line for axes in picture.axes for line in axes.lines}
+    picture.legend(handles=list(lines.values()), loc="outside upper center", frameon=False, fontsize=8, ncols=3)
     return picture
 
 
@@ -131,7 +132,7 @@ def _draw_paper(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
         label = f"paper: below {100 * share:g} % of the side"
         axes.axhline(100 * share * panel[0]["shorter_side_m"], color="black", linestyle=":", label=label)
     for index, (value, rms_m) in enumerate(PAPER_RMS.get(axis, {}).items()):
-        label = None if index else "paper's RMS"
+        label = "_" if index else "paper's RMS"
         axes.plot(value, 100 * rms_m, "D", color="black", markerfacecolor="none", label=label)
 
 
