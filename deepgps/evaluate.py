@@ -68,6 +68,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         fields[method], scale = measure_field(run / method, method, recording, truth)
         methods[method] = {
             **summarise(fields[method].worst, truth.free_space.shorter_side_m),
+            "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": scale,
             "flipped": measure_flipped(fields[method].truth, fields[method].predicted.mean(axis=1), spacing_m),
             "alignment": ALIGNMENT[method],
@@ -121,6 +122,12 @@ def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
         "max_m": float(error.max()),
         "relative_rms": rms / shorter_side_m,
     }
+
+
+def measure_heading_spread(predicted: np.ndarray) -> float:
+    """RMS distance [m] of predictions (C, H, 2) [m] from their mean over the headings of a position; 0 for one."""
+    away = predicted - predicted.mean(axis=1, keepdims=True)
+    return float(np.sqrt(np.mean((away**2).sum(axis=-1))))
 
 
 def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:

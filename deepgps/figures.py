@@ -40,7 +40,10 @@ LINES = {
     "knn": "#1a936f",
     "odometry": "#c2255c",
 }
-FLOOR, OUT_OF_REACH, OBSTACLE = "#161a22", "#2c323e", "#4a5261"
+# Where the robot can reach, where it would fit but cannot come to, where it does not fit.
+Floor = tuple[str, str, str]
+SCREEN: Floor = ("#161a22", "#2c323e", "#4a5261")
+PAPER: Floor = ("#ffffff", "#dde1e7", "#b3bac4")
 DOTS_PER_INCH = 130
 
 
@@ -109,9 +112,9 @@ def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 
-def colours_of(error: np.ndarray) -> np.ndarray:
-    """Colours (..., 4) uint8 RGBA of errors (...,) [m] on the fixed scale."""
-    return (COLOURS(LogNorm(*SCALE_M, clip=True)(np.maximum(error, SCALE_M[0]))) * 255).round().astype(np.uint8)
+def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.ndarray:
+    """Colours (..., 4) uint8 RGBA of errors (...,) [m] on a logarithmic scale."""
+    return (COLOURS(LogNorm(*scale_m, clip=True)(np.maximum(error, scale_m[0]))) * 255).round().astype(np.uint8)
 
 
 def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
@@ -120,8 +123,25 @@ def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
     axes = figure.add_subplot()
     _draw_field(axes, space, field)
     axes.set_title(f"{method_title(name)}: {_summary(field)}", fontsize=13)
-    _add_scale(figure, [axes])
+    add_scale(figure, [axes])
     return figure
+
+
+def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
+    """Draw one method's error field of a run into these axes, on paper white; ``add_scale`` says what colours mean.
+
+    Args:
+        axes: Where; their title is left to the caller.
+        run: The run's folder.
+        name: The method.
+        scale_m: Errors at the ends of the colour scale [m].
+
+    Returns:
+        What was drawn.
+    """
+    field = read_fields(run)[name]
+    _draw_field(axes, open_truth(run / "recording").free_space, field, PAPER, scale_m)
+    return field
 
 
 def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics: Mapping[str, Any]) -> Figure:
@@ -138,7 +158,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
         axes.label_outer()
     for axes in list(grid.flat)[len(fields) :]:
         axes.set_axis_off()
-    _add_scale(figure, list(grid.flat))
+    add_scale(figure, list(grid.flat))
     figure.suptitle(
         f"Where each method thinks it is: {metrics['scenario']}, seed {metrics['seed']}, "
         f"{metrics['samples']} observations",
@@ -208,6 +228,17 @@ def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     return figure
 
 
+def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = SCALE_M) -> None:
+    """The colour bar of error fields, beside these axes."""
+    bar = figure.colorbar(
+        ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
+    )
+    bar.set_label("error of the worst heading [m]", fontsize=10)
+    bar.ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    bar.ax.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
+
+
 def to_png(figure: Figure) -> bytes:
     """A figure as PNG; equal figures give equal bytes, since no date is written."""
     FigureCanvasAgg(figure)
@@ -238,12 +269,18 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path} cannot be read: {error}") from None
 
 
-def _draw_field(axes: Axes, space: FreeSpace, field: WorstField) -> None:
+def _draw_field(
+    axes: Axes,
+    space: FreeSpace,
+    field: WorstField,
+    floor: Floor = SCREEN,
+    scale_m: tuple[float, float] = SCALE_M,
+) -> None:
     """Dots at the truth, lines to the predictions with a head's share drawn by width, colour by magnitude."""
-    _draw_room(axes, space)
+    _draw_room(axes, space, floor)
     order = np.argsort(field.error)  # the worst lie on top
     truth, predicted = field.truth[order], field.predicted[order]
-    colours = colours_of(field.error[order]) / 255
+    colours = colours_of(field.error[order], scale_m) / 255
     axes.scatter(*truth.T, s=7, c=colours, linewidths=0)
     axes.quiver(
         *truth.T,
@@ -260,7 +297,7 @@ def _draw_field(axes: Axes, space: FreeSpace, field: WorstField) -> None:
     )
 
 
-def _draw_room(axes: Axes, space: FreeSpace) -> None:
+def _draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
     rows, columns = space.free.shape
     kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
     half = space.cell_m / 2
@@ -270,7 +307,7 @@ def _draw_room(axes: Axes, space: FreeSpace) -> None:
         kind,
         origin="lower",
         extent=extent,
-        cmap=ListedColormap([FLOOR, OUT_OF_REACH, OBSTACLE]),
+        cmap=ListedColormap(floor),
         vmin=0,
         vmax=2,
         interpolation="nearest",
@@ -285,16 +322,6 @@ def _draw_room(axes: Axes, space: FreeSpace) -> None:
 def _aspect(space: FreeSpace) -> float:
     low, high = limits(space)
     return (high[1] - low[1]) / (high[0] - low[0])
-
-
-def _add_scale(figure: Figure, axes: list[Axes]) -> None:
-    bar = figure.colorbar(
-        ScalarMappable(LogNorm(*SCALE_M), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
-    )
-    bar.set_label("error of the worst heading [m]", fontsize=10)
-    bar.ax.yaxis.set_major_locator(ticker.FixedLocator(TICKS_M))
-    bar.ax.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
 
 
 def _summary(field: WorstField) -> str:

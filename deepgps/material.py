@@ -54,7 +54,7 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     table = features
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
-    inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise)
+    inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
     return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
 
 

@@ -1,12 +1,28 @@
 """Networks that map one observation to one position: layers on features, and the paper's circular ResNet-18."""
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import nn
 from torch.nn import functional
 
-from deepgps.settings import NetworkSettings
+from deepgps.settings import Architecture, NetworkSettings
+
+
+class Padding(NamedTuple):
+    """What lies beyond an image, ways of ``torch.nn.functional.pad``: constant is zeros, circular joins the ends."""
+
+    sectors: str
+    rings: str
+
+
+PADDING: dict[Architecture, Padding] = {
+    "resnet": Padding("circular", "constant"),
+    "resnet_paper": Padding("circular", "circular"),
+    "resnet_plain": Padding("constant", "constant"),
+    "invariant": Padding("circular", "constant"),
+}
 
 
 class SpectralNetwork(nn.Module):
@@ -28,43 +44,57 @@ class SpectralNetwork(nn.Module):
 class ResNet(nn.Module):
     """ResNet-18 on polar images (B, 3, rings, sectors), first kernel 3 (He et al. 2016; paper section III-B2).
 
+    Its strides halve the sectors five times, so even with circular padding a turn by one sector changes what it says.
+    ``every_turn`` makes it exact: whatever is to be halved is halved twice, from the first sector on and from the
+    second, which amounts to the mean over all turns of the image, at a fraction of the cost ("a trous", Holschneider et
+    al. 1990). Training, where each image is turned by chance, draws one of these turns instead.
+
     Args:
         outputs: Numbers predicted.
         channels: Channels of the first stage; ResNet-18 has 64.
-        both_ways: Circular padding along rings too, as the paper writes; otherwise zeros beyond zenith and rim.
+        padding: What lies beyond the image.
+        every_turn: In use, predict the mean over all turns by whole sectors; exact where 32 divides the sectors.
     """
 
-    def __init__(self, outputs: int, channels: int, both_ways: bool) -> None:
+    def __init__(self, outputs: int, channels: int, padding: Padding, every_turn: bool) -> None:
         super().__init__()
-        self.first = CircularConv(3, channels, 3, 2, both_ways)
+        self.padding, self.every_turn = padding, every_turn
+        self.first = PaddedConv(3, channels, 3, 2, padding)
         self.first_norm = nn.BatchNorm2d(channels)
-        self.both_ways = both_ways
         stages, before = [], channels
         for stage in range(4):
             after = channels * 2**stage
             stride = 1 if stage == 0 else 2
-            stages += [Block(before, after, stride, both_ways), Block(after, after, 1, both_ways)]
+            stages += [Block(before, after, stride, padding), Block(after, after, 1, padding)]
             before = after
         self.blocks = nn.Sequential(*stages)
         self.head = nn.Linear(before, outputs)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Positions (B, outputs) [m]."""
-        x = functional.relu(self.first_norm(self.first(x)))
-        # After a ReLU nothing is below zero, so zeros beyond zenith and rim never win the maximum.
-        x = functional.max_pool2d(pad_circular(x, 1, self.both_ways), 3, 2)
-        x = self.blocks(x)
-        return _in_float32(self.head, x.mean(dim=(2, 3)))
+        images = len(x)
+        x = functional.relu(self.first_norm(self.first(self._turn(x))))
+        # After a ReLU nothing is below zero, so zeros beyond the image never win the maximum.
+        x = functional.max_pool2d(pad(self._turn(x), 1, self.padding), 3, 2)
+        for block in self.blocks:
+            x = block(self._turn(x) if block.stride == 2 else x)
+        x = x.mean(dim=(2, 3)).unflatten(0, (-1, images)).mean(dim=0)
+        return _in_float32(self.head, x)
+
+    def _turn(self, x: torch.Tensor) -> torch.Tensor:
+        """Beside each image the same turned by one sector, before strides of two drop one of the two."""
+        return torch.cat([x, x.roll(1, dims=3)]) if self.every_turn and not self.training else x
 
 
 class Block(nn.Module):
-    """Basic residual block of two circular 3 x 3 convolutions."""
+    """Basic residual block of two 3 x 3 convolutions."""
 
-    def __init__(self, inputs: int, outputs: int, stride: int, both_ways: bool) -> None:
+    def __init__(self, inputs: int, outputs: int, stride: int, padding: Padding) -> None:
         super().__init__()
-        self.first = CircularConv(inputs, outputs, 3, stride, both_ways)
+        self.stride = stride
+        self.first = PaddedConv(inputs, outputs, 3, stride, padding)
         self.first_norm = nn.BatchNorm2d(outputs)
-        self.second = CircularConv(outputs, outputs, 3, 1, both_ways)
+        self.second = PaddedConv(outputs, outputs, 3, 1, padding)
         self.second_norm = nn.BatchNorm2d(outputs)
         same = stride == 1 and inputs == outputs
         self.shortcut = (
@@ -79,22 +109,22 @@ class Block(nn.Module):
         return functional.relu(self.second_norm(self.second(y)) + self.shortcut(x))
 
 
-class CircularConv(nn.Conv2d):
-    """Convolution without bias whose padding joins the last sector to the first."""
+class PaddedConv(nn.Conv2d):
+    """Convolution without bias that pads as it is told."""
 
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, both_ways: bool) -> None:
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, padding: Padding) -> None:
         super().__init__(inputs, outputs, kernel, stride, bias=False)
-        self.both_ways = both_ways
+        self.beyond = padding
 
     def forward(self, input: torch.Tensor) -> torch.Tensor:
         """(B, inputs, h, w) -> (B, outputs, h / stride, w / stride)."""
-        return super().forward(pad_circular(input, self.kernel_size[0] // 2, self.both_ways))
+        return super().forward(pad(input, self.kernel_size[0] // 2, self.beyond))
 
 
-def pad_circular(x: torch.Tensor, width: int, both_ways: bool) -> torch.Tensor:
-    """Pad sectors (last axis) around the circle, and rings (the axis before) with zeros, or around as well."""
-    x = functional.pad(x, (width, width, 0, 0), mode="circular")
-    return functional.pad(x, (0, 0, width, width), mode="circular" if both_ways else "constant")
+def pad(x: torch.Tensor, width: int, padding: Padding) -> torch.Tensor:
+    """Pad sectors (last axis) and rings (the axis before) by ``width`` at both ends, each in its way."""
+    x = functional.pad(x, (width, width, 0, 0), mode=padding.sectors)
+    return functional.pad(x, (0, 0, width, width), mode=padding.rings)
 
 
 def make_network(settings: NetworkSettings, inputs: int, outputs: int, generator: torch.Generator) -> nn.Module:
@@ -110,7 +140,9 @@ def make_network(settings: NetworkSettings, inputs: int, outputs: int, generator
         network = (
             SpectralNetwork(inputs, outputs, settings.width, settings.layers)
             if settings.architecture == "spectral"
-            else ResNet(outputs, settings.channels, settings.architecture == "resnet_paper")
+            else ResNet(
+                outputs, settings.channels, PADDING[settings.architecture], settings.architecture == "invariant"
+            )
         )
     network = network.to_empty(device="cpu")
     for module in network.modules():

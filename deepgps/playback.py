@@ -7,7 +7,7 @@ import numpy as np
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.figures import FLOOR, OBSTACLE, OUT_OF_REACH, limits
+from deepgps.figures import SCREEN, limits
 from sim.encoder import ticks_to_distance
 from sim.errors import InputError
 from sim.lens import make_lens, project_polar, round_rays
@@ -41,7 +41,7 @@ def open_room(scene: Path, space: FreeSpace) -> bytes:
 
 def draw_floor_plan(space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
     """Picture of the floor (rows, columns, 3) uint8, its south first, and where its south-west corner is (2,) [m]."""
-    palette = [to_rgb(colour) for colour in (FLOOR, OUT_OF_REACH, OBSTACLE)]
+    palette = [to_rgb(colour) for colour in SCREEN]
     kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
     cells = (np.stack(limits(space, margin_m=0.1)) - space.origin) / space.cell_m
     low, high = np.maximum(np.rint(cells[0]).astype(int), 0), np.rint(cells[1]).astype(int) + 1

@@ -49,6 +49,15 @@ class Scenario(SimSettings):
             )
         return self
 
+    @model_validator(mode="after")
+    def _the_circle_can_be_halved(self) -> "Scenario":
+        if self.learn.network.architecture == "invariant" and self.camera.sectors % 32 != 0:
+            raise ValueError(
+                "learn.network.architecture 'invariant' halves the circle five times, so camera.sectors must be a "
+                f"multiple of 32, and is {self.camera.sectors}"
+            )
+        return self
+
     @property
     def sim(self) -> SimSettings:
         """The part that decides the recording."""

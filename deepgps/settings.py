@@ -6,7 +6,7 @@ from pydantic import Field
 
 from sim.settings import Group
 
-Architecture = Literal["spectral", "resnet", "resnet_paper"]
+Architecture = Literal["spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"]
 PairLoss = Literal["absolute", "normalised"]
 Start = Literal["auto", "paths", "lifting", "random"]
 
@@ -28,7 +28,8 @@ class NetworkSettings(Group):
     """The network that maps one observation to one position."""
 
     architecture: Architecture = "spectral"
-    """spectral: layers on spectral features; resnet: ResNet-18 circular around; resnet_paper: circular both ways."""
+    """spectral: layers on spectral features; resnet: ResNet-18 circular around; resnet_paper: circular both ways;
+    resnet_plain: zeros beyond all edges; invariant: resnet that in use predicts the mean over all turns of an image."""
     width: int = Field(default=256, ge=4, le=4096)
     """Neurons in each layer of the spectral network."""
     layers: int = Field(default=6, ge=1, le=16)
@@ -44,6 +45,8 @@ class TrainSettings(Group):
     """Steps of the optimiser."""
     segments: int = Field(default=16, ge=1, le=4096)
     """Segments in a batch; a supervised batch holds segments times samples observations."""
+    shift: bool = True
+    """Shift each image of a batch around the circle by chance, as if the robot had turned; features have no need."""
     samples: int = Field(default=16, ge=2, le=1024)
     """Samples drawn from each segment of a batch; all their pairs are used."""
     learning_rate: float = Field(default=4e-3, gt=0.0, le=1.0)

@@ -53,11 +53,13 @@ class Inputs:
     Args:
         table: Features or images.
         noise: Standard deviation of the noise on features, whose own root mean square is 1.
+        shift: Whether images are shifted.
     """
 
-    def __init__(self, table: torch.Tensor, noise: float = 0.0) -> None:
+    def __init__(self, table: torch.Tensor, noise: float = 0.0, shift: bool = True) -> None:
         self.table = table
         self.noise = noise
+        self.shift = shift
 
     def take(self, index: torch.Tensor | slice, generator: torch.Generator | None = None) -> torch.Tensor:
         """Network input of observations (B,)."""
@@ -66,7 +68,7 @@ class Inputs:
             if generator is None or self.noise == 0.0:
                 return chosen
             return chosen + self.noise * torch.randn(chosen.shape, generator=generator, device=chosen.device)
-        if generator is not None:
+        if generator is not None and self.shift:
             sectors = chosen.shape[2]
             shift = torch.randint(sectors, (len(chosen), 1), generator=generator, device=chosen.device)
             column = (torch.arange(sectors, device=chosen.device) + shift) % sectors

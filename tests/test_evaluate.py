@@ -1,9 +1,9 @@
-"""How much of a map is turned over, on maps whose folds are known."""
+"""How much of a map is turned over, on maps whose folds are known; and how much headings differ."""
 
 import numpy as np
 import pytest
 
-from deepgps.evaluate import measure_flipped
+from deepgps.evaluate import measure_flipped, measure_heading_spread
 
 SPACING_M = 0.08
 X, Y = (axis.ravel() * SPACING_M - 0.4 for axis in np.meshgrid(np.arange(21), np.arange(11)))
@@ -38,3 +38,21 @@ def test_gaps_in_the_grid_are_left_out_and_order_does_not_matter():
 
 def test_positions_without_neighbours_have_no_fold():
     assert measure_flipped(TRUTH[:1], TRUTH[:1], SPACING_M) == 0.0
+
+
+def test_headings_that_agree_have_no_spread_whatever_the_map():
+    assert measure_heading_spread(np.repeat(fold(0.3)[:, None], 4, axis=1)) == pytest.approx(0.0, abs=1e-12)
+    assert measure_heading_spread(fold(0.3)[:, None]) == 0.0
+
+
+def test_the_spread_is_half_of_what_two_headings_differ_by():
+    assert measure_heading_spread(np.stack([TRUTH, TRUTH + (0.3, 0.4)], axis=1)) == pytest.approx(0.25)
+
+
+def test_the_spread_is_that_of_a_loop_over_positions_and_headings():
+    predicted = np.random.default_rng(0).normal(size=(7, 4, 2))
+    squares = []
+    for place in predicted:
+        middle = sum(place) / 4
+        squares += [float((one - middle) @ (one - middle)) for one in place]
+    assert measure_heading_spread(predicted) == pytest.approx((sum(squares) / 28) ** 0.5)

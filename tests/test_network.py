@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deepgps.network import count_parameters, make_network, pad_circular
+from deepgps.network import PADDING, count_parameters, make_network, pad
 from deepgps.settings import Architecture, NetworkSettings
 
 
@@ -16,7 +16,7 @@ def test_spectral_network_maps_features_to_outputs():
     assert count_parameters(network) == (10 * 16 + 16) + (16 * 16 + 16) + (16 * 3 + 3)
 
 
-@pytest.mark.parametrize("architecture", ["resnet", "resnet_paper"])
+@pytest.mark.parametrize("architecture", PADDING)
 @pytest.mark.parametrize("size", [(8, 32), (16, 64), (32, 128)])
 def test_resnet_maps_images_to_outputs(architecture: Architecture, size: tuple[int, int]):
     assert build(architecture)(torch.rand(2, 3, *size)).shape == (2, 3)
@@ -35,15 +35,36 @@ def test_resnet_does_not_see_turns_by_its_stride(architecture: Architecture):
     assert not torch.allclose(network(image), network(image.roll(32, dims=1)), atol=1e-5)
 
 
+def test_zeros_beyond_the_edge_see_every_turn():
+    network, image = build("resnet_plain"), torch.rand(2, 3, 32, 128)
+    assert not torch.allclose(network(image), network(image.roll(32, dims=3)), atol=1e-4)
+    assert not torch.allclose(network(image), network(image.roll(1, dims=3)), atol=1e-4)
+
+
+@pytest.mark.parametrize("sectors", [32, 64, 96])
+def test_invariant_is_the_mean_of_resnet_over_all_turns(sectors: int):
+    invariant, resnet, image = build("invariant"), build("resnet"), torch.rand(3, 3, 16, sectors)
+    turned = torch.stack([resnet(image.roll(turn, dims=3)) for turn in range(sectors)])
+    assert torch.allclose(invariant(image), turned.mean(dim=0), atol=1e-5)
+    assert (turned.std(dim=0) > 1e-4).any()
+    for turn in range(sectors):
+        assert torch.allclose(invariant(image), invariant(image.roll(turn, dims=3)), atol=1e-5)
+
+
+def test_invariant_trains_as_resnet_does():
+    invariant, resnet, image = build("invariant").train(), build("resnet").train(), torch.rand(4, 3, 16, 64)
+    assert torch.equal(invariant(image), resnet(image))
+
+
 def test_only_the_paper_variant_joins_zenith_and_rim():
-    image = torch.rand(2, 3, 32, 128)
+    image = torch.rand(2, 3, 64, 128)
     paper, ours = build("resnet_paper"), build("resnet")
     assert torch.allclose(paper(image), paper(image.roll(32, dims=2)), atol=1e-5)
-    flipped = image.flip(2)
-    assert not torch.allclose(ours(image), ours(flipped), atol=1e-5)
-    assert torch.equal(pad_circular(image, 1, True)[..., 0, 1:-1], image[..., -1, :])
-    assert pad_circular(image, 1, False)[..., 0, :].abs().max() == 0.0
-    assert torch.equal(pad_circular(image, 1, False)[..., 1:-1, 0], image[..., -1])
+    assert not torch.allclose(ours(image), ours(image.roll(32, dims=2)), atol=1e-5)
+    assert torch.equal(pad(image, 1, PADDING["resnet_paper"])[..., 0, 1:-1], image[..., -1, :])
+    assert pad(image, 1, PADDING["resnet"])[..., 0, :].abs().max() == 0.0
+    assert torch.equal(pad(image, 1, PADDING["resnet"])[..., 1:-1, 0], image[..., -1])
+    assert pad(image, 1, PADDING["resnet_plain"])[..., 0].abs().max() == 0.0
 
 
 @pytest.mark.parametrize("architecture", ["spectral", "resnet"])

@@ -48,6 +48,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "'resnet' needs images, which world landmarks",
         ),
         (
+            "{camera: {sectors: 48}, learn: {network: {architecture: invariant}}}",
+            "camera.sectors must be a multiple of 32, and is 48",
+        ),
+        (
             "{world: landmarks, drive: {spacing_m: 0.6}}",
             "drive.spacing_m 0.6 m must be at most a quarter of the longest",
         ),

@@ -118,6 +118,12 @@ def test_images_are_shifted_in_a_circle_only_in_training():
     assert len({one.index(True) for one in shifts}) > 1
 
 
+def test_images_stay_as_they_are_where_shifts_are_not_wanted():
+    image = torch.arange(4 * 2 * 8 * 3, dtype=torch.uint8).view(4, 2, 8, 3)
+    inputs, index = Inputs(image, shift=False), torch.arange(4)
+    assert torch.equal(inputs.take(index, torch.Generator().manual_seed(0)), inputs.take(index))
+
+
 def test_each_purpose_and_attempt_has_its_own_stream():
     seeds = {derive_seed(s, p, a) for s in range(3) for p in ("weights", "shuffling") for a in range(3)}
     assert len(seeds) == 18

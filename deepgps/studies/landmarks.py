@@ -1,6 +1,7 @@
 """The report of landmarks: every method with complete and incomplete observations, beside the paper's Table I."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib import ticker
@@ -58,7 +59,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     return figures
 
 
-def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """RMS (filled) and median (open) of every method and seed, and the paper's RMS (diamond)."""
     groups = _group(rows)
     kinds, methods = (list(dict.fromkeys(names)) for names in zip(*groups, strict=True))

@@ -1,6 +1,7 @@
 """The report of precision: every room, the mean and the worst, and DeepGPS against PoseNet."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib import ticker
@@ -56,7 +57,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     return figures
 
 
-def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """RMS (filled) and median (open) of every method in every room."""
     rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
     picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")

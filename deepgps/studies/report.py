@@ -15,13 +15,24 @@ from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
 from sim.files import write_bytes, write_text
 
+# (rows measured, names that vary, the study's folder, where each run lies in runs/<row["run"]>)
+Draw = Callable[[Sequence[Row], Sequence[str], Path], Picture]
+
 
 class Kind(NamedTuple):
-    """One kind of report: functions of the rows measured, two of them also of the names that vary."""
+    """One kind of report.
+
+    Attributes:
+        report: (rows measured, names that vary) -> blocks of Markdown.
+        measure: Rows measured -> figures that a target can stand beside.
+        figures: Pictures by the name of their file.
+        add: (run folder, row) -> columns of its own, which stand in the table beside the others.
+    """
 
     report: Callable[[Sequence[Row], Sequence[str]], list[str]]
     measure: Callable[[Sequence[Row]], dict[str, Figure]]
-    draw: Callable[[Sequence[Row], Sequence[str]], Picture] | None
+    figures: Mapping[str, Draw]
+    add: Callable[[Path, Row], Row] | None = None
 
 
 def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
@@ -31,10 +42,10 @@ def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 KINDS: dict[ReportName, Kind] = {
-    "plain": Kind(report_plain, lambda rows: {}, None),
-    "precision": Kind(precision.report, precision.measure, precision.draw),
-    "seeds": Kind(seeds.report, seeds.measure, seeds.draw),
-    "landmarks": Kind(landmarks.report, landmarks.measure, landmarks.draw),
+    "plain": Kind(report_plain, lambda rows: {}, {}),
+    "precision": Kind(precision.report, precision.measure, {"precision": precision.draw}),
+    "seeds": Kind(seeds.report, seeds.measure, {"seeds": seeds.draw}),
+    "landmarks": Kind(landmarks.report, landmarks.measure, {"landmarks": landmarks.draw}),
 }
 
 
@@ -47,14 +58,23 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         failures: Why runs failed, by their hash.
         folder: The study's folder.
     """
-    rows = gather(plans, failures, folder)
+    rows, kind = gather(plans, failures, folder), KINDS[study.report]
+    if kind.add:
+        rows = add_columns(rows, kind.add, folder)
     write_table(folder / "table.parquet", rows)
     text = write_report(study, plans, failures, rows)
     write_text(folder / "table.md", text)
-    measured, draw = [row for row in rows if row["failure"] is None], KINDS[study.report].draw
-    if measured and draw:
-        write_bytes(folder / "figures" / f"{study.report}.png", to_png(draw(measured, varied_names(study))))
+    measured = [row for row in rows if row["failure"] is None]
+    for name, draw in kind.figures.items() if measured else ():
+        write_bytes(folder / "figures" / f"{name}.png", to_png(draw(measured, varied_names(study), folder)))
     return text
+
+
+def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:
+    """Rows with a report's own columns, which are empty where a run failed."""
+    added = [add(folder / "runs" / row["run"], row) if row["failure"] is None else {} for row in rows]
+    names = dict.fromkeys(name for columns in added for name in columns)
+    return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:

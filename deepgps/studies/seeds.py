@@ -1,6 +1,7 @@
 """The report of seeds: how many maps lie folded by the truth, and what the detector, which does not see it, says."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
@@ -44,7 +45,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     }
 
 
-def draw(rows: Sequence[Row], varied: Sequence[str]) -> Picture:
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """What the detector measures against the truth: a point for each map."""
     picture = Picture(figsize=(9, 4), layout="constrained")
     signs = {"fold_bent": "way that is bent", "fold_doubled": "places on one another"}

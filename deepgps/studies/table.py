@@ -15,7 +15,7 @@ from sim.files import write_atomic
 Row = dict[str, Any]
 # of a method, as they stand in metrics.json
 FIGURES = (
-    *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms"),
+    *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
     *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
 )
 
@@ -56,6 +56,8 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
         "seed": plan.scenario.seed,
         **{name: _value(plan.scenario, name) for name in varied},
         "samples": metrics.get("samples"),
+        "segments": metrics.get("segments"),
+        "distance_m": metrics.get("distance_driven_m"),
         "shorter_side_m": metrics.get("shorter_side_m"),
         "seen": coverage and coverage["cells_seen"] / max(coverage["reachable_cells"], 1),
     }
