@@ -16,6 +16,8 @@ class FeatureSettings(Group):
 
     frequencies: int = Field(default=16, ge=1, le=512)
     """Highest frequency kept around the circle."""
+    rings: int = Field(default=16, ge=1, le=256)
+    """Rings that a lidar's scan is drawn as, each filled equally often."""
     principal: int = Field(default=512, ge=2, le=4096)
     """Principal components among which slow features are sought."""
     components: int = Field(default=256, ge=2, le=4096)
@@ -98,6 +100,15 @@ class ExplicitSettings(Group):
     """Steps of the solver that are tried, at most."""
 
 
+class PcaSettings(Group):
+    """The nearest neighbour among scans at many headings, by principal components; only where scans are observed."""
+
+    components: int = Field(default=128, ge=1, le=4096)
+    """Principal components of a scan (the paper: 128)."""
+    headings: int = Field(default=100, ge=1, le=4096)
+    """Headings stored at each position, at most (the paper: 100)."""
+
+
 class LearnSettings(Group):
     """All that decides how a recording is learned."""
 
@@ -116,5 +127,6 @@ class LearnSettings(Group):
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
     explicit: ExplicitSettings = ExplicitSettings()
+    pca: PcaSettings = PcaSettings()
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -1,7 +1,8 @@
 """The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a robot that is a point.
 
-The robot drives straight until it comes near a wall or an obstacle, turns by chance and drives on. It observes scans: exact
-distances to walls and obstacles, all around. No MuJoCo.
+The robot drives straight until it comes near a wall or an obstacle, turns by chance and drives on; now and then it is
+carried to another place, or it would seldom find what lies behind a narrow passage. It observes scans: exact distances
+to walls and obstacles, all around. No MuJoCo.
 """
 
 from pathlib import Path
@@ -18,6 +19,8 @@ from sim.streams import stream
 
 SMALLEST, LARGEST = 0.03, 0.2
 """Sides of an obstacle as fractions of the square's."""
+PASSAGE, TRIES = 0.06, 100
+"""Width of a passage between two obstacles, at least, as a fraction of the square's side."""
 CELLS = 200
 """Cells of the free space along a side."""
 CHUNK = 16
@@ -32,6 +35,8 @@ class LidarWorld:
         box: Lower and upper corner of each obstacle (n, 2, 2) [m].
         bounds: Lower and upper corner of the square (2, 2) [m].
         segments: Straight segments to drive, at most.
+        carried: Segments after which the robot is carried to another place.
+        space: Where it can be.
     """
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
@@ -40,13 +45,13 @@ class LidarWorld:
         side = self.settings.side_m
         self.bounds = np.array([[-side, -side], [side, side]]) / 2
         self.segments = settings.drive.samples  # each gives several
+        self.carried = self.settings.carried
         rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
-        size = rng.uniform(SMALLEST, LARGEST, (self.settings.obstacles, 2)) * side
-        middle = rng.uniform(-0.5, 0.5, (self.settings.obstacles, 2)) * side
-        self.box = np.stack([middle - size / 2, middle + size / 2], axis=1)
+        self.box = side * place_obstacles(self.settings.obstacles, rng)
         # What the robot's own point may not enter: obstacles grown, and the square shrunk, by the clearance.
         grow = np.array([[-1.0], [1.0]]) * self.settings.clearance_m
         self._grown, self._room = self.box + grow, self.bounds - grow
+        self.space = lay_free_space(self)
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether the robot may be at ``points`` (..., 2) [m]."""
@@ -66,9 +71,8 @@ class LidarWorld:
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
         """A random place (2,) [m] from where most places can be reached."""
-        space = lay_free_space(self)
-        row, column = rng.choice(np.argwhere(space.reachable))
-        return space.origin + np.array([column, row]) * space.cell_m
+        row, column = rng.choice(np.argwhere(self.space.reachable))
+        return self.space.origin + np.array([column, row]) * self.space.cell_m
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
         """Way from a free place (2,) [m] along a heading [rad] until the clearance is used up [m]."""
@@ -90,14 +94,31 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
     if (folder / "manifest.json").is_file():
         return
     world, noise = LidarWorld(settings, seed), stream(seed, "lidar")
-    space = lay_free_space(world)
-    grid = lay_grid(world, space, settings)
+    grid = lay_grid(world, settings)
 
     def observe(poses: np.ndarray) -> np.ndarray:
         return measure(world.observe(poses), settings.lidar, noise)
 
     truth = {"obstacle.npy": world.box}
-    record(world, observe, grid, space, truth, settings, seed, folder, progress)
+    record(world, observe, grid, world.space, truth, settings, seed, folder, progress)
+
+
+def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rectangles (n, 2, 2) by chance in a square of side 1 about the origin, as lower and upper corner.
+
+    One overlaps what stands, or leaves a passage to it; of ``TRIES`` that do neither, it is left out.
+    """
+    placed = np.empty((0, 2, 2))
+    for _ in range(count):
+        for _ in range(TRIES):
+            middle, size = rng.uniform(-0.5, 0.5, 2), rng.uniform(SMALLEST, LARGEST, 2)
+            box = np.stack([middle - size / 2, middle + size / 2])
+            apart = np.maximum(placed[:, 0] - box[1], box[0] - placed[:, 1]).max(axis=1)
+            gaps = np.concatenate([apart, box[0] + 0.5, 0.5 - box[1]])
+            if not ((gaps > 0) & (gaps < PASSAGE)).any():
+                placed = np.concatenate([placed, box[None]])
+                break
+    return placed
 
 
 def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -145,12 +166,12 @@ def lay_free_space(world: LidarWorld) -> FreeSpace:
     return FreeSpace(world.bounds[0].copy(), cell, free, reachable, start, float(extent))
 
 
-def lay_grid(world: LidarWorld, space: FreeSpace, settings: SimSettings) -> np.ndarray:
+def lay_grid(world: LidarWorld, settings: SimSettings) -> np.ndarray:
     """Poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x."""
     count = int(world.bounds[1, 0] / settings.grid.spacing_m)
     side = settings.grid.spacing_m * np.arange(-count, count + 1)
     points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    points = points[world.is_free(points) & space.is_reachable(points)]
+    points = points[world.is_free(points) & world.space.is_reachable(points)]
     if not len(points):
         raise InputError(f"grid.spacing_m {settings.grid.spacing_m} m leaves no test position between the obstacles")
     return spread_headings(points, settings.grid.headings)

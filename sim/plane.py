@@ -1,7 +1,7 @@
 """What all plane worlds share: a robot that is a point drives straight, turns by chance and drives on. No MuJoCo.
 
-The robot observes every ``drive.spacing_m``. What is written is a recording as any other; encoders are read from the way
-as those of a room are, with the faults that the settings ask for.
+The robot observes every ``drive.spacing_m``. What is written is a recording as any other; encoders are read from the
+way as those of a room are, with the faults that the settings ask for.
 """
 
 import shutil
@@ -51,13 +51,15 @@ class PlaneWorld(Protocol):
     Attributes:
         bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive, at most.
+        carried: Segments after which the robot is carried to another place; 0: it never is.
     """
 
     bounds: np.ndarray
     segments: int
+    carried: int
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
-        """Where the drive starts (2,) [m]."""
+        """Where the robot is set down (2,) [m]."""
         ...
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
@@ -128,6 +130,9 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
     pose, reading, angles, times = [np.array([*place, yaw])], [], [], []
     for segment in range(wanted):
+        if segment and world.carried and segment % world.carried == 0:
+            place = world.draw_start(rng)
+            pose.append(np.array([*place, yaw]))
         heading, steps = choose_heading(world, place, drive.spacing_m, drive.longest_m, rng)
         turn = (heading - yaw + np.pi) % (2 * np.pi) - np.pi
         along = drive.spacing_m * np.arange(steps + 1)

@@ -1,8 +1,9 @@
 """The scan, a lidar's observation: ordered distances all around, at one or more headings. No MuJoCo.
 
-The array is (..., headings, rays) float32 [m]. Ray i of heading j looks at ``2 pi (i + j / headings) / rays`` from straight
-ahead, to the left: heading j is what the robot would see if it turned left by j / headings of the angle between two rays.
-Turning it by a whole ray shifts each row in a circle, so nothing else need be stored to know every heading.
+The array is (..., headings, rays) float32 [m]. Ray i of heading j looks at ``2 pi (i + j / headings) / rays`` from
+straight ahead, to the left: heading j is what the robot would see if it turned left by j / headings of the angle
+between two rays. Turning it by a whole ray shifts each row in a circle, so nothing else need be stored to know every
+heading.
 """
 
 import numpy as np

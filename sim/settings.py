@@ -57,9 +57,11 @@ class MapSettings(Group):
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
     obstacles: int = Field(default=20, ge=0, le=1000)
-    """Rectangles, of sides between 3 and 20 % of the square's; they may overlap."""
+    """Rectangles, of sides between 3 and 20 % of the square's; they may overlap, or leave passages of 6 %."""
     clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
     """The robot is a point that keeps so far from walls and obstacles [m]."""
+    carried: int = Field(default=10, ge=0, le=1_000_000)
+    """Segments after which the robot is carried to another place by chance, which it is not told; 0: it never is."""
 
 
 class LidarSettings(Group):

@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "precision", "seeds", "landmarks"]
+ReportName = Literal["plain", "precision", "seeds", "landmarks", "lidar"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -32,6 +32,7 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
         *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
         *("explicit_complete", "explicit_incomplete", "explicit_mds_complete", "explicit_mds_incomplete", "train_s"),
     ),
+    "lidar": ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
@@ -73,7 +74,7 @@ class Study(Variation):
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
     """How the table is reported. plain: as it is; precision: rooms and targets; seeds: folds and their detector;
-    landmarks: the paper's Table I."""
+    landmarks: the paper's Table I; lidar: its appendix."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
