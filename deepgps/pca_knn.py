@@ -79,4 +79,4 @@ def find_axes(scans: np.ndarray, turns: np.ndarray, components: int) -> tuple[np
 
     some = turn_scans(scans, turns[:, : max(1, FITTED // len(scans))])
     found = PCA(min(components, *some.shape), svd_solver="covariance_eigh").fit(some)
-    return found.mean_.astype(np.float32), found.components_.astype(np.float32)
+    return np.asarray(found.mean_, np.float32), np.asarray(found.components_, np.float32)

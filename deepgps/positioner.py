@@ -154,7 +154,8 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
         reach_m = description["reach_m"]
         return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
     if description.get("kind") == "scans":
-        return ScanPositioner(*(tensors[name].numpy() for name in NAMES), description["headings"])
+        mean, axes, known, places = (tensors[name].numpy() for name in NAMES)
+        return ScanPositioner(mean, axes, known, places, description["headings"])
     shape = tuple(description["shape"])
     features = None
     if description["frequencies"] is not None:
