@@ -87,8 +87,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         for row in group:
             axes = panels[methods.index(row["method"]), column]
             print_error_field(axes, folder / "runs" / row["run"], row["method"], SCALE_M)
-            axes.set_title(f"map {column + 1}, {method_title(row['method'])}", fontsize=10, loc="left")
-            axes.set_title(f"RMS {_write(row['rms_m'])}, median {_write(row['median_m'])}", fontsize=8, loc="right")
+            figures = f"RMS {_write(row['rms_m'])} m, median {_write(row['median_m'])} m"
+            axes.set_title(f"map {column + 1}, {method_title(row['method'])}\n{figures}", fontsize=10, loc="left")
             axes.label_outer()
     add_scale(picture, list(panels.flat), SCALE_M)
     return picture
