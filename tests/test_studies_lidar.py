@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors.numpy import load_file
 
 from deepgps.progress import ignore
 from deepgps.run import run
@@ -40,7 +41,7 @@ def make_rows(rms: dict[tuple[int, str], float]) -> list[Row]:
         {"map.seed": number, "recording": f"map{number}", "run": f"map{number}", "method": method, "rms_m": value}
         | {"median_m": value / 4, "max_m": 20 * value, "train_s": 10.0 + number}
         | {"each_rms_m": value / 2, "each_median_m": value / 8, "each_max_m": 20 * value}
-        | {"parameters": 130_000_000 if method == "pca_knn" else 400_000}
+        | {"stored": 130_000_000 if method == "pca_knn" else 400_000}
         for (number, method), value in rms.items()
     ]
 
@@ -121,6 +122,8 @@ def test_every_method_runs_to_the_viewer(folder: Path):
             assert np.allclose(shown.error, error.max(axis=1), atol=1e-5)
             own = add(folder, {"method": method})
             assert own["each_rms_m"] == pytest.approx(np.sqrt((error**2).mean()))
+            stored = [tensor.size for tensor in load_file(folder / method / "weights.safetensors").values()]
+            assert own["stored"] == sum(stored)
             assert own["each_max_m"] == read_json(folder / "metrics.json")["methods"][method]["max_m"]
     assert f"/{ROBOT}/scan" in {chunk.entity_path for chunk in open_rrd(folder / RECORDING).stream()}
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
+from safetensors import safe_open
 
 from deepgps.figures import add_scale, print_error_field
 from deepgps.markdown import tabulate
@@ -30,11 +31,13 @@ NOTE = (
 
 
 def add(run: Path, row: Row) -> Row:
-    """Errors of each scan by itself."""
+    """Errors of each scan by itself, and how many numbers the method keeps to position."""
     with np.load(run / "error_field.npz") as field:
         error = np.linalg.norm(field[row["method"]] - field["truth"][:, None], axis=-1)
     values = (np.sqrt(np.mean(error**2)), np.median(error), error.max())
-    return dict(zip(EACH, map(float, values), strict=True))
+    with safe_open(run / row["method"] / "weights.safetensors", "np") as weights:
+        stored = sum(int(np.prod(weights.get_slice(name).get_shape())) for name in weights.offset_keys())
+    return {**dict(zip(EACH, map(float, values), strict=True)), "stored": stored}
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
@@ -47,7 +50,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         for row in group:
             ours = [_write(row[name]) for name in (*ERRORS, *EACH)]
             theirs = [_write(value) for value in _paper(row["method"], number)] or ["-"] * 3
-            stored = f"{row['parameters'] / 1e6:.2f}"
+            stored = f"{row['stored'] / 1e6:.2f}"
             title = [str(number + 1), method_title(row["method"])]
             cells.append([*title, *ours, stored, f"{row['train_s']:.0f}", *theirs])
     return [tabulate(headings, cells), NOTE]
@@ -69,7 +72,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
             title = f"{ERRORS[name]} / PCA + nearest neighbour's, worst map"
             figures[f"{name.removesuffix('_m')}_ratio"] = Figure(title, max(ratios), "", worst=max(ratios))
     if both:
-        less = [other["parameters"] / mine["parameters"] for mine, other in both]
+        less = [other["stored"] / mine["stored"] for mine, other in both]
         figures["stored_ratio"] = Figure("times as much stored by it", min(less), "", at_least=True, worst=min(less))
     if ours:
         seconds = [row["train_s"] for row in ours]
