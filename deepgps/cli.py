@@ -339,8 +339,11 @@ def _parse_seeds(text: str) -> list[int]:
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
-    if any(scenario.world == "room" for scenario in scenarios):  # nothing else is drawn
+    rooms = [scenario for scenario in scenarios if scenario.world == "room"]
+    if any(scenario.sensor == "fisheye" for scenario in rooms):  # nothing else is drawn
         _choose_renderer()
+    elif rooms:
+        os.environ["MUJOCO_GL"] = "off"  # read when MuJoCo is imported: a lidar needs no OpenGL
 
 
 def _choose_renderer() -> None:

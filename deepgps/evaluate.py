@@ -21,6 +21,7 @@ ALIGNMENT: dict[MethodName, AlignmentKind] = {
     "posenet_noisy": "SE2",
     "odometry": "SE2",
     "knn": "SE2",
+    "pca_knn": "SE2",
     "explicit": "E2",
     "explicit_mds": "E2",
 }

@@ -4,6 +4,9 @@ Turning shifts a polar image along its sectors, which multiplies every ring's Fo
 phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a
 ring's coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
 
+A lidar's scan is drawn as a polar image first: each ray fills the rings that it passes, so that a ring tells in which
+directions there is room at its distance.
+
 Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that
 vary much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
 aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
@@ -34,19 +37,26 @@ class Features:
         frequencies: Highest frequency kept around the circle; unused for vectors.
         mean: Mean of the descriptions (K,).
         basis: Projection (K, components).
+        edges: Where the rings of a scan begin and end (rings + 1,) [m]; none: observations are no scans.
     """
 
     shape: tuple[int, ...]
     frequencies: int
     mean: torch.Tensor
     basis: torch.Tensor
+    edges: torch.Tensor | None = None
 
-    def apply(self, observation: np.ndarray) -> torch.Tensor:
-        """Features of observations (N, rings, sectors, 3) uint8 or (N, M) float: (N, components) float32."""
+    def apply(self, observation: np.ndarray, heading: int = 0) -> torch.Tensor:
+        """Features (N, components) float32 of observations.
+
+        Args:
+            observation: (N, rings, sectors, 3) uint8, (N, headings, rays) float or (N, M) float.
+            heading: Which heading of scans is taken.
+        """
         check_shape(observation, self.shape)
         found = torch.empty((len(observation), self.basis.shape[1]))
         for start in range(0, len(observation), CHUNK):
-            described = describe(observation[start : start + CHUNK], self.frequencies)
+            described = describe(observation[start : start + CHUNK], self.frequencies, self.edges, heading)
             torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
         return found
 
@@ -57,12 +67,16 @@ def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
         raise InputError(f"observations of shape {tuple(observation.shape[1:])}, but trained on shape {shape}")
 
 
-def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
+def describe(
+    observation: np.ndarray, frequencies: int, edges: torch.Tensor | None = None, heading: int = 0
+) -> torch.Tensor:
     """Heading-invariant description of each observation; vectors are taken as they are.
 
     Args:
-        observation: Polar images (N, rings, sectors, colours) uint8, or vectors (N, M).
+        observation: Polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays) or vectors (N, M).
         frequencies: Highest frequency kept.
+        edges: Where the rings that scans are drawn as begin and end (rings + 1,) [m].
+        heading: Which heading of scans is taken.
 
     Returns:
         float32 (N, K).
@@ -73,12 +87,17 @@ def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
     array = np.asarray(observation)
     if array.ndim == 2:
         return torch.from_numpy(array.astype(np.float32))
-    if array.ndim != 4:
-        raise InputError(f"observations must be (N, rings, sectors, colours) or (N, M), not {array.shape}")
-    count, rings, sectors, colours = array.shape
+    if array.ndim == 3 and edges is not None:
+        image = draw_rings(torch.from_numpy(np.ascontiguousarray(array[:, heading])), edges)[:, :, None]
+    elif array.ndim == 4:
+        image = torch.from_numpy(np.ascontiguousarray(array.transpose(0, 1, 3, 2))).float()
+    else:
+        raise InputError(
+            f"observations must be (N, rings, sectors, colours), (N, headings, rays) or (N, M), not {array.shape}"
+        )
+    count, rings, colours, sectors = image.shape
     wave = _waves(sectors, min(frequencies, sectors // 2))
-    image = torch.from_numpy(np.ascontiguousarray(array.transpose(0, 1, 3, 2))).view(-1, sectors).float()
-    real, imaginary = (image @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
+    real, imaginary = (image.view(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
     size = (real.square() + imaginary.square()).sqrt_()
     a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
     # A product's amplitude to the power 1/4 is of the size of a magnitude's square root; its phase is kept. The small
@@ -94,6 +113,26 @@ def describe(observation: np.ndarray, frequencies: int) -> torch.Tensor:
     return described
 
 
+def draw_rings(scan: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+    """Scans (N, rays) [m] as rings (N, rings, rays) between 0 and 255: how much of a ring each ray passes.
+
+    Between ``edges`` the rings lose nothing: their sum, each times its width, is the distance.
+    """
+    low, width = edges[:-1, None], edges.diff()[:, None]
+    return ((scan[:, None] - low) / width).clamp_(0.0, 1.0).mul_(255.0)
+
+
+def find_edges(observation: np.ndarray, rings: int) -> torch.Tensor | None:
+    """Edges of rings that scans (N, headings, rays) [m] fill equally often (rings + 1,) [m]; none for no scans."""
+    if observation.ndim != 3:
+        return None
+    some = np.asarray(observation[:: max(1, len(observation) // 2000), 0], float)
+    edges = np.quantile(some, np.linspace(0.0, 1.0, rings + 1))
+    # where the reach ends, many distances are the same
+    edges = np.maximum.accumulate(edges + 1e-4 * np.arange(rings + 1))
+    return torch.from_numpy(edges).float()
+
+
 def fit_features(
     observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
 ) -> tuple[Features, torch.Tensor]:
@@ -103,14 +142,15 @@ def fit_features(
         The projection and the observations' features (N, components); their mean square over those fitted on is 1.
     """
     sample, chosen = spread(segments, len(observation))
-    described = _describe_all(observation, chosen.numpy(), settings.frequencies)
+    edges = find_edges(observation, settings.rings)
+    described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
     mean = described.mean(dim=0)
     described -= mean
     basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
     basis = basis @ _slow_axes(described @ basis, sample, settings.components)
     projected = described @ basis
     size = projected.square().mean().sqrt().clamp_min(1e-12)
-    fitted = Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size)
+    fitted = Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size, edges)
     return fitted, projected / size if len(chosen) == len(observation) else fitted.apply(observation)
 
 
@@ -142,21 +182,27 @@ def cached_features(
     shape = tuple(observation.shape[1:])
     if path.is_file() and path.with_suffix(".key").is_file() and path.with_suffix(".key").read_text() == key:
         found = load_file(path)
-        return Features(shape, settings.frequencies, found["mean"], found["basis"]), found["features"]
+        return Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges")), found[
+            "features"
+        ]
     path.with_suffix(".key").unlink(missing_ok=True)
     fitted, features = fit_features(observation, segments, settings, generator)
     tensors = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+    if fitted.edges is not None:
+        tensors["edges"] = fitted.edges
     write_atomic(path, lambda part: save_file(tensors, part))
     write_bytes(path.with_suffix(".key"), key.encode())
     return fitted, features
 
 
-def _describe_all(observation: np.ndarray, chosen: np.ndarray, frequencies: int) -> torch.Tensor:
-    size = describe(observation[:1], frequencies).shape[1]
+def _describe_all(
+    observation: np.ndarray, chosen: np.ndarray, frequencies: int, edges: torch.Tensor | None
+) -> torch.Tensor:
+    size = describe(observation[:1], frequencies, edges).shape[1]
     described = torch.empty((len(chosen), size))
     for start in range(0, len(chosen), CHUNK):
         part = chosen[start : start + CHUNK]
-        described[start : start + CHUNK] = describe(observation[part], frequencies)
+        described[start : start + CHUNK] = describe(observation[part], frequencies, edges)
     return described
 
 

@@ -39,6 +39,7 @@ LINES = {
     "explicit": "#7a4fbf",
     "explicit_mds": "#4b5563",
     "knn": "#1a936f",
+    "pca_knn": "#6b8e23",
     "odometry": "#c2255c",
 }
 # Where the robot can reach, where it would fit but cannot come to, where it does not fit.

@@ -39,7 +39,7 @@ class Material:
 def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:
     """Read the segments and make the features, or take these from ``folder``, where another method has left them.
 
-    Images become slow spectral features; vectors, such as distances to landmarks, are only normalised.
+    Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised.
     """
     segments = read_segments(recording)
     if recording.observation.ndim == 2:
@@ -51,11 +51,19 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
             projection, features = cached_features(
                 path, key, recording.observation, segments, settings.features, generator
             )
-    table = features
+    table = add_headings(projection, features, recording.observation)
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
     return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+
+
+def add_headings(projection: Features, features: torch.Tensor, observation: np.ndarray) -> torch.Tensor:
+    """Features (N, headings, components) of scans at every heading kept; features alone where there is but one."""
+    if observation.ndim != 3 or observation.shape[1] == 1:
+        return features
+    others = [projection.apply(observation, heading) for heading in range(1, observation.shape[1])]
+    return torch.stack([features, *others], dim=1)
 
 
 def new_network(material: Material, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from deepgps import deepgps, explicit, knn, odometry, posenet
+from deepgps import deepgps, explicit, knn, odometry, pca_knn, posenet
 from deepgps.positioner import Positioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
@@ -17,6 +17,7 @@ METHODS: dict[str, Fit] = {
     "posenet_noisy": posenet.fit_noisy,
     "odometry": odometry.fit,
     "knn": knn.fit,
+    "pca_knn": pca_knn.fit,
     "explicit": explicit.fit,
     "explicit_mds": explicit.fit_from_mds,
 }

@@ -15,6 +15,7 @@ from torch import nn
 
 from deepgps.features import Features, check_shape
 from deepgps.network import make_network
+from deepgps.scan_neighbour import NAMES, ScanPositioner
 from deepgps.settings import NetworkSettings
 from deepgps.train import Inputs
 from deepgps.triangulate import LandmarkPositioner
@@ -94,7 +95,7 @@ class NeighbourPositioner:
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
-Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner
+Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner
 
 
 def is_finished(folder: Path) -> bool:
@@ -132,8 +133,12 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
     if isinstance(positioner, LandmarkPositioner):
         reach_m = None if np.isinf(positioner.reach_m) else positioner.reach_m
         return {"landmark": torch.from_numpy(positioner.landmark)}, {"kind": "landmarks", "reach_m": reach_m}
+    if isinstance(positioner, ScanPositioner):
+        return positioner.tensors(), {"kind": "scans", "headings": positioner.headings}
     features = positioner.features
     tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
+    if features is not None and features.edges is not None:
+        tensors["features.edges"] = features.edges
     frequencies = None if features is None else features.frequencies
     if isinstance(positioner, NeighbourPositioner):
         assert features is not None
@@ -151,10 +156,14 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     if description.get("kind") == "landmarks":
         reach_m = description["reach_m"]
         return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
+    if description.get("kind") == "scans":
+        mean, axes, known, places = (tensors[name].numpy() for name in NAMES)
+        return ScanPositioner(mean, axes, known, places, description["headings"])
     shape = tuple(description["shape"])
     features = None
     if description["frequencies"] is not None:
-        features = Features(shape, description["frequencies"], tensors["features.mean"], tensors["features.basis"])
+        mean, basis = tensors["features.mean"], tensors["features.basis"]
+        features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"))
     if description["kind"] == "neighbours" and features is not None:
         return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])
     settings = NetworkSettings.model_validate(description["network"])

@@ -19,6 +19,7 @@ TITLES = {
     "explicit": "Explicit positioning",
     "explicit_mds": "Explicit, from MDS",
     "knn": "Nearest neighbour",
+    "pca_knn": "PCA + nearest neighbour",
     "odometry": "Odometry labels",
 }
 

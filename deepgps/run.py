@@ -225,9 +225,16 @@ def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> Non
     collect_landmarks(scenario.sim, scenario.seed, folder, progress)
 
 
+def _record_lidar(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.lidar_map import collect as collect_lidar
+
+    collect_lidar(scenario.sim, scenario.seed, folder, progress)
+
+
 RECORD: dict[WorldName, Callable[[Scenario, Path, Report], None]] = {
     "room": _record_room,
     "landmarks": _record_landmarks,
+    "lidar": _record_lidar,
 }
 STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
     "collect": collect,

@@ -16,7 +16,7 @@ from sim.paths import SCENARIOS
 from sim.records import SCHEMA
 from sim.settings import Group, SimSettings
 
-MethodName = Literal["deepgps", "posenet", "posenet_noisy", "odometry", "knn", "explicit", "explicit_mds"]
+MethodName = Literal["deepgps", "posenet", "posenet_noisy", "odometry", "knn", "explicit", "explicit_mds", "pca_knn"]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 
 
@@ -40,12 +40,17 @@ class Scenario(SimSettings):
 
     @model_validator(mode="after")
     def _methods_suit_the_world(self) -> "Scenario":
-        if self.world == "room" and (explicit := [name for name in self.methods if name.startswith("explicit")]):
+        explicit = [name for name in self.methods if name.startswith("explicit")]
+        if self.world != "landmarks" and explicit:
             raise ValueError(f"methods: {explicit[0]} needs distances to landmarks, which world landmarks alone gives")
-        if self.world == "landmarks" and self.learn.network.architecture != "spectral":
+        scans = self.world == "lidar" or (self.world == "room" and self.sensor == "lidar")
+        if not scans and "pca_knn" in self.methods:
+            raise ValueError("methods: pca_knn needs scans, which world lidar or, in a room, sensor lidar gives")
+        if (scans or self.world == "landmarks") and self.learn.network.architecture != "spectral":
+            by = "sensor lidar" if self.world == "room" else f"world {self.world}"
             raise ValueError(
-                f"learn.network.architecture {self.learn.network.architecture!r} needs images, which world landmarks "
-                "does not give; spectral takes distances as they are"
+                f"learn.network.architecture {self.learn.network.architecture!r} needs images, which {by} "
+                "does not give; spectral takes distances"
             )
         return self
 

@@ -16,6 +16,8 @@ class FeatureSettings(Group):
 
     frequencies: int = Field(default=16, ge=1, le=512)
     """Highest frequency kept around the circle."""
+    rings: int = Field(default=16, ge=1, le=256)
+    """Rings that a lidar's scan is drawn as, each filled equally often."""
     principal: int = Field(default=512, ge=2, le=4096)
     """Principal components among which slow features are sought."""
     components: int = Field(default=256, ge=2, le=4096)
@@ -98,6 +100,15 @@ class ExplicitSettings(Group):
     """Steps of the solver that are tried, at most."""
 
 
+class PcaSettings(Group):
+    """The nearest neighbour among scans at many headings, by principal components; only where scans are observed."""
+
+    components: int = Field(default=128, ge=1, le=4096)
+    """Principal components of a scan (the paper: 128)."""
+    headings: int = Field(default=100, ge=1, le=4096)
+    """Headings stored at each position, at most (the paper: 100)."""
+
+
 class LearnSettings(Group):
     """All that decides how a recording is learned."""
 
@@ -118,5 +129,6 @@ class LearnSettings(Group):
     label_noise_m: float = Field(default=0.01, ge=0.0, le=10.0)
     """Standard deviation of the error of posenet_noisy's labels, in x and in y [m]."""
     explicit: ExplicitSettings = ExplicitSettings()
+    pca: PcaSettings = PcaSettings()
     lift: LiftSettings = LiftSettings()
     fold: FoldSettings = FoldSettings()

@@ -46,9 +46,10 @@ class Batch:
 class Inputs:
     """Observations as the network takes them, on one device.
 
-    Features (N, K) stay as they are, or get noise when a generator is given. Polar images (N, rings, sectors, 3) uint8
-    become (N, 3, rings, sectors) float32, each shifted in a circle by a random number of sectors when a generator is
-    given (paper section III-B2).
+    Features (N, K) stay as they are, or get noise when a generator is given. Features at several headings (N, H, K) are
+    those at the first, or, when a generator is given, at one drawn by chance, with noise. Polar images (N, rings,
+    sectors, 3) uint8 become (N, 3, rings, sectors) float32, each shifted in a circle by a random number of sectors when
+    a generator is given (paper section III-B2).
 
     Args:
         table: Features or images.
@@ -64,6 +65,11 @@ class Inputs:
     def take(self, index: torch.Tensor | slice, generator: torch.Generator | None = None) -> torch.Tensor:
         """Network input of observations (B,)."""
         chosen = self.table[index]
+        if chosen.ndim == 3:
+            rows, heading = torch.arange(len(chosen), device=chosen.device), 0
+            if generator is not None:
+                heading = torch.randint(chosen.shape[1], rows.shape, generator=generator, device=chosen.device)
+            chosen = chosen[rows, heading]
         if chosen.ndim == 2:
             if generator is None or self.noise == 0.0:
                 return chosen

@@ -56,8 +56,11 @@ def write_recording(run: Path) -> Path:
         # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
         by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
         stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
+        blueprint = make_blueprint(
+            truth.free_space, list(fields), list(histories), images=recording.observation.ndim == 4
+        )
         with stream:
-            stream.save(part, default_blueprint=make_blueprint(truth.free_space, list(fields), list(histories)))
+            stream.save(part, default_blueprint=blueprint)
             stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")
             _log_room(stream, recording.folder / "scene.glb", truth.free_space)
             _log_scale(stream, truth.free_space)
@@ -155,13 +158,15 @@ def read_error_field(path: Path, method: str) -> WorstField:
     return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))
 
 
-def make_blueprint(space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0) -> rrb.Blueprint:
-    """How the viewer shows a run: what matters first, without a click."""
+def make_blueprint(
+    space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0, images: bool = True
+) -> rrb.Blueprint:
+    """How the viewer shows a run, with images or without: what matters first, without a click."""
     return rrb.Blueprint(
         rrb.Tabs(
             _overview(space, methods[0]),
             _error_fields(space, methods),
-            _drive(space),
+            _drive(space, images),
             *([_training(space, trained)] if trained else []),
             _report(),
             active_tab=tab,
@@ -205,7 +210,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Grid:
     )
 
 
-def _drive(space: FreeSpace) -> rrb.Horizontal:
+def _drive(space: FreeSpace, images: bool) -> rrb.Horizontal:
     relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
     recent = [
         rr.VisibleTimeRange(DRIVE_TIME, start=relative(seconds=-60), end=relative(seconds=0)),
@@ -223,20 +228,21 @@ def _drive(space: FreeSpace) -> rrb.Horizontal:
         line_grid=False,
         overrides={"world/drive/path": rrb.VisibleTimeRanges(so_far)},
     )
+    pictures = rrb.Horizontal(
+        rrb.Spatial2DView(name="Fisheye, forward is up", origin="drive/fisheye"),
+        rrb.Spatial2DView(name="Polar image, zenith at the top", origin="drive/polar"),
+        column_shares=[1, 2],
+    )
     return rrb.Horizontal(
         room,
         rrb.Vertical(
-            rrb.Horizontal(
-                rrb.Spatial2DView(name="Fisheye, forward is up", origin="drive/fisheye"),
-                rrb.Spatial2DView(name="Polar image, zenith at the top", origin="drive/polar"),
-                column_shares=[1, 2],
-            ),
+            *([pictures] if images else []),
             rrb.TimeSeriesView(name="Distance on this segment [m]", origin="drive/distance", time_ranges=recent),
             rrb.TimeSeriesView(
                 name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=_whole_axis()
             ),
             rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=recent),
-            row_shares=[3, 2, 2, 2],
+            row_shares=[3, 2, 2, 2] if images else [1, 1, 1],
         ),
         column_shares=[5, 4],
         name="Drive",
@@ -393,6 +399,8 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -
     _log_distances(stream, recording, truth)
     if recording.observation.ndim == 4:
         _log_images(stream, recording, seen, recording.time[first])
+    elif recording.observation.ndim == 3:
+        _log_scans(stream, recording, seen, recording.time[first])
 
 
 def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -437,6 +445,21 @@ def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarr
     for path, blobs in zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True):
         stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
         stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
+
+
+def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
+    """Where each ray ends, as points about the robot."""
+    step = -(-len(seen) // IMAGES_AT_MOST)
+    scans = np.asarray(recording.observation[seen[::step], 0])
+    angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
+    ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    points = _lift(ends.reshape(-1, 2), LAYER_M)
+    stream.log(f"{ROBOT}/scan", rr.Points3D.from_fields(radii=0.012, colors=[63, 208, 165]), static=True)
+    stream.send_columns(
+        f"{ROBOT}/scan",
+        _drive_index(time[::step], recording),
+        rr.Points3D.columns(positions=points).partition([scans.shape[1]] * len(scans)),
+    )
 
 
 def _log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np.ndarray) -> None:

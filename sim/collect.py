@@ -1,8 +1,8 @@
 """Collecting: drive the room, render what the camera sees, write the recording.
 
 The drive goes first, in chunks of segments; each chunk is a file that holds where the robot was and all it takes to
-drive on. Images are made from these states by worker processes. So a killed collection continues where it stopped, and
-ends with the same bytes under any number of workers.
+drive on. Images, or a lidar's scans, are made from these states by worker processes. So a killed collection continues
+where it stopped, and ends with the same bytes under any number of workers.
 """
 
 import json
@@ -25,11 +25,14 @@ from sim.drive import Course, Segment, next_segment
 from sim.encoder import read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
+from sim.lidar import Lidar
 from sim.processes import end_with_parent
 from sim.records import finish_recording, save_free_space
 from sim.render import Fisheye
 from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
-from sim.settings import SimSettings
+from sim.room import build_room
+from sim.scan import measure
+from sim.settings import SensorName, SimSettings
 from sim.streams import stream
 from sim.world import RoomWorld
 
@@ -39,6 +42,8 @@ DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
+Sense = Callable[[np.ndarray], np.ndarray]
+"""What a sensor makes of what there is to see."""
 
 
 class Drive(NamedTuple):
@@ -88,8 +93,10 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
                 raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
         finally:
             pool.shutdown(cancel_futures=True)
-    counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
-    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2])
+    noise = stream(seed, "lidar")
+    sense = (lambda scans: measure(scans, settings.lidar, noise)) if settings.sensor == "lidar" else None
+    counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
+    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], sense)
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
     write_scene(RoomWorld(settings).model, folder / "scene.glb")
@@ -155,7 +162,9 @@ def drive_chunk(
     }
 
 
-def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator) -> dict[str, float]:
+def write_drive(
+    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, sense: Sense | None = None
+) -> dict[str, float]:
     """Write what was driven, cut to the samples wanted, and return what the manifest says of it."""
     samples = settings.drive.samples
     joined = {
@@ -166,7 +175,7 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
     ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
-    _write_images(folder / "observation.npy", drive.images, (samples,))
+    _write_images(folder / "observation.npy", drive.images, (samples,), sense)
     write_array(folder / "reading.npy", reading[arrived])
     write_array(folder / "time.npy", joined["time"][kept][arrived])
     write_array(folder / "truth" / "reading.npy", reading[:, :2])
@@ -247,9 +256,11 @@ def _watch(jobs: Sequence[Future], progress: Report) -> str:
 
 
 def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
-    """In a worker: write the polar images of states (n, nq) to ``path``, if they do not stand; name the renderer."""
+    """In a worker: write what is seen in states (n, nq) to ``path``, if it does not stand; name the renderer."""
     if not path.is_file():
-        write_array(path, draw_states(settings, states))
+        write_array(path, SEE[settings.sensor](settings, states))
+    if settings.sensor == "lidar":
+        return "none"
     return open_camera(settings)[1].renderer_string  # pyright: ignore[reportArgumentType] (frozen settings do hash)
 
 
@@ -264,6 +275,24 @@ def draw_states(settings: SimSettings, states: np.ndarray) -> np.ndarray:
     return images
 
 
+def scan_states(settings: SimSettings, states: np.ndarray) -> np.ndarray:
+    """In a worker: scans (n, headings, rays) [m] of states (n, nq), exact."""
+    lidar = open_lidar(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    return np.stack([lidar.scan(state) for state in states])
+
+
+SEE: dict[SensorName, Callable[[SimSettings, np.ndarray], np.ndarray]] = {
+    "fisheye": draw_states,
+    "lidar": scan_states,
+}
+
+
+@lru_cache(maxsize=1)
+def open_lidar(settings: SimSettings) -> Lidar:
+    """The lidar in its room, opened once in each worker."""
+    return Lidar(build_room(settings.room), settings.lidar)
+
+
 @lru_cache(maxsize=1)
 def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
     """The scene and its camera, opened once in each worker: a context belongs to its process."""
@@ -272,17 +301,19 @@ def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
     return world, Fisheye(world.model, settings.camera)
 
 
-def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...]) -> None:
+def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...], sense: Sense | None = None) -> None:
     """Join image files into one array whose leading axes have this shape; what goes beyond it is left out."""
 
     def write(part: Path) -> None:
         count, written = int(np.prod(shape)), 0
-        image = np.load(parts[0], mmap_mode="r").shape[1:]
-        whole = np.lib.format.open_memmap(part, mode="w+", dtype=np.uint8, shape=(*shape, *image))
+        first = np.load(parts[0], mmap_mode="r")
+        image = first.shape[1:]
+        whole = np.lib.format.open_memmap(part, mode="w+", dtype=first.dtype, shape=(*shape, *image))
         flat = whole.reshape(count, *image)
         for images in map(np.load, parts):
-            flat[written : written + len(images)] = images[: count - written]
-            written += len(images)
+            kept = images[: count - written]
+            flat[written : written + len(kept)] = sense(kept) if sense else kept
+            written += len(kept)
         whole.flush()
 
     write_atomic(path, write)

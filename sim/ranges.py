@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sim.robot import RADIUS_M
-from sim.scene import bare, freeze
+from sim.scene import compile_solid
 
 REACH_M = 3.5
 """Longest distance measured [m] (LDS-01: 3.5 m); nothing nearer reads as this."""
@@ -36,13 +36,7 @@ class RangeFinder:
 
     def __init__(self, room: mujoco.MjSpec, height_m: float) -> None:
         """Prepare for a room (without the robot) and a robot of a height [m]."""
-        spec = bare(freeze(room))
-        for geom in spec.geoms:
-            # Rays pass through what is wholly transparent, and collision geoms are often drawn so.
-            geom.rgba[3], geom.material = 1.0, ""
-        self._model = spec.compile()
-        self._data = mujoco.MjData(self._model)
-        mujoco.mj_kinematics(self._model, self._data)
+        self._model, self._data = compile_solid(room)
         self.heights_m = fan_heights(height_m)
         self._distance = np.empty((len(self.heights_m), len(ANGLE)))
         self._geom = np.empty(len(ANGLE), np.int32)

@@ -62,6 +62,18 @@ def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:
     return spec
 
 
+def compile_solid(room: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile what rays can meet of a room, which is what collides, and its state."""
+    spec = bare(freeze(room))
+    for geom in spec.geoms:
+        # Rays pass through what is wholly transparent, and collision geoms are often drawn so.
+        geom.rgba[3], geom.material = 1.0, ""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
 def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
     defaults = mujoco.MjSpec()
     spec.option = defaults.option

@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-WorldName = Literal["room", "landmarks"]
+WorldName = Literal["room", "landmarks", "lidar"]
+SensorName = Literal["fisheye", "lidar"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
@@ -46,6 +47,37 @@ class LandmarksSettings(Group):
     """Landmarks farther than this are not seen, their distance reads as this [m] (the paper's d_max); none: all are."""
     segments: int = Field(default=128, ge=1, le=1_000_000)
     """Straight segments to drive, each from wall to wall; drive.samples may end the drive before."""
+
+
+class MapSettings(Group):
+    """The paper's lidar maps (its appendix): a walled square with rectangular obstacles along its axes."""
+
+    seed: int | None = Field(default=None, ge=0)
+    """The obstacles come from this number; none: from the scenario's seed."""
+    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
+    """Side of the square, its middle at the origin [m]."""
+    obstacles: int = Field(default=20, ge=0, le=1000)
+    """Rectangles, of sides between 3 and 20 % of the square's; they may overlap, or leave passages of 6 %."""
+    clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
+    """The robot is a point that keeps so far from walls and obstacles [m]."""
+    carried: int = Field(default=10, ge=0, le=1_000_000)
+    """Segments after which the robot is carried to another place by chance, which it is not told; 0: it never is."""
+
+
+class LidarSettings(Group):
+    """The lidar: distances all around the robot in one plane, in order."""
+
+    rays: int = Field(default=256, ge=8, le=4096)
+    """Rays of one scan, evenly around, the first straight ahead."""
+    headings: int = Field(default=1, ge=1, le=64)
+    """Scans kept at each place, each turned on by this fraction of the angle between two rays. Turns by whole rays only
+    shift a scan in a circle, so that training can draw any of rays x headings."""
+    reach_m: float = Field(default=8.0, ge=0.1, le=1000.0)
+    """Longest distance measured [m] (LDS-02, the TurtleBot3's lidar: 8 m); nothing nearer reads as this."""
+    height_m: float = Field(default=0.18, ge=0.02, le=1.5)
+    """Height of the rays above the floor, in rooms [m] (TurtleBot3 Burger: 0.18)."""
+    noise_m: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each distance [m]."""
 
 
 class RobotSettings(Group):
@@ -139,9 +171,14 @@ class SimSettings(Group):
     """All that decides a recording."""
 
     world: WorldName = "room"
-    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks, where no camera and no physics is used."""
+    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks, lidar: a plane with obstacles, both without
+    camera and physics."""
+    sensor: SensorName = "fisheye"
+    """What a room is seen by. fisheye: the upward camera; lidar: level rays all around, which need no renderer."""
     room: RoomSettings = RoomSettings()
     landmarks: LandmarksSettings = LandmarksSettings()
+    map: MapSettings = MapSettings()
+    lidar: LidarSettings = LidarSettings()
     robot: RobotSettings = RobotSettings()
     camera: CameraSettings = CameraSettings()
     encoder: EncoderSettings = EncoderSettings()
@@ -160,10 +197,13 @@ class SimSettings(Group):
 
     @model_validator(mode="after")
     def _segments_have_room(self) -> "SimSettings":
-        longest = min(self.landmarks.side_m, self.drive.longest_m)
-        if self.world == "landmarks" and 4 * self.drive.spacing_m > longest:
+        if self.world == "room":
+            return self
+        side_m = self.landmarks.side_m if self.world == "landmarks" else self.map.side_m - 2 * self.map.clearance_m
+        longest = min(side_m, self.drive.longest_m)
+        if 4 * self.drive.spacing_m > longest:
             raise ValueError(
                 f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
-                f"landmarks world, {longest} m"
+                f"{self.world} world, {longest:g} m"
             )
         return self

@@ -4,7 +4,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Stream = Literal["drive", "encoder", "camera", "weights", "shuffling", "landmarks"]
+Stream = Literal["drive", "encoder", "camera", "weights", "shuffling", "landmarks", "map", "lidar"]
 
 
 def stream(seed: int, name: Stream) -> np.random.Generator:

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data import read_segments
-from deepgps.features import cached_features, describe, fit_features, normalise, solve_generalised
+from deepgps.features import (
+    cached_features,
+    describe,
+    draw_rings,
+    find_edges,
+    fit_features,
+    normalise,
+    solve_generalised,
+)
 from deepgps.material import prepare
 from deepgps.settings import FeatureSettings, LearnSettings
 from sim.errors import InputError
@@ -130,3 +139,57 @@ def test_generalised_eigenvectors_solve_their_equation():
     w, v = solve_generalised(a, b)
     assert torch.allclose(a @ v, b @ v * w)
     assert torch.allclose(v.T @ b @ v, torch.eye(5, dtype=torch.float64), atol=1e-8)
+
+
+def scans(count: int, rays: int = 64, seed: int = 0) -> np.ndarray:
+    """Scans (count, 2, rays) of walls with jumps."""
+    rng = np.random.default_rng(seed)
+    wall = rng.uniform(0.2, 3.0, (count, 2, 8)).repeat(rays // 8, axis=2)
+    return (wall + rng.uniform(0, 0.1, wall.shape)).astype(np.float32)
+
+
+EDGES = torch.tensor([0.0, 0.5, 0.8, 1.4, 3.1])
+
+
+@given(shift=st.integers(-70, 70), seed=st.integers(0, 1000), heading=st.integers(0, 1))
+@settings(max_examples=40, deadline=None)
+def test_turning_by_whole_rays_changes_nothing(shift: int, seed: int, heading: int):
+    scan = scans(2, seed=seed)
+    there = describe(scan, 12, EDGES, heading)
+    turned = describe(np.roll(scan, shift, axis=2), 12, EDGES, heading)
+    assert torch.allclose(there, turned, atol=2e-3 * float(there.abs().max()))
+    assert not torch.allclose(there, describe(scan, 12, EDGES, 1 - heading), atol=1e-2)
+    assert not torch.allclose(there, describe(scan[:, :, ::-1].copy(), 12, EDGES, heading), atol=1e-2)
+
+
+def test_rings_lose_nothing_of_a_scan():
+    scan = torch.from_numpy(scans(3)[:, 0])
+    rings = draw_rings(scan, EDGES)
+    assert rings.shape == (3, 4, 64)
+    assert torch.allclose((rings / 255 * EDGES.diff()[:, None]).sum(dim=1), scan, atol=1e-5)
+
+
+def test_rings_are_filled_equally_often_even_where_many_rays_end_at_the_reach():
+    observation = scans(500)
+    edges = find_edges(observation, 8)
+    assert edges is not None
+    inside = np.histogram(observation[:, 0], edges.numpy())[0]
+    assert inside.min() > 0.9 * inside.max()
+    blunt = find_edges(np.minimum(observation, 0.5), 8)
+    assert blunt is not None and (blunt.diff() > 0).all()
+    assert find_edges(images(3), 8) is None
+
+
+def test_a_heading_is_drawn_among_those_kept(tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=300)
+    count = len(toy.observation)
+    recording = replace(toy, observation=scans(count))
+    chosen = LearnSettings.model_validate({"features": {"components": 8, "principal": 32, "noise": 0}})
+    material = prepare(recording, chosen, 0, tmp_path / "run")
+    assert material.inputs.table.shape == (count, 2, 8)
+    assert torch.equal(material.inputs.take(torch.arange(count)), material.features)
+    other = material.projection.apply(recording.observation, 1)
+    drawn = material.inputs.take(torch.arange(count), torch.Generator().manual_seed(0))
+    first = (drawn == material.features).all(dim=1)
+    assert 0.35 < float(first.float().mean()) < 0.65
+    assert torch.equal(drawn[~first], other[~first])

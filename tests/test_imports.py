@@ -23,11 +23,10 @@ WITHOUT_MUJOCO = {
     *("sim.files", "sim.errors", "sim.paths", "sim.streams", "sim.processes"),
 }
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
-FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks"}
+FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks", "sim.lidar_map"}
 ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.studies.engine_ray"}
-OPENS_TRUTH = {
-    f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "viz", "figures", "studies.mds", "studies.concave")
-}
+OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "pca_knn", "viz", "figures")}
+OPENS_TRUTH |= {f"deepgps.studies.{name}" for name in ("mds", "concave")}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
 GLOBAL_SEEDS = {
     "torch.manual_seed",
@@ -235,7 +234,10 @@ LEARNING = sorted(module for module in MODULES if module.startswith("deepgps") a
 @pytest.mark.parametrize(
     ("modules", "banned"),
     [
-        (sorted({*WITHOUT_MUJOCO, "sim.landmarks"}), ("mujoco", "dm_control", "torch", "rerun", "tyro", "OpenGL")),
+        (
+            sorted({*WITHOUT_MUJOCO, "sim.landmarks", "sim.lidar_map"}),
+            ("mujoco", "dm_control", "torch", "rerun", "tyro", "OpenGL"),
+        ),
         (LEARNING, ("mujoco", "dm_control", "rerun", "tyro", "OpenGL", "ray")),
         (["deepgps.cli"], ("mujoco", "dm_control", "rerun", "torch", "OpenGL", "ray")),
     ],

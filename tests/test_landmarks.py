@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment
 from deepgps.data import dead_reckon, read_segments
-from sim.landmarks import LandmarkWorld, collect, count_drive, drive_segments, lay_free_space, lay_grid
+from sim.landmarks import LandmarkWorld, collect, lay_free_space, lay_grid
+from sim.plane import count_drive, drive_segments
 from sim.records import Recording, Truth, check_recording, open_recording, open_truth
 from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
 from sim.streams import stream

@@ -13,13 +13,14 @@ from sim.errors import InputError
 from sim.records import open_recording
 
 EXPLICIT = {"explicit", "explicit_mds"}
+SCANS = {"pca_knn"}  # tests/test_pca_knn.py
 
 
 def test_every_method_a_scenario_may_name_exists():
     assert set(METHODS) == set(get_args(MethodName))
 
 
-@pytest.mark.parametrize("name", sorted(set(METHODS) - EXPLICIT))
+@pytest.mark.parametrize("name", sorted(set(METHODS) - EXPLICIT - SCANS))
 def test_a_real_recording_of_images_is_learned_and_loaded(name: str, small_recording: Path, tmp_path: Path):
     recording = open_recording(small_recording)
     settings = LearnSettings.model_validate({"train": {"steps": 20}, "network": {"width": 32}, "fold": {"restarts": 0}})

@@ -55,7 +55,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{world: landmarks, drive: {spacing_m: 0.6}}",
             "drive.spacing_m 0.6 m must be at most a quarter of the longest",
         ),
-        ("world: {}", "world {}: must be 'room' or 'landmarks'"),
+        ("world: {}", "world {}: must be 'room', 'landmarks' or 'lidar'"),
         ("seed: {", "line 1"),
         ("seed: 1\nseed: 2", "line 2: seed stands twice"),
         ("name: ../up", "name '../up': string should match pattern"),

@@ -23,7 +23,17 @@ from sim.paths import STUDIES
 from sim.settings import Group
 
 ReportName = Literal[
-    "plain", "rooms", "seeds", "landmarks", "compare", "networks", "strategies", "mds", "concave", "curves"
+    "plain",
+    "rooms",
+    "seeds",
+    "landmarks",
+    "lidar",
+    "compare",
+    "networks",
+    "strategies",
+    "mds",
+    "concave",
+    "curves",
 ]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
@@ -46,6 +56,7 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
     "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
     "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
+    "lidar": ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
@@ -89,10 +100,8 @@ class Study(Variation):
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
-    """How the table is reported. plain: as it is; rooms: every room, means, who wins; seeds: folds and their detector;
-    landmarks: the paper's Table I; compare: means over seeds of all else that varies; networks: the same, with turned
-    images; strategies: the same, end-point against dense; mds: distances between positions, and the map they make;
-    concave: by how much of the room straight drives reach; curves: errors along the last axis."""
+    """How the table is reported; a file of this name in deepgps/studies says what each shows. plain: rows as they are;
+    rooms: means and who wins; compare: means over seeds of all else that varies; curves: errors along the last axis."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
