@@ -22,6 +22,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.markdown import tabulate
 from deepgps.positioner import NetworkPositioner, load_positioner
 from deepgps.studies.compare import describe, group_rows, mean
+from deepgps.studies.seeds import is_folded
 from deepgps.studies.table import Row
 from deepgps.targets import Figure
 from sim.errors import InputError
@@ -40,7 +41,8 @@ PAIRS = {"joined_m": "joined [cm]", "unjoined_m": "not joined [cm]"}
 NOTE = (
     "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
     "its distances; apart: RMS distance of the two. Planar: share of the two largest eigenvalues in the sum of all. "
-    "Joined: median error of the distance of positions that a straight way of the robot joins; not joined: none does."
+    "Joined: median error of the distance of positions that a straight way of the robot joins; not joined: none does. "
+    "Folded: maps that turn over more than a tenth of the neighbourhoods."
 )
 
 
@@ -73,20 +75,20 @@ class Distances:
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each way of learning, and how to read it."""
-    headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "flipped"]
+    headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
     cells = []
     for key, group in group_rows(rows, varied).items():
         figures = [f"{100 * mean(group, name):.3g}" for name in (*MAPS, "mds_own_m", *PAIRS)]
-        shares = [f"{100 * mean(group, name):.2f} %" for name in ("planar", "flipped")]
-        outputs = f"{group[0]['outputs']}"
-        cells.append([describe(key, varied), str(len(group)), outputs, shares[0], *figures, shares[1]])
+        outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
+        folded = str(sum(is_folded(row) for row in group))
+        cells.append([describe(key, varied), str(len(group)), outputs, planar, *figures, folded])
     return [tabulate(headings, cells), NOTE]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Of networks with two outputs that lie unfolded, and of those with more: how the map and the distances are."""
-    plane = [row for row in rows if row["outputs"] == 2 and not row["fold_found"]]
-    space = [row for row in rows if row["outputs"] > 2]
+    """Of maps that the detector calls unfolded, with two outputs and with more: how the map and the distances are."""
+    whole = [row for row in rows if not row["fold_found"]]
+    plane, space = ([row for row in whole if (row["outputs"] > 2) == more] for more in (False, True))
     figures = {}
     if plane:
         same = [row["mds_own_m"] for row in plane]
@@ -192,7 +194,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         _draw_map(axes, one)
         axes.set_title(title, fontsize=9)
     panels[0].set_ylabel("y [m]")
-    panels[0].legend(frameon=False, fontsize=7, loc="upper left", bbox_to_anchor=(0, -0.15), ncols=3)
+    lower.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=8, ncols=3)
     return picture
 
 
