@@ -35,6 +35,7 @@ def cells(text: str, *first: str) -> list[str]:
 
 def driven(strategy: str, samples: int, rms: float, distance: float, room: int, method: str = "deepgps") -> Row:
     choice = {"drive.strategy": strategy, "drive.samples": samples, "learn.train.segments": 16, "room.seed": room}
+    choice["learn.train.samples"] = 2
     found = {"fold_found": False} if method == "deepgps" else {}
     return make_row(method=method, rms_m=rms, distance_m=distance, samples=samples, seed=0, **choice, **found)
 
@@ -57,6 +58,12 @@ def test_rooms_and_seeds_repeat_and_all_else_is_compared():
     assert cells(table, "endpoint", "80", "16", "DeepGPS")[-3:-1] == ["2", "1"]
     assert cells(table, "dense", "1500", "16", "PoseNet")[-3:-1] == ["0", "-"]
     assert len(table.splitlines()) == 2 + 4
+
+
+def test_names_are_short_but_never_the_same():
+    assert compare.shorten(["drive.samples", "learn.train.samples", "learn.start"]) == [
+        *("drive.samples", "train.samples", "start")
+    ]
 
 
 def test_strategies_are_compared_at_equal_travel_and_at_equal_images():

@@ -30,7 +30,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         also: More columns [m], written in centimetres, with their headings.
     """
     more = {"heading_spread_m": "headings [cm]", **(also or {})}
-    kinds = [name.rpartition(".")[2] for name in choices(varied)]
+    kinds = shorten(choices(varied))
     ours = [
         "runs",
         "images",
@@ -108,9 +108,18 @@ def group_rows(rows: Sequence[Row], varied: Sequence[str]) -> Groups:
 
 def describe(key: tuple[str, ...], varied: Sequence[str]) -> str:
     """A group in words; numbers and flags are told with their names."""
-    names = [name.rpartition(".")[2] for name in choices(varied)]
+    names = shorten(choices(varied))
     words = [value if value[:1].islower() else f"{name} {value}" for name, value in zip(names, key, strict=False)]
     return ", ".join([*words, method_title(key[-1])])
+
+
+def shorten(names: Sequence[str]) -> list[str]:
+    """Dotted names without their groups, but for the last group where two would be the same."""
+    last = [name.rpartition(".")[2] for name in names]
+    return [
+        short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
+        for name, short in zip(names, last, strict=True)
+    ]
 
 
 def mean(rows: Sequence[Row], name: str) -> float:
