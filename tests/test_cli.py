@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.scenario import names_in
+from sim.paths import STUDIES
 from sim.records import check_recording
 
 MINI = """
@@ -29,8 +31,8 @@ ONE_LINE_ERRORS = [
     (["run"], "deepgps run needs a scenario first"),
     (["run", "living_room", "--out"], "--out"),
     (["fly"], "command 'fly' does not exist; there are run, collect"),
-    (["study"], "deepgps study needs a study first: landmarks, lidar, precision, seeds, or a path"),
-    (["study", "nothing"], "study 'nothing' does not exist; there are landmarks, lidar, precision, seeds, or a path"),
+    (["study"], f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path"),
+    (["study", "nothing"], f"study 'nothing' does not exist; there are {', '.join(names_in(STUDIES))}, or a path"),
     (["study", "missing.yaml"], "study missing.yaml: no such file"),
     (["study", "seeds", "--tinny"], "--tinny"),
     (["view", "."], "is no run folder: it has no scenario.yaml"),
