@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.sparse import coo_array, csr_array
+from scipy.sparse import csc_array, csr_array, diags_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
 from sim.errors import WorkError
@@ -34,8 +34,12 @@ LEAST_TAGS = 2
 """Tags that a view must show: from one alone its pose has two candidates."""
 WRONG_PX = 3.0
 """A tag farther off than this in a solved view [px], root mean square, is taken for a mistake."""
+NOISE_PX, UNSURE_M = 0.2, 0.03
+"""Standard deviation that corners are expected to have, and how unsure of its place a view may be with that."""
 SCALE_PX = 0.5
 """Where the robust loss of bundle adjustment turns from square to linear [px]."""
+STEPS, ENOUGH = 100, 1e-10
+"""Steps of bundle adjustment at most, and the gain, as a part of the cost, at which it ends."""
 
 
 class TagMap(NamedTuple):
@@ -126,36 +130,66 @@ def adjust(
 ) -> TagMap:
     """Bundle adjustment: tags (but the first) and views (V,) with ``T_map_camera`` (V, 4, 4) move to fit all corners.
 
-    Minimises a robust (soft L1) sum of squared reprojection errors over a small motion of each tag and view.
+    Minimises ``sum 2 s^2 (sqrt(1 + |e|^2 / s^2) - 1)`` (soft L1) over the reprojection errors e of all corners, by
+    Levenberg and Marquardt's steps, the errors' weights anew in each (Triggs et al. 2000).
     """
     used = sightings.of(np.isin(sightings.view, view) & np.isin(sightings.tag, tags.tag))
     t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
-    inverse = np.linalg.inv(view_pose)
-    free = len(tags.tag) - 1
+    tag_pose, camera_map, damping = tags.pose, np.linalg.inv(view_pose), 1e-3
+    error = _project(_corners(tag_pose)[t], camera_map[v], camera) - used.corner
+    for _ in range(STEPS):
+        slope = _slope(tag_pose, camera_map, t, v, camera)
+        weight = 1.0 / np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2)
+        weighted = slope.multiply(np.repeat(weight.ravel(), 2)[:, None]).tocsc()
+        normal, pull = (slope.T @ weighted).tocsc(), weighted.T @ error.ravel()
+        step = -splu(normal + damping * diags_array(normal.diagonal() + 1e-9, format="csc")).solve(pull)
+        motion = _moves(step.reshape(-1, 6))
+        new_pose = np.concatenate([tag_pose[:1], tag_pose[1:] @ motion[: len(tag_pose) - 1]])
+        new_map = motion[len(tag_pose) - 1 :] @ camera_map
+        new_error = _project(_corners(new_pose)[t], new_map[v], camera) - used.corner
+        gain = _cost(error) - _cost(new_error)
+        damping = damping / 5.0 if gain > 0 else damping * 5.0
+        if gain > 0:
+            tag_pose, camera_map, error = new_pose, new_map, new_error
+        if abs(gain) <= ENOUGH * _cost(error):
+            break
+    return TagMap(tags.tag, tag_pose)
 
-    def moved(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        motion = _moves(x.reshape(-1, 6))
-        tag_pose = tags.pose.copy()
-        tag_pose[1:] = tags.pose[1:] @ motion[:free]
-        return tag_pose, motion[free:] @ inverse
 
-    def residuals(x: np.ndarray) -> np.ndarray:
-        tag_pose, camera_map = moved(x)
-        return (_project(_corners(tag_pose)[t], camera_map[v], camera) - used.corner).ravel()
+def _cost(error: np.ndarray) -> float:
+    """What bundle adjustment minimises, of errors (S, 4, 2) [px]."""
+    return float(2 * SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2) - 1.0).sum())
 
-    count = 6 * (free + len(view))
-    row = np.arange(8 * len(t)).reshape(-1, 8, 1)
-    blocks = [(np.broadcast_to(row, (len(t), 8, 6)), 6 * (number[:, None, None]) + np.arange(6) + np.zeros((1, 8, 1)))
-              for number in (t - 1, free + v)]
-    rows = np.concatenate([block[0].ravel() for block in blocks])
-    columns = np.concatenate([block[1].ravel() for block in blocks]).astype(int)
-    real = columns >= 0  # the first tag is fixed
-    pattern = coo_array((np.ones(real.sum()), (rows[real], columns[real])), shape=(8 * len(t), count))
-    solved = least_squares(
-        residuals, np.zeros(count), jac_sparsity=pattern.tocsr(), loss="soft_l1", f_scale=SCALE_PX, x_scale="jac",
-        max_nfev=60, ftol=1e-6,
-    )
-    return TagMap(tags.tag, moved(solved.x)[0])
+
+def _slope(
+    tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray
+) -> csc_array:
+    """Derivative of the pixels of sightings of tags t (S,) in views v (S,), by small motions (rotation vector, shift) of
+    the tags but the first, in their own frames, and of the views, in the cameras': (8 S, 6 (T - 1 + V))."""
+    point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
+    depth = np.maximum(point[..., 2], 0.1 * SIDE_M)
+    pixel = np.zeros((*point.shape[:2], 2, 3))
+    pixel[..., 0, 0], pixel[..., 1, 1] = camera[0, 0] / depth, camera[1, 1] / depth
+    pixel[..., :, 2] = -point[..., :2] * np.diag(camera)[:2] / depth[..., None] ** 2
+    of_view = np.concatenate([-_cross(point), np.broadcast_to(np.eye(3), (*point.shape, 3))], axis=-1)
+    turn = camera_map[v, :3, :3] @ tag_pose[t, :3, :3]
+    own = np.broadcast_to(_cross(CORNERS), (*point.shape, 3))
+    of_tag = turn[:, None] @ np.concatenate([-own, np.broadcast_to(np.eye(3), own.shape)], axis=-1)
+    row = np.arange(8 * len(t)).reshape(-1, 4, 2, 1) + np.zeros(6, int)
+    rows, columns, values = [], [], []
+    for block, number, kept in ((of_tag, t - 1, t > 0), (of_view, v + len(tag_pose) - 1, v >= 0)):
+        rows.append(row[kept].ravel())
+        columns.append((6 * number[kept][:, None, None, None] + np.arange(6) + np.zeros((1, 4, 2, 1), int)).ravel())
+        values.append((pixel @ block)[kept].ravel())
+    shape = (8 * len(t), 6 * (len(tag_pose) - 1 + len(camera_map)))
+    return csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+
+
+def _cross(point: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3) from the left."""
+    x, y, z = np.moveaxis(point, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=-2)
 
 
 def _large(sightings: Sightings) -> Sightings:
@@ -188,7 +222,7 @@ def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
     """The pose of one tag to another on which views with candidates (n, 2, 4, 4) of both agree best, and how badly."""
     steps = (np.linalg.inv(first)[:, :, None] @ second[:, None]).reshape(len(first), 4, 4, 4)
-    corners = _corners(steps).reshape(len(first), 4, 12)
+    corners = np.nan_to_num(_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # of a tag seen exactly upright
     apart = np.linalg.norm(corners.reshape(-1, 1, 1, 12) - corners, axis=-1).min(axis=2)
     cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
     best = int(cost.argmin())
@@ -207,10 +241,20 @@ def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong
         error = _project(corners, np.broadcast_to(pose, (len(corners), 4, 4)), camera) - seen
         off = np.sqrt((error**2).sum(axis=2).mean(axis=1))
         if off.max() <= wrong_px:
-            return np.linalg.inv(pose)
+            return np.linalg.inv(pose) if _unsure(corners, pose, camera) <= UNSURE_M else None
         kept = np.arange(len(off)) != off.argmax()
         corners, seen = corners[kept], seen[kept]
     return None
+
+
+def _unsure(corners: np.ndarray, pose: np.ndarray, camera: np.ndarray) -> float:
+    """Standard deviation of a view's place [m] when its corners' is ``NOISE_PX``, to first order."""
+    step = 1e-5
+    moved = _moves(step * np.concatenate([np.zeros((1, 6)), np.eye(6)])) @ pose
+    pixels = [_project(corners, np.broadcast_to(one, (len(corners), 4, 4)), camera).ravel() for one in moved]
+    slope = (np.array(pixels[1:]) - pixels[0]) / step
+    covariance = NOISE_PX**2 * np.linalg.pinv(slope @ slope.T)
+    return float(np.sqrt(np.trace(covariance[3:, 3:])))
 
 
 def _corners(pose: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.bundle import TagMap, reconstruct, solve_views
+from sim.errors import WorkError
 from sim.files import write_array, write_arrays
 from sim.tags import Sightings
 
@@ -31,14 +32,16 @@ def write_labels(
         What the manifest says of it: tags placed, images without a label.
 
     Raises:
-        WorkError: the tags cannot be reconstructed.
+        WorkError: the tags cannot be reconstructed, or no image can be solved.
     """
     tags = reconstruct(sightings, camera)
-    view, pose = solve_views(sightings, tags, camera)
+    (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (sightings, test))
+    for name, solved in (("training", view), ("test", test_view)):
+        if not len(solved):
+            raise WorkError(f"labels: no {name} image shows tags enough to tell where it was taken")
+    count, *test_shape = shape
     robot = pose @ np.linalg.inv(mount)
     level = find_level(tags, robot)
-    test_view, test_pose = solve_views(test, tags, camera)
-    count, *test_shape = shape
     label = _spread(view, flatten(level @ robot), count)
     test_label = _spread(test_view, flatten(level @ test_pose @ np.linalg.inv(mount)), int(np.prod(test_shape)))
     for name, found in (("sighting", sightings), ("test_sighting", test)):

@@ -85,11 +85,11 @@ class HorizontalSettings(Group):
 
     mounted: bool = False
     """Whether the robot has it."""
-    field_of_view_deg: float = Field(default=90.0, ge=30.0, le=120.0)
+    field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
     """Full angle across the image [deg]."""
-    width_px: int = Field(default=800, ge=64, le=4096)
+    width_px: int = Field(default=960, ge=64, le=4096)
     """Columns of the image."""
-    height_px: int = Field(default=450, ge=64, le=4096)
+    height_px: int = Field(default=540, ge=64, le=4096)
     """Rows of the image."""
     height_m: float = Field(default=0.28, ge=0.1, le=1.5)
     """Height of its middle above the floor [m]."""
@@ -98,7 +98,7 @@ class HorizontalSettings(Group):
     yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
     """Where it looks, from straight ahead to the left; back, since the robot stops where something stands ahead [deg]."""
     kept: bool = False
-    """Whether the recording keeps its images, 0.36 MB each, and not only the tags found in them."""
+    """Whether the recording keeps its images, 0.5 MB each, and not only the tags found in them."""
 
 
 class EncoderSettings(Group):

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import landmarks, precision, seeds
+from deepgps.studies import lab, landmarks, precision, seeds
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -46,6 +46,7 @@ KINDS: dict[ReportName, Kind] = {
     "precision": Kind(precision.report, precision.measure, {"precision": precision.draw}),
     "seeds": Kind(seeds.report, seeds.measure, {"seeds": seeds.draw}),
     "landmarks": Kind(landmarks.report, landmarks.measure, {"landmarks": landmarks.draw}),
+    "lab": Kind(lab.report, lab.measure, lab.FIGURES, lab.add),
 }
 
 

@@ -22,7 +22,7 @@ from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
 
-ReportName = Literal["plain", "precision", "seeds", "landmarks"]
+ReportName = Literal["plain", "precision", "seeds", "landmarks", "lab"]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
     "plain": (),
@@ -31,6 +31,12 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "landmarks": (
         *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
         *("explicit_complete", "explicit_incomplete", "explicit_mds_complete", "explicit_mds_incomplete", "train_s"),
+    ),
+    "lab": (
+        *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
+        *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
+        *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
+        *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
     ),
 }
 MOST_RUNS = 10_000
@@ -73,7 +79,7 @@ class Study(Variation):
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
     """How the table is reported. plain: as it is; precision: rooms and targets; seeds: folds and their detector;
-    landmarks: the paper's Table I."""
+    landmarks: the paper's Table I; lab: its real robot, against labels and truth."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
