@@ -14,6 +14,7 @@ import torch
 
 from deepgps import losses
 from deepgps.data import Segments, draw, spread
+from deepgps.end_map import find_end_map
 from deepgps.first_map import find_first_map
 from deepgps.fold import Signs, find_signs
 from deepgps.isomap import has_lines
@@ -28,6 +29,7 @@ from sim.files import write_bytes
 from sim.records import Recording
 
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
+FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
 
 
@@ -101,15 +103,15 @@ def run_attempt(
     features, near, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
     def draw_batch(generator: torch.Generator, done: float) -> Batch:
-        if start == "paths" and done < IMITATE:  # only these have a place on the first map
+        if start in FIRST_MAP and done < IMITATE:  # only these have a place on the first map
             index, along, valid = draw(near, settings.train.segments, settings.train.samples, generator)
             return Batch(numbers[index], along, valid)
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
 
     loss = segment_loss(settings)
-    if start == "paths":
+    if start in FIRST_MAP:
         first = torch.full((len(material.features), 2), torch.nan)
-        places = find_first_map(features, sample, make_generator(seed, "start", number))
+        places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
         first[chosen] = torch.from_numpy(places).float()
         loss = imitate_first(loss, first.to(device))
     elif start == "lifting":

@@ -141,6 +141,9 @@ class DriveSettings(Group):
     """The robot stops when a range ray leaves less room than this before its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
+    lengths: Literal["longest", "random"] = "longest"
+    """longest: each segment is as long as it can be; random: each draws its own length up to longest_m, so that it ends at
+    a random place, as the paper's end-point strategy wants."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
     """Chance to turn into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
