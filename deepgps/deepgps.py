@@ -31,6 +31,7 @@ from sim.records import Recording
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
 FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
+SLACK_OF_ENDS = 0.2  # the same of a map of ends, which is rough: it only keeps the network from folding [m]
 
 
 @dataclass(frozen=True)
@@ -113,7 +114,7 @@ def run_attempt(
         first = torch.full((len(material.features), 2), torch.nan)
         places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
         first[chosen] = torch.from_numpy(places).float()
-        loss = imitate_first(loss, first.to(device))
+        loss = imitate_first(loss, first.to(device), SLACK_OF_ENDS if start == "ends" else SLACK)
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     draws = derive_seed(seed, "shuffling", number)
@@ -148,12 +149,13 @@ def segment_loss(settings: LearnSettings) -> Loss:
     return both
 
 
-def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
-    """Pull predictions towards a first map: at once and wholly, later only those farther than ``SLACK`` from it.
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float = SLACK) -> Loss:
+    """Pull predictions towards a first map: at once and wholly, later only those farther than ``slack_m`` from it.
 
     Args:
         loss: What takes over until ``IMITATE`` of the steps.
         known: First map (N, 2) [m]; not a number for observations that have no place on it.
+        slack_m: About what the first map is wrong by [m].
     """
     mapped = known.isfinite().all(dim=1)
 
@@ -162,7 +164,7 @@ def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
         told = batch.valid & mapped[batch.index]
         away = losses.distance(out[told], known[batch.index[told]])
         count = max(1, len(away))
-        imitation, leash = away.sum() / count, (away - SLACK).clamp_min(0.0).sum() / count
+        imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
         return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
 
     return both

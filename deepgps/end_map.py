@@ -4,12 +4,14 @@ Two readings do not tell how fast features change, but all short segments togeth
 distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are straight
 and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places move until
 bars have their lengths and look-alikes lie on one another, false ones losing their weight as what is believed shrinks
-(as in the pose graph). The truth has no part in it.
+(as in the pose graph). That contracts the map here and there, since look-alikes do not lie on one another; so at last
+each place moves to where it lies among those that it resembles, as its features lie among theirs (locally linear
+embedding, Roweis and Saul 2000), with bars of their lengths. The truth has no part in it.
 """
 
 import numpy as np
 import torch
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, vstack
 from scipy.sparse.linalg import splu
 
 from deepgps.data import Segments, find_owners
@@ -27,6 +29,10 @@ BAR_M = (0.1, 0.01)
 """How exact the bars are taken to be in the first and the last round [m]."""
 ANCHOR_M, LARGEST_M = 0.3, 0.5
 """Standard deviation that holds a place where it was a round before, and the farthest that it goes in one round [m]."""
+MIXED, SMOOTH = 10, 0.05
+"""How many make up each place, and how much their weights are damped."""
+MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
+"""Rounds, scales believed in the first and the last [m], and how exactly a place lies among those it resembles [m]."""
 WRONG_M = 0.05
 """A bar or look-alike wrong by twice this and more counts as just wrong when maps are compared [m]."""
 
@@ -44,7 +50,51 @@ def find_end_map(features: torch.Tensor, segments: Segments, generator: torch.Ge
     for links in find_look_alikes(features, segments, NEIGHBOURS):
         rough = map_by_paths(len(features), segments, links, generator)
         tries.append(relax_ends(rough, segments, links))
-    return min(tries, key=lambda found: found[1])[0]
+    best = min(tries, key=lambda found: found[1])[0]
+    return straighten(best, segments, find_mixture(features))
+
+
+def find_mixture(features: torch.Tensor) -> csr_array:
+    """Weights (N, N) with which the features (N, K) of those that it resembles most make up each place's own.
+
+    They sum to one and minimise ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square of differences.
+    """
+    count, some = len(features), min(MIXED, len(features) - 1)
+    unlike = torch.cdist(features, features).fill_diagonal_(torch.inf)
+    nearest = unlike.topk(some, largest=False).indices
+    apart = (features[nearest] - features[:, None]).double()
+    gram = apart @ apart.transpose(1, 2)
+    size = gram.diagonal(dim1=1, dim2=2).mean(dim=1).clamp_min(1e-12)
+    gram = gram + SMOOTH * size[:, None, None] * torch.eye(some, dtype=gram.dtype)
+    weight = torch.linalg.solve(gram, torch.ones((count, some, 1), dtype=gram.dtype))[..., 0]
+    weight = weight / weight.sum(dim=1, keepdim=True)
+    row = np.repeat(np.arange(count), some)
+    return csr_array((weight.flatten().numpy(), (row, nearest.flatten().numpy())), shape=(count, count))
+
+
+def straighten(places: np.ndarray, segments: Segments, mixture: csr_array) -> np.ndarray:
+    """Move places (N, 2) [m] to where bars have their lengths and each lies as ``mixture`` (N, N) says.
+
+    Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_i w_i |p_i - sum_j w_ij p_j|^2`` as ``relax_ends`` does. Places
+    that are not known come to lie where the mixture puts them, and are given back as unknown.
+    """
+    known = np.isfinite(places).all(axis=1)
+    place = np.where(known[:, None], places, np.nanmean(places, axis=0))
+    a, b, way = find_steps(segments)
+    off_mixture = kron(eye_array(len(place)) - mixture, eye_array(2)).tocsr()
+    for believed in np.geomspace(*MIXTURE_BELIEVED_M, MIXTURE_ROUNDS):
+        bar = place[a] - place[b]
+        length = np.linalg.norm(bar, axis=1).clip(1e-9)
+        off, apart = length - way, (off_mixture @ place.ravel()).reshape(-1, 2)
+        trust = MIXTURE_M**-2 * (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
+        weight = np.concatenate([BAR_M[1] ** -2 * (1.0 + off**2 / believed**2) ** -2, np.repeat(trust, 2)])
+        none = np.empty(0, int)
+        slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
+        weighted = slope.multiply(weight[:, None]).tocsc()
+        normal = (slope.T @ weighted + eye_array(2 * len(place))).tocsc()
+        step = -splu(normal).solve(weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
+        place = place + step.clip(-LARGEST_M, LARGEST_M)
+    return np.where(known[:, None], place, np.nan)
 
 
 def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[Links]:
@@ -128,9 +178,7 @@ def _among(known: np.ndarray, number: np.ndarray, pairs: Links) -> Links:
     return number[pairs[0][kept]], number[pairs[1][kept]], pairs[2][kept]
 
 
-def _slope(
-    a: np.ndarray, b: np.ndarray, along: np.ndarray, c: np.ndarray, e: np.ndarray, count: int
-) -> csc_array:
+def _slope(a: np.ndarray, b: np.ndarray, along: np.ndarray, c: np.ndarray, e: np.ndarray, count: int) -> csc_array:
     """Derivative of bars' lengths and of look-alikes' differences, x and y in turn, by all places (rows, 2 count)."""
     bars, one = np.arange(len(a)), np.ones(len(c))
     rows, columns, values = [], [], []

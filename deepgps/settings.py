@@ -109,7 +109,8 @@ class LearnSettings(Group):
     """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
     """How the map is unfolded before distances finish it: paths (a first map is imitated; most segments need three
-    readings), ends (the same where they have two), lifting, random (not at all), or auto: paths where they are possible, else lifting."""
+    readings), ends (the same where segments have two), lifting, random (not at all), or auto: paths where they are
+    possible, else lifting."""
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
     explicit: ExplicitSettings = ExplicitSettings()

@@ -125,9 +125,7 @@ def solve_views(
     return np.array(list(found), np.int64), np.array(list(found.values())).reshape(-1, 4, 4)
 
 
-def adjust(
-    sightings: Sightings, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray
-) -> TagMap:
+def adjust(sightings: Sightings, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray) -> TagMap:
     """Bundle adjustment: tags (but the first) and views (V,) with ``T_map_camera`` (V, 4, 4) move to fit all corners.
 
     Minimises ``sum 2 s^2 (sqrt(1 + |e|^2 / s^2) - 1)`` (soft L1) over the reprojection errors e of all corners, by
@@ -161,9 +159,7 @@ def _cost(error: np.ndarray) -> float:
     return float(2 * SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2) - 1.0).sum())
 
 
-def _slope(
-    tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray
-) -> csc_array:
+def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
     """Derivative of the pixels of sightings of tags t (S,) in views v (S,), by small motions (rotation vector, shift) of
     the tags but the first, in their own frames, and of the views, in the cameras': (8 S, 6 (T - 1 + V))."""
     point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]

@@ -54,7 +54,9 @@ def _on_wall(wall: int, rng: np.random.Generator) -> np.ndarray:
 def _level_view(rng: np.random.Generator) -> np.ndarray:
     yaw = rng.uniform(-np.pi, np.pi)
     ahead, down = np.array((np.cos(yaw), np.sin(yaw), 0.0)), np.array((0.0, 0.0, -1.0))
-    return _pose(np.stack([np.cross(down, ahead), down, ahead], axis=1), np.array((*rng.uniform(-1, 1, 2) * (2.2, 1.7), 0.28)))
+    return _pose(
+        np.stack([np.cross(down, ahead), down, ahead], axis=1), np.array((*rng.uniform(-1, 1, 2) * (2.2, 1.7), 0.28))
+    )
 
 
 def _pose(turn: np.ndarray, place: np.ndarray) -> np.ndarray:

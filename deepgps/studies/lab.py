@@ -104,7 +104,9 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
         axes.grid(alpha=0.25, which="both")
         if place == 0:
             axes.set_ylabel("error [cm]")
-            picture.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+            picture.legend(
+                *axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False, fontsize=8
+            )
     return picture
 
 
@@ -117,14 +119,18 @@ def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     row = order[(len(order) - 1) // 2]
     fields = read_fields(folder / "runs" / row["run"])
     picture = Picture(figsize=(5.4 * len(fields), 5.1), layout="constrained")
-    for axes, (method, field) in zip(np.ravel(picture.subplots(1, len(fields), squeeze=False)), fields.items(), strict=True):
+    for axes, (method, field) in zip(
+        np.ravel(picture.subplots(1, len(fields), squeeze=False)), fields.items(), strict=True
+    ):
         print_floor(axes, folder / "runs" / row["run"])
         for true, found in zip(field.truth, field.predicted, strict=True):
             axes.plot(*np.stack([true, found], axis=1), color="#d62728", linewidth=1.0, zorder=1)
         axes.scatter(*field.truth.T, s=9, color="#ff7f0e", label="truth", zorder=2)
         axes.scatter(*field.predicted.T, s=9, color="#1f77b4", label="predicted", zorder=3)
         rms = np.sqrt(np.mean(field.error**2))
-        axes.set_title(f"{method_title(method)}: RMS {100 * rms:.1f} cm, max {100 * field.error.max():.0f} cm", fontsize=11)
+        axes.set_title(
+            f"{method_title(method)}: RMS {100 * rms:.1f} cm, max {100 * field.error.max():.0f} cm", fontsize=11
+        )
         axes.legend(loc="upper right", fontsize=8)
     picture.suptitle(f"Data set {row['seed']}, {len(field.error)} test samples", fontsize=12)
     return picture
