@@ -31,7 +31,7 @@ from sim.records import Recording
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
 FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
-SLACK_OF_ENDS = 0.2  # the same of a map of ends, which is rough: it only keeps the network from folding [m]
+SLACK_OF_ENDS = 1.0  # the same of a map of ends, which is rough: it only keeps the network from folding [m]
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
-"""A first map where segments have two readings, as in the paper's end-point strategy: places, bars between them, and look-alikes.
+"""A first map where segments have two readings (the paper's end-point strategy): places, bars and look-alikes.
 
 Two readings do not tell how fast features change, but all short segments together tell how unlike places look at a
-distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are straight
-and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places move until
+distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are
+straight and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places move until
 bars have their lengths and look-alikes lie on one another, false ones losing their weight as what is believed shrinks
 (as in the pose graph). That contracts the map here and there, since look-alikes do not lie on one another; so at last
 each place moves to where it lies among those that it resembles, as its features lie among theirs (locally linear
@@ -57,7 +57,7 @@ def find_end_map(features: torch.Tensor, segments: Segments, generator: torch.Ge
 def find_mixture(features: torch.Tensor) -> csr_array:
     """Weights (N, N) with which the features (N, K) of those that it resembles most make up each place's own.
 
-    They sum to one and minimise ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square of differences.
+    They sum to one and minimise ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square difference.
     """
     count, some = len(features), min(MIXED, len(features) - 1)
     unlike = torch.cdist(features, features).fill_diagonal_(torch.inf)
@@ -75,10 +75,10 @@ def find_mixture(features: torch.Tensor) -> csr_array:
 def straighten(places: np.ndarray, segments: Segments, mixture: csr_array) -> np.ndarray:
     """Move places (N, 2) [m] to where bars have their lengths and each lies as ``mixture`` (N, N) says.
 
-    Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_i w_i |p_i - sum_j w_ij p_j|^2`` as ``relax_ends`` does. Places
-    that are not known come to lie where the mixture puts them, and are given back as unknown.
+    Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_i w_i |p_i - sum_j w_ij p_j|^2`` as ``relax_ends`` does.
+    Places that are not known come to lie where the mixture puts them, and are given back as unknown.
     """
-    known = np.isfinite(places).all(axis=1)
+    known = np.asarray(np.isfinite(places).all(axis=1))
     place = np.where(known[:, None], places, np.nanmean(places, axis=0))
     a, b, way = find_steps(segments)
     off_mixture = kron(eye_array(len(place)) - mixture, eye_array(2)).tocsr()
@@ -126,8 +126,8 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
 def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndarray, float]:
     """Move all places until bars and look-alikes fit.
 
-    Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and McClure's
-    weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b believed.
+    Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and
+    McClure's weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b believed.
 
     Args:
         places: Where they lie at first (N, 2) [m]; not a number: unknown, and so it stays.
@@ -137,7 +137,7 @@ def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np
     Returns:
         Places (N, 2) [m], and how badly they fit: means of squared residuals, in units of ``WRONG_M``, cut at 4.
     """
-    known = np.isfinite(places).all(axis=1)
+    known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
     a, b, way = _among(known, number, find_steps(segments))
     c, e, near = _among(known, number, links)

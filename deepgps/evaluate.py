@@ -133,7 +133,7 @@ def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
 
 
 def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
-    """How many training and test samples have no label, and the labels' own errors [m], aligned on those to learn from."""
+    """How many samples have no label, and the labels' own errors [m], aligned on those to learn from."""
     known, test_known = (np.isfinite(pose[..., 0]) for pose in (labels.pose, labels.test_pose))
     alignment = fit_alignment(labels.pose[known, :2], truth.pose[known, :2], "SE2")
     error, test_error = (

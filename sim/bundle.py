@@ -160,8 +160,10 @@ def _cost(error: np.ndarray) -> float:
 
 
 def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
-    """Derivative of the pixels of sightings of tags t (S,) in views v (S,), by small motions (rotation vector, shift) of
-    the tags but the first, in their own frames, and of the views, in the cameras': (8 S, 6 (T - 1 + V))."""
+    """Derivative (8 S, 6 (T - 1 + V)) of the pixels of sightings of tags t (S,) in views v (S,).
+
+    By small motions (rotation vector, shift) of the tags but the first, in their frames, and of the views, in theirs.
+    """
     point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
     depth = np.maximum(point[..., 2], 0.1 * SIDE_M)
     pixel = np.zeros((*point.shape[:2], 2, 3))

@@ -41,7 +41,7 @@ CHUNK = 256
 DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
 SIGHTINGS, HORIZONTAL = ".tags.npz", ".horizontal.npy"
-"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, where they are kept."""
+"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, if they are kept."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 
@@ -144,8 +144,10 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
 def write_horizontal(
     folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
 ) -> dict[str, int]:
-    """Write the labels made of what the horizontal camera saw, and, where they are kept, its images; as ``_render`` left
-    them beside ``images`` and ``tests``. Returns what the manifest says of it."""
+    """Write labels made of what the horizontal camera saw and, if they are kept, its images; returns what to tell of it.
+
+    ``_render`` has left both beside ``images`` and ``tests``.
+    """
     samples, held_out = settings.drive.samples, settings.grid.held_out
     seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
     seen, first = seen.of(seen.view < samples), samples if held_out else 0

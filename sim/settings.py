@@ -96,7 +96,7 @@ class HorizontalSettings(Group):
     ahead_m: float = Field(default=-0.04, ge=-0.1, le=0.1)
     """How far it sits before the wheel axle [m]."""
     yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
-    """Where it looks, from straight ahead to the left; back, since the robot stops where something stands ahead [deg]."""
+    """Where it looks, to the left of straight ahead; back, since the robot stops where something stands ahead [deg]."""
     kept: bool = False
     """Whether the recording keeps its images, 0.5 MB each, and not only the tags found in them."""
 
@@ -142,8 +142,8 @@ class DriveSettings(Group):
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
     lengths: Literal["longest", "random"] = "longest"
-    """longest: each segment is as long as it can be; random: each draws its own length up to longest_m, so that it ends at
-    a random place, as the paper's end-point strategy wants."""
+    """longest: each segment is as long as it can be; random: each draws its own length up to longest_m, so that it
+    ends at a random place, as the paper's end-point strategy wants."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
     """Chance to turn into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)

@@ -50,7 +50,7 @@ def draw_tag(number: int) -> np.ndarray:
     """Picture of a whole plate (160, 160, 3) uint8, a power of two of pixels to a module."""
     family = cv2.aruco.getPredefinedDictionary(_FAMILY)
     code = cv2.aruco.generateImageMarker(family, number, MODULES * _MODULE_PX)
-    plate = cv2.copyMakeBorder(code, *[_MODULE_PX] * 4, cv2.BORDER_CONSTANT, value=255)
+    plate = np.pad(code, _MODULE_PX, constant_values=255)
     return np.repeat(plate[..., None], 3, axis=2)
 
 
@@ -72,7 +72,7 @@ def find_tags(images: np.ndarray) -> Sightings:
 def refine(image: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """Corners (n, 4, 2) [px] as crossings of lines through the black squares' edges (Wang and Olson 2016).
 
-    OpenCV's own search for a corner point places a blurred corner a quarter of a pixel inside; an edge it does not move.
+    OpenCV's own search for a corner point places a blurred corner a quarter of a pixel inside; edges stay.
     """
     for _ in range(ROUNDS):
         along = np.roll(corner, -1, axis=1) - corner

@@ -35,7 +35,7 @@ def make_scene(tags: int = 36, views: int = 160, noise_px: float = 0.2, seed: in
 
 
 def project(tag: np.ndarray, view: np.ndarray) -> np.ndarray | None:
-    """A tag's corners (4, 2) [px] in a view, written apart from the code under test; None where it is not seen whole."""
+    """A tag's corners (4, 2) [px] in a view, apart from the code under test; None where it is not seen whole."""
     points = (tag[:3, :3] @ CORNERS.T).T + tag[:3, 3]
     seen = (points - view[:3, 3]) @ view[:3, :3]
     if seen[:, 2].min() < 0.2 or (view[:3, 3] - tag[:3, 3]) @ tag[:3, 2] < 0.1:

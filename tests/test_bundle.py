@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
-from tests.synthetic_tags import CAMERA, Scene, make_scene
 
 from sim.bundle import TagMap, chain_tags, reconstruct, solve_views
 from sim.errors import WorkError
 from sim.tags import CORNERS, Sightings
+from tests.synthetic_tags import CAMERA, Scene, make_scene
 
 
 @pytest.fixture(scope="module")

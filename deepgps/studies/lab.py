@@ -1,4 +1,4 @@
-"""The report of the laboratory: errors against labels, as in the paper's Table III, and against the simulator's truth."""
+"""The report of the laboratory: errors against labels, as in the paper's Table III, and against the truth."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -22,11 +22,11 @@ PAPER = {
     "deepgps": ((0.053, 0.021), (0.036, 0.004), (0.175, 0.026)),
 }
 NOTE = (
-    "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels are what "
-    "the horizontal camera measured from AprilTags, in images alone: PoseNet learned from them, and the first errors are "
-    "against them, as in the paper. The others are against the simulator's truth, which the paper could not know. "
-    "Unlabelled: training and test samples that show too few tags; PoseNet does not learn from them, and errors against "
-    "labels leave them out. Label RMS: the labels' own error. The last lines are the paper's means and standard "
+    "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels are "
+    "what the horizontal camera measured from AprilTags, in images alone: PoseNet learned from them, and the first errors "
+    "are against them, as in the paper. The others are against the simulator's truth, which the paper could not know. "
+    "Unlabelled: training and test samples that show too few tags; PoseNet does not learn from them, and errors "
+    "against labels leave them out. Label RMS: the labels' own error. The last lines are the paper's means and standard "
     "deviations over its six data sets."
 )
 
@@ -111,7 +111,7 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
 
 
 def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Each method's predictions (blue) and true positions (orange) of one data set, joined by red lines, as in the paper.
+    """Predictions (blue) and true positions (orange) of one data set, joined by red lines, as in the paper.
 
     The data set is the one whose RMS of DeepGPS against the truth is in the middle.
     """
