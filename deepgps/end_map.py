@@ -2,11 +2,11 @@
 
 Two readings do not tell how fast features change, but all short segments together tell how unlike places look at a
 distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are
-straight and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places move until
-bars have their lengths and look-alikes lie on one another, false ones losing their weight as what is believed shrinks
-(as in the pose graph). That contracts the map here and there, since look-alikes do not lie on one another; so at last
-each place moves to where it lies among those that it resembles, as its features lie among theirs (locally linear
-embedding, Roweis and Saul 2000), with bars of their lengths. The truth has no part in it.
+straight and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places
+move until bars have their lengths and look-alikes lie on one another, false ones losing their weight as what is
+believed shrinks (as in the pose graph). That contracts the map here and there, since look-alikes do not lie on one
+another; so at last each place moves to where it lies among those that it resembles, as its features lie among theirs
+(locally linear embedding, Roweis and Saul 2000), with bars of their lengths. The truth has no part in it.
 """
 
 import numpy as np

@@ -144,7 +144,7 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
 def write_horizontal(
     folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
 ) -> dict[str, int]:
-    """Write labels made of what the horizontal camera saw and, if they are kept, its images; returns what to tell of it.
+    """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
 
     ``_render`` has left both beside ``images`` and ``tests``.
     """

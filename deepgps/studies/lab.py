@@ -22,12 +22,12 @@ PAPER = {
     "deepgps": ((0.053, 0.021), (0.036, 0.004), (0.175, 0.026)),
 }
 NOTE = (
-    "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels are "
-    "what the horizontal camera measured from AprilTags, in images alone: PoseNet learned from them, and the first errors "
-    "are against them, as in the paper. The others are against the simulator's truth, which the paper could not know. "
-    "Unlabelled: training and test samples that show too few tags; PoseNet does not learn from them, and errors "
-    "against labels leave them out. Label RMS: the labels' own error. The last lines are the paper's means and standard "
-    "deviations over its six data sets."
+    "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels "
+    "are what the horizontal camera measured from AprilTags, in images alone: PoseNet learned from them, and the "
+    "first errors are against them, as in the paper. The others are against the simulator's truth, which the "
+    "paper could not know. Unlabelled: training and test samples that show too few tags; PoseNet does not learn "
+    "from them, and errors against labels leave them out. Label RMS: the labels' own error. The last lines are "
+    "the paper's means and standard deviations over its six data sets."
 )
 
 
