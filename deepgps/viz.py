@@ -51,13 +51,15 @@ def write_recording(run: Path) -> Path:
     """
     metrics, fields, histories = read_metrics(run), figures.read_fields(run), figures.read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    horizontal = recording.horizontal is not None
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), horizontal=horizontal)
 
     def write(part: Path) -> None:
         # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
         by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
         stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
         with stream:
-            stream.save(part, default_blueprint=make_blueprint(truth.free_space, list(fields), list(histories)))
+            stream.save(part, default_blueprint=blueprint)
             stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")
             _log_room(stream, recording.folder / "scene.glb", truth.free_space)
             _log_scale(stream, truth.free_space)
@@ -155,13 +157,15 @@ def read_error_field(path: Path, method: str) -> WorstField:
     return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))
 
 
-def make_blueprint(space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0) -> rrb.Blueprint:
+def make_blueprint(
+    space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0, horizontal: bool = False
+) -> rrb.Blueprint:
     """How the viewer shows a run: what matters first, without a click."""
     return rrb.Blueprint(
         rrb.Tabs(
             _overview(space, methods[0]),
             _error_fields(space, methods),
-            _drive(space),
+            _drive(space, horizontal),
             *([_training(space, trained)] if trained else []),
             _report(),
             active_tab=tab,
@@ -205,7 +209,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Grid:
     )
 
 
-def _drive(space: FreeSpace) -> rrb.Horizontal:
+def _drive(space: FreeSpace, horizontal: bool) -> rrb.Horizontal:
     relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
     recent = [
         rr.VisibleTimeRange(DRIVE_TIME, start=relative(seconds=-60), end=relative(seconds=0)),
@@ -229,7 +233,8 @@ def _drive(space: FreeSpace) -> rrb.Horizontal:
             rrb.Horizontal(
                 rrb.Spatial2DView(name="Fisheye, forward is up", origin="drive/fisheye"),
                 rrb.Spatial2DView(name="Polar image, zenith at the top", origin="drive/polar"),
-                column_shares=[1, 2],
+                *([rrb.Spatial2DView(name="Horizontal camera", origin="drive/horizontal")] if horizontal else []),
+                column_shares=[1, 2, 2] if horizontal else [1, 2],
             ),
             rrb.TimeSeriesView(name="Distance on this segment [m]", origin="drive/distance", time_ranges=recent),
             rrb.TimeSeriesView(
@@ -434,7 +439,13 @@ def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarr
     warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
     polar = (np.asarray(recording.observation[observation]) for observation in seen)
     pairs = [(playback.encode_jpeg(image), playback.encode_jpeg(playback.warp_round(image, warp))) for image in polar]
-    for path, blobs in zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True):
+    pictures: dict[str, tuple[bytes, ...]] = dict(
+        zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True)
+    )
+    if recording.horizontal is not None:
+        grey = (np.repeat(recording.horizontal[observation][..., None], 3, axis=2) for observation in seen)
+        pictures["drive/horizontal"] = tuple(playback.encode_jpeg(image) for image in grey)
+    for path, blobs in pictures.items():
         stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
         stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
 
