@@ -14,6 +14,7 @@ import torch
 
 from deepgps import losses
 from deepgps.data import Segments, draw, spread
+from deepgps.end_map import find_end_map
 from deepgps.first_map import find_first_map
 from deepgps.fold import Signs, find_signs
 from deepgps.isomap import has_lines
@@ -28,7 +29,9 @@ from sim.files import write_bytes
 from sim.records import Recording
 
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
+FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
+SLACK_OF_ENDS = 1.0  # the same of a map of ends, which is rough: it only keeps the network from folding [m]
 
 
 @dataclass(frozen=True)
@@ -101,17 +104,17 @@ def run_attempt(
     features, near, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
     def draw_batch(generator: torch.Generator, done: float) -> Batch:
-        if start == "paths" and done < IMITATE:  # only these have a place on the first map
+        if start in FIRST_MAP and done < IMITATE:  # only these have a place on the first map
             index, along, valid = draw(near, settings.train.segments, settings.train.samples, generator)
             return Batch(numbers[index], along, valid)
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
 
     loss = segment_loss(settings)
-    if start == "paths":
+    if start in FIRST_MAP:
         first = torch.full((len(material.features), 2), torch.nan)
-        places = find_first_map(features, sample, make_generator(seed, "start", number))
+        places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
         first[chosen] = torch.from_numpy(places).float()
-        loss = imitate_first(loss, first.to(device))
+        loss = imitate_first(loss, first.to(device), SLACK_OF_ENDS if start == "ends" else SLACK)
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     draws = derive_seed(seed, "shuffling", number)
@@ -146,12 +149,13 @@ def segment_loss(settings: LearnSettings) -> Loss:
     return both
 
 
-def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
-    """Pull predictions towards a first map: at once and wholly, later only those farther than ``SLACK`` from it.
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float = SLACK) -> Loss:
+    """Pull predictions towards a first map: at once and wholly, later only those farther than ``slack_m`` from it.
 
     Args:
         loss: What takes over until ``IMITATE`` of the steps.
         known: First map (N, 2) [m]; not a number for observations that have no place on it.
+        slack_m: About what the first map is wrong by [m].
     """
     mapped = known.isfinite().all(dim=1)
 
@@ -160,7 +164,7 @@ def imitate_first(loss: Loss, known: torch.Tensor) -> Loss:
         told = batch.valid & mapped[batch.index]
         away = losses.distance(out[told], known[batch.index[told]])
         count = max(1, len(away))
-        imitation, leash = away.sum() / count, (away - SLACK).clamp_min(0.0).sum() / count
+        imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
         return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
 
     return both

@@ -1,5 +1,10 @@
-"""Evaluation: every method on the test grid, against the simulator's truth."""
+"""Evaluation: every method on the test grid, or on test samples of the drive, against the simulator's truth.
 
+Where a recording has labels of its own, every method is measured against these too, as one has to where there is no
+simulator to ask (paper, Sec. IV-C).
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +17,7 @@ from deepgps.data import dead_reckon
 from deepgps.positioner import load_positioner
 from deepgps.scenario import MethodName, Scenario
 from sim.files import read_json, write_arrays
-from sim.records import Recording, Truth, open_recording, open_truth
+from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
 ALIGNMENT: dict[MethodName, AlignmentKind] = {
@@ -34,7 +39,7 @@ class ErrorField:
 
     Attributes:
         truth: Test positions (C, 2) [m].
-        heading: Test headings (H,) [rad].
+        heading: Test headings (H,) [rad], or of each position its own (C, H).
         predicted: Aligned predictions (C, H, 2) [m].
     """
 
@@ -64,23 +69,28 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
     """
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
-    spacing_m = scenario.grid.spacing_m
-    fields, methods = {}, {}
+    labels, side_m = open_labels(run / "recording"), truth.free_space.shorter_side_m
+    fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
         fields[method], scale = measure_field(run / method, method, recording, truth)
         methods[method] = {
-            **summarise(fields[method].worst, truth.free_space.shorter_side_m),
+            **summarise(fields[method].worst, side_m),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": scale,
-            "flipped": measure_flipped(fields[method].truth, fields[method].predicted.mean(axis=1), spacing_m),
+            **measure_grid(fields[method], scenario),
             "alignment": ALIGNMENT[method],
             **read_json(run / method / "training.json"),
         }
+        if labels is not None:
+            label_fields[method], scale = measure_field(run / method, method, recording, labels)
+            methods[method]["against_labels"] = {**summarise(label_fields[method].worst, side_m), "scale": scale}
+    write_fields(run / "error_field.npz", fields)
+    if labels is not None:
+        write_fields(run / "label_field.npz", label_fields)
     some = fields[scenario.methods[0]]
-    predictions = {method: field.predicted for method, field in fields.items()}
-    write_arrays(run / "error_field.npz", {"truth": some.truth, "heading": some.heading, **predictions})
     return {
-        "shorter_side_m": truth.free_space.shorter_side_m,
+        **({} if labels is None else {"labels": measure_labels(labels, truth)}),
+        "shorter_side_m": side_m,
         "samples": len(recording.observation),
         "segments": recording.manifest["segments"],
         "distance_driven_m": recording.manifest["distance_driven_m"],
@@ -90,16 +100,61 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def measure_field(folder: Path, method: MethodName, recording: Recording, truth: Truth) -> tuple[ErrorField, float]:
-    """Error field of one trained method, aligned by a transform fitted on the training samples, and its scale."""
+def measure_field(
+    folder: Path, method: MethodName, recording: Recording, truth: Truth | Labels
+) -> tuple[ErrorField, float]:
+    """Error field of one trained method, aligned by a transform fitted on the training samples, and its scale.
+
+    Against labels, what has none is left out, of the training as of the test samples.
+    """
     positioner = load_positioner(folder)
     training = positioner(recording.observation)
-    alignment = fit_alignment(training, truth.pose[:, :2], ALIGNMENT[method])
+    known = np.isfinite(truth.pose).all(axis=1)
+    alignment = fit_alignment(training[known], truth.pose[known, :2], ALIGNMENT[method])
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
     predicted = alignment.apply(positioner(images)).reshape(cells, headings, 2)
-    field = ErrorField(truth.test_pose[:, 0, :2], truth.test_pose[0, :, 2], predicted)
-    return field, alignment.scale
+    known = np.isfinite(truth.test_pose).all(axis=(1, 2))
+    pose, predicted = truth.test_pose[known], predicted[known]
+    heading = pose[..., 2]
+    shared = heading[:1] == heading  # a drive comes to each place with a heading of its own
+    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment.scale
+
+
+def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
+    """Write the error fields of several methods at the same places."""
+    some = next(iter(fields.values()))
+    predictions = {method: field.predicted for method, field in fields.items()}
+    write_arrays(path, {"truth": some.truth, "heading": some.heading, **predictions})
+
+
+def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
+    """What only a grid can tell: how much of the map is turned over."""
+    if scenario.grid.held_out:
+        return {}
+    return {"flipped": measure_flipped(field.truth, field.predicted.mean(axis=1), scenario.grid.spacing_m)}
+
+
+def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
+    """How many samples have no label, and the labels' own errors [m], aligned on those to learn from."""
+    known, test_known = (np.isfinite(pose[..., 0]) for pose in (labels.pose, labels.test_pose))
+    alignment = fit_alignment(labels.pose[known, :2], truth.pose[known, :2], "SE2")
+    error, test_error = (
+        np.linalg.norm(alignment.apply(label[some, :2]) - true[some, :2], axis=-1)
+        for label, true, some in (
+            (labels.pose, truth.pose, known),
+            (labels.test_pose, truth.test_pose, test_known),
+        )
+    )
+    return {
+        "unlabelled": int((~known).sum()),
+        "test_unlabelled": int((~test_known).sum()),
+        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "median_m": float(np.median(error)),
+        "max_m": float(error.max()),
+        "test_rms_m": float(np.sqrt(np.mean(test_error**2))),
+        "scale": alignment.scale,
+    }
 
 
 def measure_part(run: Path, folder: Path, method: MethodName, every: int) -> dict[str, float]:

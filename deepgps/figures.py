@@ -146,6 +146,11 @@ def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, fl
     return field
 
 
+def print_floor(axes: Axes, run: Path) -> None:
+    """Draw the floor of a run's room on paper white: grey is where the robot cannot be."""
+    _draw_room(axes, open_truth(run / "recording").free_space, PAPER)
+
+
 def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics: Mapping[str, Any]) -> Figure:
     """The methods' error fields side by side on one scale."""
     columns = 1 if len(fields) == 1 else 2

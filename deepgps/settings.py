@@ -8,7 +8,7 @@ from sim.settings import Group
 
 Architecture = Literal["spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"]
 PairLoss = Literal["absolute", "normalised"]
-Start = Literal["auto", "paths", "lifting", "random"]
+Start = Literal["auto", "paths", "ends", "lifting", "random"]
 
 
 class FeatureSettings(Group):
@@ -123,7 +123,8 @@ class LearnSettings(Group):
     """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
     """How the map is unfolded before distances finish it: paths (a first map is imitated; most segments need three
-    readings), lifting, random (not at all), or auto: paths where they are possible, else lifting."""
+    readings), ends (the same where segments have two), lifting, random (not at all), or auto: paths where they are
+    possible, else lifting."""
     neighbours: int = Field(default=4, ge=1, le=100)
     """Nearest neighbours whose positions knn averages."""
     label_noise_m: float = Field(default=0.01, ge=0.0, le=10.0)

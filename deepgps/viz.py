@@ -40,6 +40,11 @@ ROUND_PX = 144
 LAYER_M = 0.01  # height of one drawn layer above the next
 ROBOT = "world/drive/robot"
 FIELDS = "/world/error_field/"
+CAMERAS = {
+    "fisheye": "Fisheye, forward is up",
+    "polar": "Polar image, zenith at the top",
+    "horizontal": "Horizontal camera",
+}
 
 Data = Mapping[str, np.ndarray]
 
@@ -51,14 +56,12 @@ def write_recording(run: Path) -> Path:
     """
     metrics, fields, histories = read_metrics(run), figures.read_fields(run), figures.read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording))
 
     def write(part: Path) -> None:
         # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
         by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
         stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
-        blueprint = make_blueprint(
-            truth.free_space, list(fields), list(histories), images=recording.observation.ndim == 4
-        )
         with stream:
             stream.save(part, default_blueprint=blueprint)
             stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")
@@ -158,15 +161,25 @@ def read_error_field(path: Path, method: str) -> WorstField:
     return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))
 
 
+def find_cameras(recording: Recording) -> list[str]:
+    """Names of the pictures that a recording has: none of scans and of distances to landmarks."""
+    images = ["fisheye", "polar"] if recording.observation.ndim == 4 else []
+    return [*images, *(["horizontal"] if recording.horizontal is not None else [])]
+
+
 def make_blueprint(
-    space: FreeSpace, methods: Sequence[str], trained: Sequence[str], tab: int = 0, images: bool = True
+    space: FreeSpace,
+    methods: Sequence[str],
+    trained: Sequence[str],
+    cameras: Sequence[str] = ("fisheye", "polar"),
+    tab: int = 0,
 ) -> rrb.Blueprint:
-    """How the viewer shows a run, with images or without: what matters first, without a click."""
+    """How the viewer shows a run, with what its cameras saw: what matters first, without a click."""
     return rrb.Blueprint(
         rrb.Tabs(
             _overview(space, methods[0]),
             _error_fields(space, methods),
-            _drive(space, images),
+            _drive(space, cameras),
             *([_training(space, trained)] if trained else []),
             _report(),
             active_tab=tab,
@@ -210,7 +223,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Grid:
     )
 
 
-def _drive(space: FreeSpace, images: bool) -> rrb.Horizontal:
+def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
     relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
     recent = [
         rr.VisibleTimeRange(DRIVE_TIME, start=relative(seconds=-60), end=relative(seconds=0)),
@@ -229,20 +242,19 @@ def _drive(space: FreeSpace, images: bool) -> rrb.Horizontal:
         overrides={"world/drive/path": rrb.VisibleTimeRanges(so_far)},
     )
     pictures = rrb.Horizontal(
-        rrb.Spatial2DView(name="Fisheye, forward is up", origin="drive/fisheye"),
-        rrb.Spatial2DView(name="Polar image, zenith at the top", origin="drive/polar"),
-        column_shares=[1, 2],
+        *(rrb.Spatial2DView(name=CAMERAS[camera], origin=f"drive/{camera}") for camera in cameras),
+        column_shares=[1 if camera == "fisheye" else 2 for camera in cameras],
     )
     return rrb.Horizontal(
         room,
         rrb.Vertical(
-            *([pictures] if images else []),
+            *([pictures] if cameras else []),
             rrb.TimeSeriesView(name="Distance on this segment [m]", origin="drive/distance", time_ranges=recent),
             rrb.TimeSeriesView(
                 name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=_whole_axis()
             ),
             rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=recent),
-            row_shares=[3, 2, 2, 2] if images else [1, 1, 1],
+            row_shares=[3, 2, 2, 2] if cameras else [1, 1, 1],
         ),
         column_shares=[5, 4],
         name="Drive",
@@ -442,7 +454,13 @@ def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarr
     warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
     polar = (np.asarray(recording.observation[observation]) for observation in seen)
     pairs = [(playback.encode_jpeg(image), playback.encode_jpeg(playback.warp_round(image, warp))) for image in polar]
-    for path, blobs in zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True):
+    pictures: dict[str, tuple[bytes, ...]] = dict(
+        zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True)
+    )
+    if recording.horizontal is not None:
+        grey = (np.repeat(recording.horizontal[observation][..., None], 3, axis=2) for observation in seen)
+        pictures["drive/horizontal"] = tuple(playback.encode_jpeg(image) for image in grey)
+    for path, blobs in pictures.items():
         stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
         stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
 

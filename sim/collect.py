@@ -25,6 +25,8 @@ from sim.drive import Course, Segment, next_segment
 from sim.encoder import read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
+from sim.horizontal import Horizontal, camera_matrix, mounting
+from sim.labels import write_labels
 from sim.lidar import Lidar
 from sim.processes import end_with_parent
 from sim.records import finish_recording, save_free_space
@@ -34,12 +36,15 @@ from sim.room import build_room
 from sim.scan import measure
 from sim.settings import SensorName, SimSettings
 from sim.streams import stream
+from sim.tags import Sightings, find_tags
 from sim.world import RoomWorld
 
 CHUNK = 256
 """New observations in a chunk, at least; the last one ends with the drive."""
 DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
+SIGHTINGS, HORIZONTAL = ".tags.npz", ".horizontal.npy"
+"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, if they are kept."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 Sense = Callable[[np.ndarray], np.ndarray]
@@ -80,7 +85,8 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         return
     work.mkdir(parents=True, exist_ok=True)
     world = RoomWorld(settings, drawn=False)
-    test_pose = lay_grid(world, settings)
+    held_out = settings.grid.held_out
+    test_pose = np.empty((0, 1, 3)) if held_out else lay_grid(world, settings)
     for deaths in range(DEATHS + 1):
         pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
         try:
@@ -96,7 +102,13 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     noise = stream(seed, "lidar")
     sense = (lambda scans: measure(scans, settings.lidar, noise)) if settings.sensor == "lidar" else None
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
-    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], sense)
+    if held_out:
+        test_pose = take_held_out(settings, drive)
+        tests = drive.images
+    first = settings.drive.samples if held_out else 0
+    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense)
+    if settings.horizontal.mounted:
+        counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
     write_scene(RoomWorld(settings).model, folder / "scene.glb")
@@ -129,6 +141,43 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
 
 
+def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
+    """Poses (C, 1, 3) of the samples that were driven to test with, after those to learn from."""
+    samples = settings.drive.samples
+    state = np.concatenate([chunk["state"] for chunk in drive.chunks])[samples : samples + settings.grid.held_out]
+    return planar_pose(state)[:, None]
+
+
+def write_horizontal(
+    folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
+) -> dict[str, int]:
+    """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
+
+    ``_render`` has left both beside ``images`` and ``tests``.
+    """
+    samples, held_out = settings.drive.samples, settings.grid.held_out
+    seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
+    seen, first = seen.of(seen.view < samples), samples if held_out else 0
+    test_seen = Sightings(test_seen.view - first, test_seen.tag, test_seen.corner)
+    inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
+    camera, mount = camera_matrix(settings.horizontal), mounting(settings.horizontal)
+    if settings.horizontal.kept:
+        ahead = [[path.with_suffix(HORIZONTAL) for path in parts] for parts in (images, tests)]
+        _write_images(folder / "horizontal.npy", ahead[0], (samples,))
+        _write_images(folder / "test" / "horizontal.npy", ahead[1], test_shape, first)
+    return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
+
+
+def _join_sightings(parts: Sequence[Path]) -> Sightings:
+    """Sightings of image files, their views numbered over all of them."""
+    found, before = [], 0
+    for path in parts:
+        with np.load(path.with_suffix(SIGHTINGS), allow_pickle=False) as stored:
+            found.append((stored["view"] + before, stored["tag"], stored["corner"]))
+        before += len(np.load(path, mmap_mode="r"))
+    return Sightings(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+
+
 def drive_chunk(
     world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
 ) -> dict[str, np.ndarray]:
@@ -143,7 +192,8 @@ def drive_chunk(
         segments, observations = int(before["segments"]), int(before["observations"])
         course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
     first, driven, dropped = observations, list[dict[str, np.ndarray]](), 0
-    while observations - first < CHUNK and observations < settings.drive.samples:
+    wanted = settings.drive.samples + settings.grid.held_out
+    while observations - first < CHUNK and observations < wanted:
         segment = next_segment(world, settings.drive, rng, course)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
@@ -175,7 +225,7 @@ def write_drive(
     ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
-    _write_images(folder / "observation.npy", drive.images, (samples,), sense)
+    _write_images(folder / "observation.npy", drive.images, (samples,), sense=sense)
     write_array(folder / "reading.npy", reading[arrived])
     write_array(folder / "time.npy", joined["time"][kept][arrived])
     write_array(folder / "truth" / "reading.npy", reading[:, :2])
@@ -220,7 +270,7 @@ def _drive_and_render(
 ) -> tuple[Drive, list[Future]]:
     """Drive until there are enough samples, handing each chunk to the renderers; chunks that stand are read."""
     drive, jobs, chunk = Drive([], []), [], None
-    driven, wanted = 0, settings.drive.samples
+    driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
         index = len(drive.chunks)
         path = work / f"drive-{index:06d}.npz"
@@ -257,6 +307,11 @@ def _watch(jobs: Sequence[Future], progress: Report) -> str:
 
 def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
     """In a worker: write what is seen in states (n, nq) to ``path``, if it does not stand; name the renderer."""
+    if settings.horizontal.mounted and not path.with_suffix(SIGHTINGS).is_file():
+        images = look_around(settings, states)
+        if settings.horizontal.kept:
+            write_array(path.with_suffix(HORIZONTAL), images)
+        write_arrays(path.with_suffix(SIGHTINGS), vars(find_tags(images)))
     if not path.is_file():
         write_array(path, SEE[settings.sensor](settings, states))
     if settings.sensor == "lidar":
@@ -293,6 +348,24 @@ def open_lidar(settings: SimSettings) -> Lidar:
     return Lidar(build_room(settings.room), settings.lidar)
 
 
+def look_around(settings: SimSettings, states: np.ndarray) -> np.ndarray:
+    """In a worker: grey images (n, rows, columns) of the horizontal camera at states (n, nq)."""
+    world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    horizontal = open_horizontal(settings)  # pyright: ignore[reportArgumentType]
+    images = np.empty((len(states), settings.horizontal.height_px, settings.horizontal.width_px), np.uint8)
+    for image, state in zip(images, states, strict=True):
+        world.data.qpos[:] = state
+        mujoco.mj_kinematics(world.model, world.data)
+        image[:] = horizontal.look(world.data)
+    return images
+
+
+@lru_cache(maxsize=1)
+def open_horizontal(settings: SimSettings) -> Horizontal:
+    """The horizontal camera of the scene of ``open_camera``."""
+    return Horizontal(open_camera(settings)[0].model, settings.horizontal)  # pyright: ignore[reportArgumentType]
+
+
 @lru_cache(maxsize=1)
 def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
     """The scene and its camera, opened once in each worker: a context belongs to its process."""
@@ -301,19 +374,20 @@ def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
     return world, Fisheye(world.model, settings.camera)
 
 
-def _write_images(path: Path, parts: Sequence[Path], shape: tuple[int, ...], sense: Sense | None = None) -> None:
-    """Join image files into one array whose leading axes have this shape; what goes beyond it is left out."""
+def _write_images(
+    path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, sense: Sense | None = None
+) -> None:
+    """Join image files, from image ``first`` on, into one array of this leading shape; what goes beyond is left out."""
 
     def write(part: Path) -> None:
-        count, written = int(np.prod(shape)), 0
-        first = np.load(parts[0], mmap_mode="r")
-        image = first.shape[1:]
-        whole = np.lib.format.open_memmap(part, mode="w+", dtype=first.dtype, shape=(*shape, *image))
-        flat = whole.reshape(count, *image)
+        count, written, skipped = int(np.prod(shape)), 0, first
+        some = np.load(parts[0], mmap_mode="r")
+        whole = np.lib.format.open_memmap(part, mode="w+", dtype=some.dtype, shape=(*shape, *some.shape[1:]))
+        flat = whole.reshape(count, *some.shape[1:])
         for images in map(np.load, parts):
-            kept = images[: count - written]
+            kept = images[skipped:][: count - written]
             flat[written : written + len(kept)] = sense(kept) if sense else kept
-            written += len(kept)
+            written, skipped = written + len(kept), max(skipped - len(images), 0)
         whole.flush()
 
     write_atomic(path, write)

@@ -30,6 +30,11 @@ def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
     return settings.model_copy(update={"encoder": EncoderSettings(), "drive": drive})
 
 
+def can_be_cut(settings: SimSettings) -> bool:
+    """Whether shorter recordings of this drive are its beginnings: not where what comes after the drive is of it, too."""
+    return not (settings.grid.held_out or settings.horizontal.mounted or settings.lidar.noise_m)
+
+
 def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     """Make a recording of one of the same drive, byte for byte as if it had been collected.
 
@@ -99,6 +104,8 @@ def _check(base: Recording, settings: SimSettings, seed: int) -> None:
         raise InputError(f"{base} is a recording of another drive: more than encoder and drive.samples differ")
     if other.drive.samples < samples:
         raise InputError(f"{base} has {other.drive.samples} samples, too few for drive.samples {samples}")
+    if other.drive.samples > samples and not can_be_cut(settings):
+        raise InputError(f"{base} has {other.drive.samples} samples, of which {samples} are no recording of their own")
     if base.manifest["readings_lost"]:
         raise InputError(f"{base} has lost readings, whose times are not known: nothing can be derived from it")
 

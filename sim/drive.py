@@ -175,7 +175,7 @@ def _go_straight(
     period, spacing = settings.control_period_s, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
     speed = way_m = slip_from_m = held_s = 0.0
-    seen_m, length_m, opening = np.inf, settings.longest_m, 0
+    seen_m, length_m, opening = np.inf, _draw_length(settings, rng), 0
     if course.mode == "search":
         openings, heed = Openings((course.side,), SHORTEST_M + stop_m), 1.0
     else:
@@ -222,6 +222,12 @@ def _go_straight(
         dropped=max(taken - len(samples), 0),
         course=_go_on(settings, rng, course, ended, opening),
     )
+
+
+def _draw_length(settings: DriveSettings, rng: np.random.Generator) -> float:
+    if settings.lengths == "longest":
+        return settings.longest_m
+    return rng.uniform(min(SHORTEST_M, settings.longest_m), settings.longest_m)
 
 
 def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, rest_m: float) -> Ended | None:

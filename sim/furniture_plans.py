@@ -11,6 +11,7 @@ from sim import furniture_seating as seating
 from sim import furniture_storage as storage
 from sim import furniture_tables as tables
 from sim.furniture import Footprint
+from sim.furniture_lab import hang_tags, place_posts
 from sim.furniture_placing import (
     Room,
     around,
@@ -155,10 +156,25 @@ def furnish_workshop(room: Room) -> None:
     _adorn(room, plants=0, pictures=2, lamp=False)
 
 
+def furnish_lab(room: Room) -> None:
+    """Desks, a bench and racks around an open floor with posts; AprilTags wherever a wall has room."""
+    enter(room, windows=1)
+    tags = place_posts(room)
+    _work(room, 1.4)
+    stand(room, "workbench", partial(tables.workbench, width_m=1.6))
+    stand(room, "shelving", partial(storage.shelving, width_m=1.1), in_a_corner(room))
+    stand(room, "filing_cabinet", storage.filing_cabinet)
+    hang(room, "whiteboard", wall.whiteboard)
+    hang(room, "clock", wall.clock)
+    hang(room, "extinguisher", wall.extinguisher)
+    hang_tags(room, tags)
+    _adorn(room, plants=1, pictures=2, lamp=False)
+
+
 def finish_ceiling(room: Room, kind: str) -> None:
     """Beams or a duct, lamps of different kinds, vents, a smoke detector; nothing in a pattern."""
     rng, height = room.rng, room.height_m
-    if kind in ("office", "workshop"):
+    if kind in ("office", "workshop", "lab"):
         beams(room, "duct", ceiling.duct, 1, 0.4)
         lamps = [ceiling.tube, ceiling.tube, ceiling.tube, ceiling.dish, ceiling.spots]
     else:
@@ -181,6 +197,7 @@ FURNISH = {
     "kitchen": furnish_kitchen,
     "studio": furnish_studio,
     "workshop": furnish_workshop,
+    "lab": furnish_lab,
 }
 
 

@@ -1,7 +1,8 @@
 """The recording on disk: what the robot sensed, and apart from it the truth.
 
 A folder with ``manifest.json`` (written last: without it the recording is not finished), ``observation.npy`` (N, ...),
-``reading.npy`` (R, 4), ``time.npy`` (R,), ``test/observation.npy`` (C, H, ...), ``scene.glb`` and ``truth/``.
+``reading.npy`` (R, 4), ``time.npy`` (R,), ``test/observation.npy`` (C, H, ...), ``scene.glb`` and ``truth/``; where the
+robot has a horizontal camera also ``labels/`` and perhaps ``horizontal.npy`` (N, rows, columns).
 """
 
 import hashlib
@@ -29,6 +30,7 @@ class Recording:
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
         test_observation: Images on the test grid (C, H, rings, sectors, 3) uint8, memory-mapped.
+        horizontal: Grey images (N, rows, columns) uint8 of the horizontal camera, memory-mapped, where they were kept.
     """
 
     folder: Path
@@ -37,6 +39,20 @@ class Recording:
     reading: np.ndarray
     time: np.ndarray
     test_observation: np.ndarray
+    horizontal: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Poses measured by the horizontal camera, in a frame of their own; not a number where it saw too few tags.
+
+    Attributes:
+        pose: At each observation (N, 3): x, y [m], yaw [rad].
+        test_pose: At each test image (C, H, 3).
+    """
+
+    pose: np.ndarray
+    test_pose: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -103,6 +119,7 @@ def open_recording(folder: Path) -> Recording:
         reading=_open_array(folder / "reading.npy"),
         time=_open_array(folder / "time.npy"),
         test_observation=_open_array(folder / "test" / "observation.npy", mapped=True),
+        horizontal=_open_array(kept, mapped=True) if (kept := folder / "horizontal.npy").is_file() else None,
     )
 
 
@@ -117,6 +134,14 @@ def open_truth(folder: Path) -> Truth:
         test_pose=_open_array(truth / "test_pose.npy"),
         free_space=load_free_space(truth / "free_space.npz"),
     )
+
+
+def open_labels(folder: Path) -> Labels | None:
+    """Open a recording's labels, if it has any."""
+    labels = folder / "labels"
+    if not labels.is_dir():
+        return None
+    return Labels(pose=_open_array(labels / "pose.npy"), test_pose=_open_array(labels / "test_pose.npy"))
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:

@@ -25,7 +25,7 @@ DRAWN_GROUPS = (0, 1, 2)
 _NEAR_M = 0.01
 # Points read per face pixel along each axis: more costs time and gains nothing that can be measured.
 _READ_DENSITY = 1.0
-_UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
+UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
 _OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 
@@ -61,14 +61,14 @@ class Fisheye:
         self._site = model.site(CAMERA_SITE).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
         self._boxes = _local_boxes(model)
-        self._scene, self._option, self._view = _make_scene(model)
+        self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
         rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
         self._gl: Any = gl.open_context(*_strip_size(self._faces))
         try:
-            self._target = _make_target(model, self._faces)
+            self._target = make_target(model, self._faces)
             self.renderer_string = gl.read_renderer()
         except mujoco.FatalError as error:
             self._gl.free()
@@ -120,16 +120,16 @@ class Fisheye:
         position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
         self._gl.make_current()
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-        _dim_headlight(scene)
+        dim_headlight(scene)
         geoms = scene.geoms[: scene.ngeom]
         kinds = [geom.type for geom in geoms]
         seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int))
         shown = np.ones(len(geoms), bool)
         for face, wanted in zip(self._faces, seen, strict=True):
             for index in np.flatnonzero(wanted != shown):
-                geoms[index].type = kinds[index] if wanted[index] else _UNSEEN
+                geoms[index].type = kinds[index] if wanted[index] else UNSEEN
             shown = wanted
-            _aim(scene, face, position, turn)
+            aim(scene, face, position, turn)
             mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._target)
         strip = np.empty((*_strip_size(self._faces)[::-1], 3), np.uint8)
         mujoco.mjr_readPixels(strip, None, mujoco.MjrRect(0, 0, *_strip_size(self._faces)), self._target)
@@ -148,7 +148,7 @@ class Fisheye:
         return inside & ~self._robot[geoms]
 
 
-def _make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
+def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
     """A scene of the visual geoms alone."""
     scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
     for flag in _OFF:
@@ -163,7 +163,7 @@ def _make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOptio
     return scene, option, view
 
 
-def _make_target(model: mujoco.MjModel, faces: list[Face]) -> mujoco.MjrContext:
+def make_target(model: mujoco.MjModel, faces: list[Face]) -> mujoco.MjrContext:
     """An off-screen buffer that holds the strip of faces."""
     target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
     mujoco.mjr_resizeOffscreen(*_strip_size(faces), target)
@@ -186,13 +186,14 @@ def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     return middle, half
 
 
-def _dim_headlight(scene: mujoco.MjvScene) -> None:
+def dim_headlight(scene: mujoco.MjvScene) -> None:
+    """Take away the light that would turn with the view."""
     for light in scene.lights[: scene.nlight]:
         if light.headlight:
             light.diffuse = light.specular = np.zeros(3, np.float32)
 
 
-def _aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
+def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
     """Turn both eyes, which MuJoCo averages, to a face."""
     left, right, bottom, top = face.window * _NEAR_M
     for eye in scene.camera:

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from sim.paths import ROBOT
-from sim.settings import CameraSettings, RobotSettings
+from sim.settings import CameraSettings, HorizontalSettings, RobotSettings
 
 PREFIX = "robot/"
 """Everything of the robot has this before its name once it is attached to a room."""
@@ -13,6 +13,7 @@ WHEELS = ("left_wheel", "right_wheel")
 BUMPER = "bumper"
 CAMERA_SITE = "camera"
 CAMERA = "fisheye"
+HORIZONTAL_SITE = "horizontal"
 
 RADIUS_M = 0.105
 """Radius of the round body about the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
@@ -35,6 +36,24 @@ def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
     if camera.height_m != _LENS_M:
         _raise_lens(spec, camera.height_m)
     return spec
+
+
+def mount_horizontal(robot: mujoco.MjSpec, settings: HorizontalSettings) -> None:
+    """Put the horizontal camera on the robot: a small box without mass, and a site whose x looks out and z up."""
+    base, place, half = robot.body(BASE), (settings.ahead_m, 0.0, settings.height_m), np.radians(settings.yaw_deg) / 2
+    turned = (np.cos(half), 0.0, 0.0, np.sin(half))
+    base.add_site(name=HORIZONTAL_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
+    base.add_geom(
+        name=HORIZONTAL_SITE,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=place,
+        size=(0.012, 0.02, 0.012),
+        material="shell",
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
 
 
 def robot_height(camera: CameraSettings) -> float:

@@ -26,6 +26,7 @@ SIZE_M: dict[RoomKind, tuple[float, float, float]] = {
     "kitchen": (6.0, 4.6, 2.6),
     "studio": (7.4, 5.2, 2.8),
     "workshop": (8.0, 5.6, 3.1),
+    "lab": (6.0, 5.0, 2.8),
 }
 """Width, depth and height of each kind of room [m]."""
 
@@ -36,6 +37,7 @@ FINISHES: dict[RoomKind, tuple[Finish, ...]] = {
     "kitchen": ("tile", "plaster", "plaster", "wallpaper"),
     "studio": ("brick", "plaster", "plaster", "wallpaper"),
     "workshop": ("brick", "plaster", "boards", "brick"),
+    "lab": ("plaster", "brick", "plaster", "boards"),
 }
 PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
 
@@ -87,7 +89,7 @@ def _lay_floor(room: Room, kind: RoomKind) -> None:
         image = textures.tile(rng, (256, 320), (0.75, 0.7, 0.62), textures.muted(rng), (12, 16))
     elif kind == "workshop":
         image = textures.plaster(rng, (256, 320), (0.55, 0.55, 0.53), stains=14, cracks=6)
-    elif kind == "office":
+    elif kind in ("office", "lab"):
         image = textures.fabric(rng, (256, 320), (0.42, 0.45, 0.5), (0.36, 0.4, 0.47))
     else:
         image = textures.wood(rng, (256, 320), np.multiply((0.66, 0.47, 0.3), rng.uniform(0.75, 1.1)), 22)

@@ -2,7 +2,7 @@
 
 import mujoco
 
-from sim.robot import PREFIX, load_robot
+from sim.robot import PREFIX, load_robot, mount_horizontal
 from sim.settings import SimSettings
 
 AMBIENT = 0.4
@@ -23,6 +23,8 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     _force_physics(spec, settings.robot.timestep_s)
     _force_picture(spec)
     robot = load_robot(settings.robot, settings.camera)
+    if settings.horizontal.mounted:
+        mount_horizontal(robot, settings.horizontal)
     robot.option = spec.option
     spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
     return spec.compile()

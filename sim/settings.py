@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 WorldName = Literal["room", "landmarks", "lidar"]
 SensorName = Literal["fisheye", "lidar"]
-RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop"]
+RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
@@ -112,6 +112,27 @@ class CameraSettings(Group):
     """Side of each pinhole face that is rendered [px]."""
 
 
+class HorizontalSettings(Group):
+    """A pinhole camera on the robot that looks level, for tags: labels are made of what it sees (Sec. IV-C)."""
+
+    mounted: bool = False
+    """Whether the robot has it."""
+    field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
+    """Full angle across the image [deg]."""
+    width_px: int = Field(default=960, ge=64, le=4096)
+    """Columns of the image."""
+    height_px: int = Field(default=540, ge=64, le=4096)
+    """Rows of the image."""
+    height_m: float = Field(default=0.28, ge=0.1, le=1.5)
+    """Height of its middle above the floor [m]."""
+    ahead_m: float = Field(default=-0.04, ge=-0.1, le=0.1)
+    """How far it sits before the wheel axle [m]."""
+    yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
+    """Where it looks, to the left of straight ahead; back, since the robot stops where something stands ahead [deg]."""
+    kept: bool = False
+    """Whether the recording keeps its images, 0.5 MB each, and not only the tags found in them."""
+
+
 class EncoderSettings(Group):
     """The wheel encoders and their faults; all but the first two are faults of measurement."""
 
@@ -152,6 +173,9 @@ class DriveSettings(Group):
     """The robot stops when a range ray leaves less room than this before its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
+    lengths: Literal["longest", "random"] = "longest"
+    """longest: each segment is as long as it can be; random: each draws its own length up to longest_m, so that it
+    ends at a random place, as the paper's end-point strategy wants."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
     """Chance to turn into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
@@ -165,6 +189,8 @@ class GridSettings(Group):
     """Distance between test positions [m]."""
     headings: int = Field(default=4, ge=1, le=64)
     """Headings at each test position, evenly spread from +x."""
+    held_out: int = Field(default=0, ge=0, le=100_000)
+    """Samples driven after those to learn from, at which is tested in place of the grid; 0: the grid."""
 
 
 class SimSettings(Group):
@@ -181,6 +207,7 @@ class SimSettings(Group):
     lidar: LidarSettings = LidarSettings()
     robot: RobotSettings = RobotSettings()
     camera: CameraSettings = CameraSettings()
+    horizontal: HorizontalSettings = HorizontalSettings()
     encoder: EncoderSettings = EncoderSettings()
     drive: DriveSettings = DriveSettings()
     grid: GridSettings = GridSettings()
@@ -206,4 +233,12 @@ class SimSettings(Group):
                 f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
                 f"{self.world} world, {longest:g} m"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _only_a_room_is_seen(self) -> "SimSettings":
+        if self.world != "room" and self.horizontal.mounted:
+            raise ValueError(f"horizontal.mounted needs world room, and the world is {self.world}")
+        if self.world != "room" and self.grid.held_out:
+            raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         return self

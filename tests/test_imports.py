@@ -25,8 +25,10 @@ WITHOUT_MUJOCO = {
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
 FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks", "sim.lidar_map"}
 ONLY_IN = {"rerun": "deepgps.viz", "tyro": "deepgps.cli", "ray": "deepgps.studies.engine_ray"}
-OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "posenet", "knn", "pca_knn", "viz", "figures")}
+OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "labels", "pca_knn", "viz", "figures")}
 OPENS_TRUTH |= {f"deepgps.studies.{name}" for name in ("mds", "concave")}
+READS_LABELS = {f"deepgps.{name}" for name in ("evaluate", "labels", "posenet", "knn")}
+MAKES_LABELS = {"sim.tags", "sim.bundle", "sim.labels"}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
 GLOBAL_SEEDS = {
     "torch.manual_seed",
@@ -88,8 +90,8 @@ def judge_import(module: str, taken: Import, top: str) -> str | None:
 
 
 def break_truth_law(module: str, source: str) -> list[str]:
-    """Where a module of deepgps opens a recording's truth though it is not one of those that may."""
-    if not module.startswith("deepgps") or module in OPENS_TRUTH:
+    """Where a module of deepgps, or one that makes labels, opens a recording's truth though it may not."""
+    if not (module.startswith("deepgps") or module in MAKES_LABELS) or module in OPENS_TRUTH:
         return []
     tree = ast.parse(source)
     texts = find_docstrings(tree)
@@ -100,6 +102,23 @@ def break_truth_law(module: str, source: str) -> list[str]:
         if names & {"open_truth", "load_free_space", "TRUTH"} or is_truth_path(text):
             faults.append(f"{module}:{getattr(node, 'lineno', 0)} opens the truth")
     return faults
+
+
+def break_label_law(module: str, source: str) -> list[str]:
+    """Where a module of deepgps takes labels though it neither evaluates nor learns from labels."""
+    if not module.startswith("deepgps") or module in READS_LABELS:
+        return []
+    faults = [
+        f"{module}:{taken.line} takes labels"
+        for taken in find_imports(ast.parse(source), set(MODULES))
+        if taken.module == "deepgps.labels"
+    ]
+    names = [
+        node
+        for node in ast.walk(ast.parse(source))
+        if "open_labels" in {getattr(node, "id", None), getattr(node, "attr", None), getattr(node, "name", None)}
+    ]
+    return faults + [f"{module} opens labels"] * bool(names)
 
 
 def is_truth_path(text: object) -> bool:
@@ -150,7 +169,7 @@ def read(module: str) -> str:
 
 
 @pytest.mark.parametrize("module", MODULES)
-@pytest.mark.parametrize("law", [break_import_law, break_truth_law, break_seed_law])
+@pytest.mark.parametrize("law", [break_import_law, break_truth_law, break_label_law, break_seed_law])
 def test_module_keeps_the_law(law, module):
     assert law(module, read(module)) == []
 
@@ -204,6 +223,18 @@ def test_truth_law_can_fail(source):
     assert break_truth_law("deepgps.train", source)
     assert not break_truth_law("deepgps.evaluate", source)
     assert not break_truth_law("deepgps.train", '"""Never opens truth/pose.npy."""')
+
+
+def test_truth_law_holds_for_what_makes_labels():
+    assert break_truth_law("sim.bundle", "from sim.records import open_truth")
+    assert not break_truth_law("sim.collect", "from sim.records import load_free_space")
+
+
+@pytest.mark.parametrize("source", ["from deepgps.labels import read_places", "from sim.records import open_labels"])
+def test_label_law_can_fail(source):
+    assert break_label_law("deepgps.deepgps", source)
+    assert break_label_law("deepgps.odometry", source)
+    assert not break_label_law("deepgps.posenet", source)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from deepgps.run import make_recording
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, one_line
-from sim.derive import choose_drive, derive
+from sim.derive import can_be_cut, choose_drive, derive
 from sim.errors import InputError, WorkError
 
 
@@ -59,7 +59,7 @@ def _choose(scenario: Scenario, samples: int) -> Scenario:
 
 def _name_drive(scenario: Scenario) -> str:
     """The same for all recordings of a drive."""
-    return digest_recording(_choose(scenario, 0))
+    return digest_recording(_choose(scenario, 0 if can_be_cut(scenario.sim) else scenario.drive.samples))
 
 
 def _stands(recording: Path) -> bool:

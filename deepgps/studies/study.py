@@ -28,6 +28,7 @@ ReportName = Literal[
     "seeds",
     "landmarks",
     "lidar",
+    "lab",
     "compare",
     "networks",
     "strategies",
@@ -57,6 +58,12 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
     "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
     "lidar": ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
+    "lab": (
+        *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
+        *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
+        *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
+        *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
+    ),
 }
 MOST_RUNS = 10_000
 Point = dict[str, Any]
