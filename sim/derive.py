@@ -31,7 +31,7 @@ def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
 
 
 def can_be_cut(settings: SimSettings) -> bool:
-    """Whether shorter recordings of this drive are its beginnings: not where what comes after the drive is of it, too."""
+    """Whether a shorter recording is the beginning of this one: not where tests, tags or noise follow its last sample."""
     return not (settings.grid.held_out or settings.horizontal.mounted or settings.lidar.noise_m)
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from sim import landmarks
 from sim.collect import collect
-from sim.derive import choose_drive, derive
+from sim.derive import can_be_cut, choose_drive, derive
 from sim.errors import InputError
 from sim.records import check_recording, read_manifest
 from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
@@ -115,3 +115,15 @@ def test_a_recording_with_losses_is_no_base(tmp_path: Path):
     landmarks.collect(change(PLANE, 400, FAULTY), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has lost readings, whose times are not known"):
         derive(tmp_path / "base", PLANE, 0, tmp_path / "derived")
+
+
+def test_a_drive_whose_tests_follow_it_is_shared_at_its_own_length_alone(tmp_path: Path):
+    for name, field, value in (("grid", "held_out", 10), ("horizontal", "mounted", True), ("lidar", "noise_m", 0.01)):
+        group = getattr(PLANE, name).model_copy(update={field: value})
+        assert not can_be_cut(PLANE.model_copy(update={name: group}))
+    noisy = PLANE.model_copy(update={"lidar": PLANE.lidar.model_copy(update={"noise_m": 0.01})})
+    landmarks.collect(choose_drive(noisy, 400), 0, tmp_path / "base", quiet)
+    with pytest.raises(InputError, match="has 400 samples, of which 64 are no recording of their own"):
+        derive(tmp_path / "base", change(noisy, 64, FAULTY), 0, tmp_path / "derived")
+    derive(tmp_path / "base", change(noisy, 400, FAULTY), 0, tmp_path / "derived")
+    check_recording(tmp_path / "derived")
