@@ -31,7 +31,7 @@ def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
 
 
 def can_be_cut(settings: SimSettings) -> bool:
-    """Whether a shorter recording is the beginning of this one: not where tests, tags or noise follow its last sample."""
+    """Whether a shorter recording is the beginning of this one: not where tests, tags or noise come after it."""
     return not (settings.grid.held_out or settings.horizontal.mounted or settings.lidar.noise_m)
 
 
