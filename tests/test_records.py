@@ -56,7 +56,8 @@ def test_a_recording_comes_back_as_it_was(folder):
 
 def test_what_is_sensed_does_not_hold_the_truth(folder):
     fields = vars(open_recording(folder))
-    assert set(fields) == {"folder", "manifest", "observation", "reading", "time", "test_observation"}
+    sensed = {"folder", "manifest", "observation", "reading", "time", "test_observation", "horizontal"}
+    assert set(fields) == sensed
 
 
 def test_free_space_is_looked_up_by_cell(space, tmp_path):
