@@ -3,17 +3,15 @@
 Its frame is OpenCV's: x to the right, y down, z ahead. The image's middle is the principal point; nothing is distorted.
 """
 
-import atexit
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import mujoco
 import numpy as np
 
-from sim import gl
-from sim.errors import WorkError
 from sim.faces import Face
-from sim.render import ROBOT, UNSEEN, aim, dim_headlight, make_scene, make_target
+from sim.offscreen import Offscreen
+from sim.render import ROBOT, UNSEEN, aim, dim_headlight, make_scene
 from sim.settings import HorizontalSettings
 
 SITE = "robot/horizontal"
@@ -42,41 +40,24 @@ class Horizontal:
         up = across * settings.height_px / settings.width_px
         window = np.array([-across, across, -up, up])
         self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
-        self._gl: Any = gl.open_context(settings.width_px, settings.height_px)
-        try:
-            self._target = make_target(model, [self._face])
-        except mujoco.FatalError as error:
-            self._gl.free()
-            raise WorkError(f"the OpenGL driver cannot draw off screen ({error}): update Mesa") from error
-        atexit.register(self.close)  # as the fisheye's
+        self._screen = Offscreen(model, settings.width_px, settings.height_px)
 
     def look(self, data: mujoco.MjData) -> np.ndarray:
         """The image of the state ``data``: (height_px, width_px) uint8, grey."""
-        if self._gl is None:
-            raise WorkError("this camera is closed")
+        self._screen.begin()
         scene, face = self._scene, self._face
-        self._gl.make_current()
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
         dim_headlight(scene)
         for geom in scene.geoms[: scene.ngeom]:
             if self._robot[geom.objid]:
                 geom.type = UNSEEN
         aim(scene, face, data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3))
-        area = mujoco.MjrRect(0, 0, face.width, face.height)
-        mujoco.mjr_render(area, scene, self._target)
-        drawn = np.empty((face.height, face.width, 3), np.uint8)
-        mujoco.mjr_readPixels(drawn, None, area, self._target)
-        return cv2.cvtColor(np.ascontiguousarray(drawn[::-1]), cv2.COLOR_RGB2GRAY)
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, face.width, face.height), scene, self._screen.target)
+        return cv2.cvtColor(np.ascontiguousarray(self._screen.read()[::-1]), cv2.COLOR_RGB2GRAY)
 
     def close(self) -> None:
         """Free the OpenGL context; a second call does nothing."""
-        if self._gl is None:
-            return
-        self._gl.make_current()
-        self._target.free()
-        self._gl.free()
-        self._gl = None
-        atexit.unregister(self.close)
+        self._screen.close()
 
     def __enter__(self) -> Self:
         return self

@@ -5,18 +5,16 @@ reach into it. Nothing in a picture may depend on the face it was drawn in: no s
 view.
 """
 
-import atexit
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import cv2
 import mujoco
 import numpy as np
 
-from sim import gl
-from sim.errors import WorkError
 from sim.faces import Face, edge_planes, make_faces, map_rays
 from sim.lens import make_lens, polar_rays, round_rays
+from sim.offscreen import Offscreen
 from sim.settings import CameraSettings
 
 ROBOT = "robot/"
@@ -66,15 +64,8 @@ class Fisheye:
         rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
-        self._gl: Any = gl.open_context(*_strip_size(self._faces))
-        try:
-            self._target = make_target(model, self._faces)
-            self.renderer_string = gl.read_renderer()
-        except mujoco.FatalError as error:
-            self._gl.free()
-            raise WorkError(f"the OpenGL driver cannot draw off screen ({error}): update Mesa") from error
-        # Mesa's display is gone before objects that were never closed are collected
-        atexit.register(self.close)
+        self._screen = Offscreen(model, *_strip_size(self._faces))
+        self.renderer_string = self._screen.renderer_string
 
     def polar(self, data: mujoco.MjData) -> np.ndarray:
         """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB."""
@@ -89,13 +80,7 @@ class Fisheye:
 
     def close(self) -> None:
         """Free the OpenGL context; a second call does nothing."""
-        if self._gl is None:
-            return
-        self._gl.make_current()
-        self._target.free()
-        self._gl.free()
-        self._gl = None
-        atexit.unregister(self.close)
+        self._screen.close()
 
     def __enter__(self) -> Self:
         return self
@@ -114,11 +99,9 @@ class Fisheye:
 
     def _draw(self, data: mujoco.MjData) -> np.ndarray:
         """Draw all faces; the strip's first row is the lowest."""
-        if self._gl is None:
-            raise WorkError("this camera is closed")
+        self._screen.begin()
         scene = self._scene
         position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
-        self._gl.make_current()
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
         dim_headlight(scene)
         geoms = scene.geoms[: scene.ngeom]
@@ -130,10 +113,8 @@ class Fisheye:
                 geoms[index].type = kinds[index] if wanted[index] else UNSEEN
             shown = wanted
             aim(scene, face, position, turn)
-            mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._target)
-        strip = np.empty((*_strip_size(self._faces)[::-1], 3), np.uint8)
-        mujoco.mjr_readPixels(strip, None, mujoco.MjrRect(0, 0, *_strip_size(self._faces)), self._target)
-        return strip
+            mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._screen.target)
+        return self._screen.read()
 
     def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
         """Which of the geoms reach into each face's pyramid (faces, geoms): their boxes against its four planes."""
@@ -161,14 +142,6 @@ def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption
     for other in (option.sitegroup, option.jointgroup, option.tendongroup, option.actuatorgroup):
         other[:] = 0
     return scene, option, view
-
-
-def make_target(model: mujoco.MjModel, faces: list[Face]) -> mujoco.MjrContext:
-    """An off-screen buffer that holds the strip of faces."""
-    target = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
-    mujoco.mjr_resizeOffscreen(*_strip_size(faces), target)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, target)
-    return target
 
 
 def _strip_size(faces: list[Face]) -> tuple[int, int]:
