@@ -11,9 +11,9 @@ from threading import Barrier, BrokenBarrierError
 import mujoco
 import numpy as np
 
-from sim.collect import draw_states, open_camera
 from sim.errors import WorkError
 from sim.render import CAMERA_SITE, Fisheye
+from sim.sensing import draw_states, open_camera
 from sim.settings import SimSettings
 from sim.world import RoomWorld
 

@@ -12,39 +12,33 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from functools import lru_cache
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from sim.drive import Course, Segment, next_segment
 from sim.encoder import read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
-from sim.horizontal import Horizontal, camera_matrix, mounting
+from sim.horizontal import camera_matrix, mounting
 from sim.labels import write_labels
-from sim.lidar import Lidar
 from sim.processes import end_with_parent
 from sim.records import finish_recording, save_free_space
-from sim.render import Fisheye
 from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
-from sim.room import build_room
 from sim.scan import measure
-from sim.settings import SensorName, SimSettings
+from sim.sensing import HORIZONTAL, SIGHTINGS, sense_states
+from sim.settings import SimSettings
 from sim.streams import stream
-from sim.tags import Sightings, find_tags
+from sim.tags import Sightings
 from sim.world import RoomWorld
 
 CHUNK = 256
 """New observations in a chunk, at least; the last one ends with the drive."""
 DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
-SIGHTINGS, HORIZONTAL = ".tags.npz", ".horizontal.npy"
-"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, if they are kept."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 Sense = Callable[[np.ndarray], np.ndarray]
@@ -153,7 +147,7 @@ def write_horizontal(
 ) -> dict[str, int]:
     """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
 
-    ``_render`` has left both beside ``images`` and ``tests``.
+    ``sense_states`` has left both beside ``images`` and ``tests``.
     """
     samples, held_out = settings.drive.samples, settings.grid.held_out
     seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
@@ -280,7 +274,7 @@ def _drive_and_render(
             chunk = dict(stored)
         drive.chunks.append(chunk)
         drive.images.append(work / f"image-{index:06d}.npy")
-        jobs.append(pool.submit(_render, settings, chunk["state"], drive.images[-1]))
+        jobs.append(pool.submit(sense_states, settings, chunk["state"], drive.images[-1]))
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
     return drive, jobs
@@ -293,7 +287,7 @@ def _render_grid(
     parts = np.split(test_pose.reshape(-1, 3), range(CHUNK, test_pose.size // 3, CHUNK))
     paths = [work / f"test-{index:06d}.npy" for index in range(len(parts))]
     states = [world.rest_states(part) for part in parts]
-    return paths, [pool.submit(_render, settings, state, path) for state, path in zip(states, paths, strict=True)]
+    return paths, [pool.submit(sense_states, settings, state, path) for state, path in zip(states, paths, strict=True)]
 
 
 def _watch(jobs: Sequence[Future], progress: Report) -> str:
@@ -303,75 +297,6 @@ def _watch(jobs: Sequence[Future], progress: Report) -> str:
         renderer = job.result() or renderer
         progress("render", done * CHUNK, len(jobs) * CHUNK)
     return renderer
-
-
-def _render(settings: SimSettings, states: np.ndarray, path: Path) -> str:
-    """In a worker: write what is seen in states (n, nq) to ``path``, if it does not stand; name the renderer."""
-    if settings.horizontal.mounted and not path.with_suffix(SIGHTINGS).is_file():
-        images = look_around(settings, states)
-        if settings.horizontal.kept:
-            write_array(path.with_suffix(HORIZONTAL), images)
-        write_arrays(path.with_suffix(SIGHTINGS), vars(find_tags(images)))
-    if not path.is_file():
-        write_array(path, SEE[settings.sensor](settings, states))
-    if settings.sensor == "lidar":
-        return "none"
-    return open_camera(settings)[1].renderer_string  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-
-
-def draw_states(settings: SimSettings, states: np.ndarray) -> np.ndarray:
-    """In a worker: polar images (n, rings, sectors, 3) of states (n, nq)."""
-    world, fisheye = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
-    for image, state in zip(images, states, strict=True):
-        world.data.qpos[:] = state
-        mujoco.mj_kinematics(world.model, world.data)
-        image[:] = fisheye.polar(world.data)
-    return images
-
-
-def scan_states(settings: SimSettings, states: np.ndarray) -> np.ndarray:
-    """In a worker: scans (n, headings, rays) [m] of states (n, nq), exact."""
-    lidar = open_lidar(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    return np.stack([lidar.scan(state) for state in states])
-
-
-SEE: dict[SensorName, Callable[[SimSettings, np.ndarray], np.ndarray]] = {
-    "fisheye": draw_states,
-    "lidar": scan_states,
-}
-
-
-@lru_cache(maxsize=1)
-def open_lidar(settings: SimSettings) -> Lidar:
-    """The lidar in its room, opened once in each worker."""
-    return Lidar(build_room(settings.room), settings.lidar)
-
-
-def look_around(settings: SimSettings, states: np.ndarray) -> np.ndarray:
-    """In a worker: grey images (n, rows, columns) of the horizontal camera at states (n, nq)."""
-    world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    horizontal = open_horizontal(settings)  # pyright: ignore[reportArgumentType]
-    images = np.empty((len(states), settings.horizontal.height_px, settings.horizontal.width_px), np.uint8)
-    for image, state in zip(images, states, strict=True):
-        world.data.qpos[:] = state
-        mujoco.mj_kinematics(world.model, world.data)
-        image[:] = horizontal.look(world.data)
-    return images
-
-
-@lru_cache(maxsize=1)
-def open_horizontal(settings: SimSettings) -> Horizontal:
-    """The horizontal camera of the scene of ``open_camera``."""
-    return Horizontal(open_camera(settings)[0].model, settings.horizontal)  # pyright: ignore[reportArgumentType]
-
-
-@lru_cache(maxsize=1)
-def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
-    """The scene and its camera, opened once in each worker: a context belongs to its process."""
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the workers share the cores already
-    world = RoomWorld(settings)
-    return world, Fisheye(world.model, settings.camera)
 
 
 def _write_images(
