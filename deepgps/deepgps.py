@@ -30,9 +30,8 @@ from sim.records import Recording
 
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
 FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
-SLACK = 0.03  # how far predictions may stay from the first map unpunished: about what it is wrong by [m]
-IMITATE_ENDS, SLACK_OF_ENDS = 0.2, 1.0  # the same of a map of ends, in which single places are far off
-HOLD = {"paths": (IMITATE, SLACK), "ends": (IMITATE_ENDS, SLACK_OF_ENDS)}
+# How far predictions may stay from the first map unpunished [m]: about what it is wrong by, of ends at single places.
+SLACK_M = {"paths": 0.03, "ends": 1.0}
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def run_attempt(
     features, near, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
     def draw_batch(generator: torch.Generator, done: float) -> Batch:
-        if start in FIRST_MAP and done < HOLD[start][0]:  # only these have a place on the first map
+        if start in FIRST_MAP and done < IMITATE:  # only these have a place on the first map
             index, along, valid = draw(near, settings.train.segments, settings.train.samples, generator)
             return Batch(numbers[index], along, valid)
         return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
@@ -115,7 +114,7 @@ def run_attempt(
         first = torch.full((len(material.features), 2), torch.nan)
         places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
         first[chosen] = torch.from_numpy(places).float()
-        loss = imitate_first(loss, first.to(device), *HOLD[start])
+        loss = imitate_first(loss, first.to(device), SLACK_M[start])
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     draws = derive_seed(seed, "shuffling", number)
@@ -150,19 +149,18 @@ def segment_loss(settings: LearnSettings) -> Loss:
     return both
 
 
-def imitate_first(loss: Loss, known: torch.Tensor, until: float = IMITATE, slack_m: float = SLACK) -> Loss:
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
     """Pull predictions towards a first map: at once and wholly, later only those farther than ``slack_m`` from it.
 
     Args:
-        loss: What takes over more and more.
+        loss: What takes over until ``IMITATE`` of the steps.
         known: First map (N, 2) [m]; not a number for observations that have no place on it.
-        until: Fraction of the steps at which it has taken over.
         slack_m: About what the first map is wrong by [m].
     """
     mapped = known.isfinite().all(dim=1)
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        pull = max(0.0, 1.0 - done / until)
+        pull = max(0.0, 1.0 - done / IMITATE)
         told = batch.valid & mapped[batch.index]
         away = losses.distance(out[told], known[batch.index[told]])
         count = max(1, len(away))

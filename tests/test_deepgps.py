@@ -8,7 +8,7 @@ import torch
 
 from deepgps.alignment import fit_alignment
 from deepgps.data import Segments, read_segments, spread
-from deepgps.deepgps import SLACK, choose_start, find_plane, fit, flatten_later, imitate_first
+from deepgps.deepgps import SLACK_M, choose_start, find_plane, fit, flatten_later, imitate_first
 from deepgps.positioner import Positioner
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings, LiftSettings
@@ -137,10 +137,11 @@ def test_the_penalty_is_the_distance_from_the_plane_and_grows():
 def test_imitation_ends_in_a_leash():
     known = torch.tensor([[1.0, 1.0]] * 3 + [[float("nan")] * 2])
     batch = Batch(torch.arange(4), torch.zeros(4), torch.tensor([True, True, False, True]))
-    loss = imitate_first(lambda out, batch, done: out.nan_to_num().sum() * 0.0, known)
+    slack = SLACK_M["paths"]
+    loss = imitate_first(lambda out, batch, done: out.nan_to_num().sum() * 0.0, known, slack)
     values = [loss(torch.zeros((4, 2)), batch, done).item() for done in (0.0, 0.1, 0.5)]
-    assert values == pytest.approx([2.0**0.5, 2.0**0.5 - SLACK / 2.0, 2.0**0.5 - SLACK])
-    assert loss(known + SLACK / 2.0, batch, 0.5).item() == 0.0
+    assert values == pytest.approx([2.0**0.5, 2.0**0.5 - slack / 2.0, 2.0**0.5 - slack])
+    assert loss(known + slack / 2.0, batch, 0.5).item() == 0.0
     nobody = Batch(torch.tensor([3]), torch.zeros(1), torch.ones(1, dtype=torch.bool))
     assert loss(torch.ones((1, 2)), nobody, 0.0).item() == 0.0
     out = torch.zeros((4, 2), requires_grad=True)
