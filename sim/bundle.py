@@ -26,6 +26,8 @@ PAIR_VIEWS = 24
 """Views in which two tags are compared, those where they are largest."""
 UNLIKE_M = 0.3
 """Pairs of candidates farther apart than this [m] count as just wrong."""
+AGREE_M = 0.1
+"""Ways from one tag to another over a third agree with the direct one when they differ by less than this [m]."""
 LEAST_VIEWS = 3
 """Views that must show two tags together."""
 MOST_VIEWS = 400
@@ -90,8 +92,9 @@ def chain_tags(sightings: Sightings, camera: np.ndarray) -> TagMap:
             edges.append((tag[a[0]], tag[b[0]], *_agree(candidate[a], candidate[b])))
     if not edges:
         raise WorkError(f"labels: no two tags are seen together in {LEAST_VIEWS} views, so none can be placed")
-    i, j, cost, step = zip(*edges, strict=True)
-    graph = csr_array((np.array(cost) + 1e-6, (np.array(i), np.array(j))), shape=(len(numbers), len(numbers)))
+    i, j, cost, step = (np.array(part) for part in zip(*edges, strict=True))
+    cost = cost + UNLIKE_M * (find_doubt(i, j, step, len(numbers)) > 0.5)  # a tree of what most do not speak against
+    graph = csr_array((cost + 1e-6, (i, j)), shape=(len(numbers), len(numbers)))
     tree = minimum_spanning_tree(graph)
     part = connected_components(tree, directed=False)[1]
     inside = np.flatnonzero(part == np.bincount(part).argmax())
@@ -225,6 +228,21 @@ def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
     cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
     best = int(cost.argmin())
     return float(cost[best]), steps.reshape(-1, 4, 4)[best]
+
+
+def find_doubt(i: np.ndarray, j: np.ndarray, step: np.ndarray, tags: int) -> np.ndarray:
+    """Part of third tags that speak against each pair (p,): over them the way from i to j is another than its own.
+
+    A pair of candidates can agree over many views and be wrong all the same, if these look from nearly one side.
+    """
+    steps = np.full((tags, tags, 4, 4), np.nan)
+    steps[i, j], steps[j, i] = step, np.linalg.inv(step)
+    doubts = []
+    for a, b, own in zip(i, j, step, strict=True):
+        apart = np.linalg.norm(_corners(steps[a] @ steps[:, b]) - _corners(own), axis=2).mean(axis=1)
+        known = np.isfinite(apart)
+        doubts.append((apart[known] > AGREE_M).mean() if known.any() else 0.5)
+    return np.array(doubts)
 
 
 def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong_px: float) -> np.ndarray | None:

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from sim.bundle import TagMap, chain_tags, reconstruct, solve_views
+from sim.bundle import TagMap, chain_tags, find_doubt, reconstruct, solve_views
 from sim.errors import WorkError
 from sim.tags import CORNERS, Sightings
 from tests.synthetic_tags import CAMERA, Scene, make_scene
@@ -93,3 +94,20 @@ def test_tags_never_seen_together_are_refused(scene):
 def test_no_tags_at_all_are_refused():
     with pytest.raises(WorkError, match="no two tags are seen together"):
         reconstruct(Sightings(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2))), CAMERA)
+
+
+def test_third_tags_speak_against_a_wrong_pair_and_against_no_other():
+    rng = np.random.default_rng(0)
+    pose = np.tile(np.eye(4), (8, 1, 1))
+    pose[:, :3, :3], pose[:, :3, 3] = Rotation.random(8, rng=rng).as_matrix(), rng.uniform(-2, 2, (8, 3))
+    i, j = np.triu_indices(8, 1)
+    step = np.linalg.inv(pose[i]) @ pose[j]
+    assert find_doubt(i, j, step, 8).tolist() == [0.0] * len(i)
+    step[5, :3, :3] = step[5, :3, :3] @ Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    doubt = find_doubt(i, j, step, 8)
+    assert doubt[5] > 0.5
+    assert (np.delete(doubt, 5) < 0.5).all()
+
+
+def test_a_pair_that_no_third_tag_knows_is_half_doubted():
+    assert find_doubt(np.array([0]), np.array([1]), np.eye(4)[None], 2).tolist() == [0.5]
