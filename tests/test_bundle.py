@@ -103,7 +103,7 @@ def test_third_tags_speak_against_a_wrong_pair_and_against_no_other():
     i, j = np.triu_indices(8, 1)
     step = np.linalg.inv(pose[i]) @ pose[j]
     assert find_doubt(i, j, step, 8).tolist() == [0.0] * len(i)
-    step[5, :3, :3] = step[5, :3, :3] @ Rotation.from_euler("y", 40, degrees=True).as_matrix()
+    step[5, :3, :3] = step[5, :3, :3] @ Rotation.from_euler("y", 120, degrees=True).as_matrix()
     doubt = find_doubt(i, j, step, 8)
     assert doubt[5] > 0.5
     assert (np.delete(doubt, 5) < 0.5).all()
