@@ -340,7 +340,7 @@ def _parse_seeds(text: str) -> list[int]:
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
     rooms = [scenario for scenario in scenarios if scenario.world == "room"]
-    if any(scenario.sensor == "fisheye" for scenario in rooms):  # nothing else is drawn
+    if any(scenario.sensor == "fisheye" or scenario.horizontal.mounted for scenario in rooms):
         _choose_renderer()
     elif rooms:
         os.environ["MUJOCO_GL"] = "off"  # read when MuJoCo is imported: a lidar needs no OpenGL
