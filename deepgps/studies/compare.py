@@ -3,14 +3,13 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures import LINES, add_scale, count_by_decades, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.seeds import is_folded
-from deepgps.studies.table import ERRORS, Row, write_errors
+from deepgps.studies.table import ERRORS, Row, mean, write_errors
 
 NOTE = (
     "Means over runs that differ in seeds alone. Errors on the test grid, the worst heading of each position; aligned "
@@ -120,8 +119,3 @@ def shorten(names: Sequence[str]) -> list[str]:
         short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
         for name, short in zip(names, last, strict=True)
     ]
-
-
-def mean(rows: Sequence[Row], name: str) -> float:
-    """Mean of one column."""
-    return float(np.mean([row[name] for row in rows]))

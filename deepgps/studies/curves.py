@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import Row, varied_in
+from deepgps.studies.table import Row, mean, split_by, varied_in
 from deepgps.targets import Figure
 
 SHOWN = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
@@ -35,11 +35,11 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     headings = [*names, "method", axis, "seeds", *SHOWN.values(), "worst RMS", "RMS / side", "train [s]", *paper]
     cells = []
     for title, panel in _panels(rows).items():
-        for method, line in _by("method", panel).items():
-            for value, group in sorted(_by(axis, line).items()):
-                errors = [_centimetres(_mean(group, name)) for name in SHOWN]
+        for method, line in split_by(panel, "method").items():
+            for value, group in sorted(split_by(line, axis).items()):
+                errors = [_centimetres(mean(group, name)) for name in SHOWN]
                 worst = _centimetres(max(row["rms_m"] for row in group))
-                tail = [worst, f"{100 * _mean(group, 'relative_rms'):.2f} %", f"{_mean(group, 'train_s'):.0f}"]
+                tail = [worst, f"{100 * mean(group, 'relative_rms'):.2f} %", f"{mean(group, 'train_s'):.0f}"]
                 theirs = [_write_paper(axis, value, group[0])] if paper else []
                 cells.append([*title, method_title(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
     knees = [
@@ -81,7 +81,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     for place, ((title, panel), axes) in enumerate(
         zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
     ):
-        for method, line in _by("method", panel).items():
+        for method, line in split_by(panel, "method").items():
             _draw_method(axes, axis, method, line)
         _draw_paper(axes, axis, panel)
         _scale(axes, axis, panel)
@@ -102,7 +102,7 @@ def find_knee(line: Sequence[Row], axis: str) -> float | None:
 
     None where that is the first: a line that is flat or rises has no knee.
     """
-    means = {value: _mean(group, "rms_m") for value, group in sorted(_by(axis, line).items())}
+    means = {value: mean(group, "rms_m") for value, group in sorted(split_by(line, axis).items())}
     last = list(means.values())[-1]
     beyond = [value for value, rms in means.items() if rms > KNEE * last]
     return min(value for value in means if value > max(beyond)) if beyond else None
@@ -118,12 +118,12 @@ def _knees(rows: Sequence[Row]) -> dict[tuple[str, ...], float]:
 
 
 def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
-    groups = dict(sorted(_by(axis, line).items()))
+    groups = dict(sorted(split_by(line, axis).items()))
     values, colour, title = list(groups), LINES.get(method, "#555555"), method_title(method)
     seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
     axes.plot(values, [np.mean(one) for one in seeds], "o-", color=colour, markersize=4, label=f"{title}, RMS")
     axes.fill_between(values, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0)
-    medians = [100 * _mean(group, "median_m") for group in groups.values()]
+    medians = [100 * mean(group, "median_m") for group in groups.values()]
     axes.plot(values, medians, "--", color=colour, linewidth=1, label=f"{title}, median")
 
 
@@ -166,14 +166,6 @@ def _tell_apart(rows: Sequence[Row]) -> list[str]:
     names = sorted(varied_in(rows[0])[:-1], key=lambda name: name != "scenario")  # it says most
     cases = [len({tuple(str(row[name]) for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
     return names[: cases.index(cases[-1])]
-
-
-def _by(name: str, rows: Sequence[Row]) -> dict:
-    return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
-
-
-def _mean(rows: Sequence[Row], name: str) -> float:
-    return float(np.mean([row[name] for row in rows]))
 
 
 def _write_paper(axis: str, value: float, row: Row) -> str:

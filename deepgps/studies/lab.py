@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import LINES, print_floor, read_fields
 from deepgps.markdown import tabulate
 from deepgps.report import method_title, read_metrics
-from deepgps.studies.table import Row
+from deepgps.studies.table import Row, split_by
 from deepgps.targets import Figure
 
 ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
@@ -58,7 +58,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         ]
         for row in rows
     ]
-    for method, group in _by_method(rows).items():
+    for method, group in split_by(rows, "method").items():
         spread = [_spread(group, prefix + name) for prefix in AGAINST for name in ERRORS]
         rest = [_spread(group, "labels_rms_m"), f"{np.mean([row['train_s'] for row in group]):.0f}"]
         cells.append(["mean ± std", method_title(method), *spread, "-", *rest])
@@ -71,7 +71,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """Means over the data sets: errors of each method against labels and truth, and the labels' own."""
     figures = {}
-    for method, group in _by_method(rows).items():
+    for method, group in split_by(rows, "method").items():
         for prefix, kind in AGAINST.items():
             for name, title in ERRORS.items():
                 values = [row[prefix + name] for row in group]
@@ -87,7 +87,7 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     picture = Picture(figsize=(9.6, 3.4), layout="constrained")
     seeds = list(dict.fromkeys(row["seed"] for row in rows))
     for axes, (place, (name, title)) in zip(picture.subplots(1, 3), enumerate(ERRORS.items()), strict=True):
-        for side, (method, group) in enumerate(_by_method(rows).items()):
+        for side, (method, group) in enumerate(split_by(rows, "method").items()):
             colour = LINES.get(method, "#555555")
             x = np.array([seeds.index(row["seed"]) for row in group]) + 0.2 * side - 0.1
             values = {prefix: [100 * row[prefix + name] for row in group] for prefix in AGAINST}
@@ -140,11 +140,6 @@ FIGURES: Mapping[str, Callable[[Sequence[Row], Sequence[str], Path], Picture]] =
     "lab": draw_errors,
     "lab_places": draw_places,
 }
-
-
-def _by_method(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    methods = dict.fromkeys(row["method"] for row in rows)
-    return {method: [row for row in rows if row["method"] == method] for method in methods}
 
 
 def _spread(rows: Sequence[Row], name: str) -> str:

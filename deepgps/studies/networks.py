@@ -8,7 +8,7 @@ import numpy as np
 from deepgps.evaluate import measure_heading_spread
 from deepgps.positioner import Positioner, load_positioner
 from deepgps.studies import compare
-from deepgps.studies.table import Row
+from deepgps.studies.table import Row, mean
 from deepgps.targets import Figure
 from sim.records import open_recording
 
@@ -33,14 +33,14 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, group in shifted.items():
         if group:
             worst = max(row["rms_m"] for row in group)
-            figures[name] = Figure(f"RMS, {name}", compare.mean(group, "rms_m"), "cm", worst=worst)
+            figures[name] = Figure(f"RMS, {name}", mean(group, "rms_m"), "cm", worst=worst)
     for name in ("spectral", "invariant"):
         if group := groups.get(name):
             spreads = [row["turn_spread_m"] for row in group]
             figures[f"{name}_turned"] = Figure(f"turned, {name}", float(np.mean(spreads)), "mm", worst=max(spreads))
     if shifted.get("resnet_plain") and shifted.get("resnet_paper"):
         for name, column, title in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
-            plain, paper = (compare.mean(shifted[one], column) for one in ("resnet_plain", "resnet_paper"))
+            plain, paper = (mean(shifted[one], column) for one in ("resnet_plain", "resnet_paper"))
             figures[name] = Figure(f"{title}, resnet_plain / resnet_paper", plain / paper, "", at_least=True)
     return figures
 

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import ERRORS, Row, write_errors
+from deepgps.studies.table import ERRORS, Row, split_by, write_errors
 from deepgps.targets import Figure, write
 
 SHARES = ("relative_rms", "seen", "flipped")
@@ -30,7 +30,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         ratio = row["rms_m"] / rival[row["recording"]] if known else None
         cells.append([_room(row, varied), method_title(row["method"]), *_write(row), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
-        for method, group in _by_method(rows).items():
+        for method, group in split_by(rows, "method").items():
             whole = {name: float(choose([row[name] for row in group])) for name in (*ERRORS, *SHARES, "train_s")}
             if title == "worst":
                 whole["seen"] = min(row["seen"] for row in group)
@@ -40,7 +40,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """DeepGPS over all rooms, then every rival; the ratio to PoseNet is that of mean RMS, over rooms that both have."""
-    methods, rival = _by_method(rows), _rival(rows)
+    methods, rival = split_by(rows, "method"), _rival(rows)
     ours = methods.pop("deepgps", [])
     if not ours:
         return {}
@@ -65,7 +65,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
     picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")
     axes = picture.add_subplot()
-    for method, group in _by_method(rows).items():
+    for method, group in split_by(rows, "method").items():
         place = [rooms.index(_room(row, varied)) for row in group]
         colour, title = LINES.get(method, "#555555"), method_title(method)
         axes.plot([100 * row["rms_m"] for row in group], place, "o", color=colour, label=f"{title}, RMS")
@@ -90,7 +90,7 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
 
 def _count_wins(rows: Sequence[Row]) -> list[str]:
     """A sentence for each rival: in how many of the rooms that both have DeepGPS has the lower error."""
-    methods = _by_method(rows)
+    methods = split_by(rows, "method")
     ours = {row["recording"]: row for row in methods.pop("deepgps", [])}
     sentences = []
     for method, group in methods.items():
@@ -100,11 +100,6 @@ def _count_wins(rows: Sequence[Row]) -> list[str]:
             f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
         )
     return sentences
-
-
-def _by_method(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    methods = dict.fromkeys(row["method"] for row in rows)
-    return {method: [row for row in rows if row["method"] == method] for method in methods}
 
 
 def _rival(rows: Sequence[Row]) -> dict[str, float]:

@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from deepgps.studies import compare
-from deepgps.studies.table import Row
+from deepgps.studies.table import Row, mean
 from deepgps.targets import Figure
 
 STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
@@ -26,4 +25,4 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def _compare(title: str, rows: Sequence[Row], others: Sequence[Row], name: str) -> Figure:
-    return Figure(title, compare.mean(rows, name) / compare.mean(others, name), "", at_least=True)
+    return Figure(title, mean(rows, name) / mean(others, name), "", at_least=True)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -48,6 +49,16 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as a Parquet file."""
     table = pa.table({name: [row[name] for row in rows] for name in rows[0]})
     write_atomic(path, lambda part: pq.write_table(table, part))
+
+
+def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
+    """Rows by what one column says, in the order in which it first says so."""
+    return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
+
+
+def mean(rows: Sequence[Row], name: str) -> float:
+    """Mean of one column."""
+    return float(np.mean([row[name] for row in rows]))
 
 
 def write_errors(row: Mapping[str, Any]) -> list[str]:
