@@ -146,7 +146,7 @@ def study_command(words: Sequence[str]) -> None:
 def view_command(words: Sequence[str]) -> None:
     """Open a run's recording in the Rerun viewer."""
     from deepgps.run import open_run
-    from deepgps.viz import view
+    from deepgps.viewer.show import view
 
     folder = _parse(FolderArguments, "view", words).run
     open_run(folder)

@@ -152,7 +152,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
 def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.figures import draw_figures
-    from deepgps.viz import write_recording
+    from deepgps.viewer.recording import write_recording
 
     path = folder / "recording.rrd"
     if not path.is_file():

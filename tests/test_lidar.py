@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from deepgps.viz import RECORDING, ROBOT, open_rrd
+from deepgps.viewer.drive import ROBOT
+from deepgps.viewer.read import open_rrd
+from deepgps.viewer.recording import RECORDING
 from sim.collect import collect
 from sim.lidar import Lidar
 from sim.records import check_recording, open_recording, open_truth

@@ -14,7 +14,7 @@ from deepgps.studies.recordings import find_drives
 from deepgps.studies.report import write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
-from deepgps.viz import find_recording
+from deepgps.viewer.recording import find_recording
 from sim.errors import InputError
 from sim.files import read_json
 from sim.paths import STUDIES

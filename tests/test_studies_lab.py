@@ -11,7 +11,8 @@ from deepgps.run import evaluate, make_recording, show, train
 from deepgps.scenario import load_scenario
 from deepgps.studies.lab import PAPER, add, draw_places, measure, report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
-from deepgps.viz import RECORDING, open_rrd
+from deepgps.viewer.read import open_rrd
+from deepgps.viewer.recording import RECORDING
 from sim.errors import InputError
 
 ROWS = [

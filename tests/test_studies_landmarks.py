@@ -12,7 +12,8 @@ from deepgps.studies.landmarks import PAPER, measure, report
 from deepgps.studies.report import write_report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
-from deepgps.viz import RECORDING, read_error_field
+from deepgps.viewer.read import read_error_field
+from deepgps.viewer.recording import RECORDING
 
 SMALL = {
     "landmarks.count": 40,

@@ -13,7 +13,9 @@ from deepgps.studies.lidar import PAPER, add, draw, measure, report
 from deepgps.studies.report import write_report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
-from deepgps.viz import RECORDING, ROBOT, open_rrd, read_error_field
+from deepgps.viewer.drive import ROBOT
+from deepgps.viewer.read import open_rrd, read_error_field
+from deepgps.viewer.recording import RECORDING
 from sim.errors import InputError
 from sim.files import read_json
 

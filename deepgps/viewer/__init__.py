@@ -1,0 +1,1 @@
+"""Runs and studies in the Rerun viewer; only this package imports rerun."""

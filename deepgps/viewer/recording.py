@@ -1,0 +1,112 @@
+"""A run's recording for the Rerun viewer, with a blueprint.
+
+Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (what was
+sensed), ``training`` (loss) and ``report`` (text and figures).
+"""
+
+import hashlib
+from collections.abc import Mapping
+from datetime import timedelta
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from deepgps import figures
+from deepgps.figures import WorstField
+from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
+from deepgps.viewer.drive import find_cameras, log_drive
+from deepgps.viewer.layout import make_blueprint
+from deepgps.viewer.read import open_rrd
+from deepgps.viewer.scene import log_field, log_room, log_scale
+from deepgps.viewer.training import Data, log_training
+from sim.files import write_atomic
+from sim.records import FreeSpace, open_recording, open_truth, sha256
+
+APPLICATION = "deepgps"
+RECORDING = "recording.rrd"
+
+
+def write_recording(run: Path) -> Path:
+    """Write ``<run>/recording.rrd``; raises InputError where the folder is no whole run.
+
+    Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
+    """
+    metrics, fields, histories = read_metrics(run), figures.read_fields(run), figures.read_histories(run)
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording))
+
+    def write(part: Path) -> None:
+        # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
+        by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+        stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
+        with stream:
+            stream.save(part, default_blueprint=blueprint)
+            stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")
+            log_room(stream, recording.folder / "scene.glb", truth.free_space)
+            log_scale(stream, truth.free_space)
+            for name, field in fields.items():
+                log_field(stream, name, field)
+            log_drive(stream, recording, truth)
+            for name, history in histories.items():
+                log_training(stream, name, history, truth.pose[:, :2])
+            _log_report(stream, metrics, fields, histories, truth.free_space)
+            stream.flush()
+            stream.disconnect()
+
+    path = run / RECORDING
+    write_atomic(path, write)
+    return path
+
+
+def find_recording(run: Path) -> Path:
+    """A run's recording, written if it is missing and checked to be whole; raises InputError."""
+    read_metrics(run)
+    path = run / RECORDING
+    if not path.is_file():
+        return write_recording(run)
+    open_rrd(path)
+    return path
+
+
+def _log_report(
+    stream: rr.RecordingStream,
+    metrics: Mapping[str, Any],
+    fields: Mapping[str, WorstField],
+    histories: Mapping[str, Data],
+    space: FreeSpace,
+) -> None:
+    summary = "\n".join(
+        [
+            f"# {metrics['scenario']}, seed {metrics['seed']}",
+            "",
+            markdown_table(metrics, OVERVIEW),
+            "",
+            *(f"- {sentence}" for sentence in describe(metrics)),
+            "",
+            "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. "
+            "One colour scale for all methods.",
+            "",
+            "The slider below runs through the drive and the training; choose `drive_time` or `step` for seconds "
+            "or training steps.",
+        ]
+    )
+    for name, text in {"figures": summary, "text": markdown_report(metrics)}.items():
+        stream.log(f"report/{name}", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    pictures = {
+        "error_fields": figures.draw_comparison(space, fields, metrics),
+        "error_cdf": figures.draw_error_cdf(fields),
+    }
+    if histories:
+        pictures["training"] = figures.draw_training(histories)
+    for name, figure in pictures.items():
+        image = rr.EncodedImage(contents=BytesIO(figures.to_png(figure)), media_type="image/png")
+        stream.log(f"report/{name}", image, static=True)
+
+
+def _hash(run: Path) -> str:
+    state = hashlib.sha256()
+    for path in (run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"):
+        state.update(sha256(path).encode())
+    return state.hexdigest()[:32]

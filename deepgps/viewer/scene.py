@@ -1,0 +1,80 @@
+"""What stands still below ``world``: the room, its floor plan, the colour scale, the error fields."""
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from deepgps import figures, playback
+from deepgps.figures import WorstField, colours_of
+from sim.records import FreeSpace
+
+LAYER_M = 0.01  # height of one drawn layer above the next
+
+
+def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
+    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    if scene.is_file():  # a plane world has no walls to see
+        room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
+        stream.log("world/room", room, static=True)
+    plan, corner = playback.draw_floor_plan(space)
+    stream.log(
+        "world/floor_plan",
+        rr.GridMap(
+            data=plan[::-1].tobytes(),  # Rerun wants the northern row first
+            format=rr.components.ImageFormat(
+                width=plan.shape[1], height=plan.shape[0], color_model="RGB", channel_datatype="U8"
+            ),
+            cell_size=space.cell_m,
+            translation=[*corner, LAYER_M / 2],
+        ),
+        static=True,
+    )
+    strips = [lift(line, 0.0) for line in playback.find_outline(space)]
+    stream.log("world/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), static=True)
+
+
+def log_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
+    """The colour scale as a strip on the floor before the room."""
+    low, high = figures.limits(space)
+    width = 0.9 * (high[0] - low[0])
+    left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
+    share = np.linspace(0, 1, 65)
+    ends = np.stack([left + share * width, np.full(65, bottom)], axis=1)
+    vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
+    first = np.arange(64)
+    triangles = np.concatenate(
+        [np.stack([first, first + 1, first + 66], axis=1), np.stack([first, first + 66, first + 65], axis=1)]
+    )
+    decades = np.log(figures.SCALE_M[1] / figures.SCALE_M[0])
+    colours = colours_of(figures.SCALE_M[0] * np.exp(share * decades))
+    mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
+    stream.log("world/scale", mesh, static=True)
+    ticks = np.array(figures.TICKS_M)
+    place = left + np.log(ticks / figures.SCALE_M[0]) / decades * width
+    labels = [f"{100 * tick:g} cm" if tick < 1 else f"{tick:g} m" for tick in ticks]
+    points = lift(np.stack([place, np.full(len(ticks), bottom - 0.08)], axis=1), 0.0)
+    stream.log(
+        "world/scale/ticks",
+        rr.Points3D(points, radii=0.015, colors=colours_of(ticks), labels=labels, show_labels=True),
+        static=True,
+    )
+
+
+def log_field(stream: rr.RecordingStream, name: str, field: WorstField) -> None:
+    """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude."""
+    path, colours = f"world/error_field/{name}", colours_of(field.error)
+    arrows = rr.Arrows3D(
+        origins=lift(field.truth, LAYER_M),
+        vectors=lift(field.predicted - field.truth, 0.0),
+        colors=colours,
+        radii=0.007,
+    )
+    stream.log(path, arrows, static=True)
+    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018, colors=colours, point_shading="Flat")
+    stream.log(f"{path}/places", dots, static=True)
+
+
+def lift(points: np.ndarray, z: float) -> np.ndarray:
+    """Points (N, 2) as (N, 3) at height ``z`` [m]."""
+    return np.concatenate([points, np.full((len(points), 1), z)], axis=1)
