@@ -16,7 +16,18 @@ from sim.paths import SCENARIOS
 from sim.records import SCHEMA
 from sim.settings import Group, SimSettings
 
-MethodName = Literal["deepgps", "posenet", "posenet_noisy", "odometry", "knn", "explicit", "explicit_mds", "pca_knn"]
+MethodName = Literal[
+    "deepgps",
+    "deepgps_aware",
+    "deepgps_turns",
+    "posenet",
+    "posenet_noisy",
+    "odometry",
+    "knn",
+    "explicit",
+    "explicit_mds",
+    "pca_knn",
+]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.drive import Course, Segment, next_segment
-from sim.encoder import read_encoders, ticks_to_distance
+from sim.encoder import describe_odometry, read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
 from sim.horizontal import camera_matrix, mounting
@@ -110,11 +110,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
         **counts,
-        "odometry": {
-            "wheel_radius_m": WHEEL_RADIUS_M,
-            "track_m": TRACK_M * (1.0 + settings.encoder.track_error),
-            "ticks_per_rev": settings.encoder.ticks_per_rev,
-        },
+        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "gl_renderer": renderer,
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},

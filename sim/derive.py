@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sim.encoder import read_encoders
+from sim.encoder import describe_odometry, read_encoders
 from sim.errors import InputError
 from sim.files import write_array
 from sim.records import Recording, Truth, finish_recording, open_recording, open_truth
@@ -89,11 +89,7 @@ def _read_again(
         "readings": kept,
         "readings_lost": int((~arrived).sum()),
         "distance_driven_m": round(float(np.abs(step_m).sum()), 3),
-        "odometry": {
-            **odometry,
-            "track_m": track_m * (1.0 + encoder.track_error),
-            "ticks_per_rev": encoder.ticks_per_rev,
-        },
+        "odometry": describe_odometry(encoder, odometry["wheel_radius_m"], track_m),
     }
 
 

@@ -152,6 +152,8 @@ class EncoderSettings(Group):
     """The paper's w: each gap between readings is multiplied by 1 + w n, n standard normal."""
     lost: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of readings that never arrive."""
+    stuck: float = Field(default=0.0, ge=0.0, le=0.9)
+    """Fraction of the readings, in one stretch, during which one encoder, left or right by chance, counts nothing."""
 
 
 class DriveSettings(Group):
