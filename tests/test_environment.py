@@ -77,11 +77,11 @@ def test_faults_that_are_drawn_for_a_whole_drive_are_refused() -> None:
     settings = SimSettings(encoder=EncoderSettings(slip_per_m=0.1))
     with pytest.raises(InputError, match=r"encoder\.slip_per_m 0\.1 must be 0 in the environment"):
         RoomEnvironment(settings, np.random.default_rng(0))
+    with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
+        RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
 
 def test_an_episode_shorter_than_a_step_is_refused() -> None:
-    with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
-        RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
     with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least drive\.control_period_s 0\.04 s"):
         RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
 
