@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from sim.errors import InputError
 from sim.free_space import collides
 from sim.settings import UseSettings
 
@@ -24,10 +25,14 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
 
     Returns:
         A copy of the room.
+
+    Raises:
+        InputError: Nothing can be pushed so far, so that nothing would be changed.
     """
     spec, rng = room.copy(), np.random.default_rng(seed)
     model = spec.compile()
     solid = np.flatnonzero(collides(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
+    pushed = 0
     for body in spec.bodies:
         if body.name.rpartition("_")[0] in MOVABLE:
             angles = rng.uniform(-np.pi, np.pi, TRIES)  # as many for each, whichever is taken
@@ -36,6 +41,9 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
             way = next((way for way in ways if _is_clear(model, number, way, solid)), np.zeros(2))
             model.body_pos[number, :2] += way
             body.pos = model.body_pos[number]
+            pushed += bool(way.any())
+    if not pushed:
+        raise InputError(f"use.moved_m {moved_m}: the room has no small piece that can be pushed so far")
     return spec
 
 

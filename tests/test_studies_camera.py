@@ -23,6 +23,7 @@ VARIED = ["image.exposure", "use.light", "seed"]
 
 def make_row(method: str, rms: float, seed: int, exposure: float = 1.0, light: float = 1.0) -> Row:
     errors = {"rms_m": rms, "median_m": rms / 2, "p95_m": 2 * rms, "max_m": 10 * rms}
+    errors |= {"flipped": 0.2 if rms > 0.04 else 0.0, "fold_found": None if method == "posenet" else False}
     return {"method": method, "seed": seed, "image.exposure": exposure, "use.light": light, **errors}
 
 
@@ -48,9 +49,9 @@ def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last():
     table = camera.report(ROWS, VARIED)[0]
     assert cells(table, "no fault", "training and use", "DeepGPS")[:2] == ["2", "2.0 (1.00)"]
     assert cells(table, "exposure x 0.25", "training and use", "DeepGPS") == [
-        *("2", "4.0 (2.00)", "2.0 (2.00)", "8.0 (2.00)", "40.0 (2.00)")
+        *("2", "4.0 (2.00)", "2.0 (2.00)", "8.0 (2.00)", "40.0 (2.00)", "1", "0")
     ]
-    assert cells(table, "all light x 0.5", "use alone", "PoseNet")[1] == "5.0 (5.00)"
+    assert cells(table, "all light x 0.5", "use alone", "PoseNet")[1::4] == ["5.0 (5.00)", "1"]
     assert [fault.in_use for fault in camera.group_faults(ROWS, VARIED)] == [False, False, True]
 
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from sim.errors import InputError
 from sim.free_space import collides
 from sim.render import Fisheye
 from sim.room import build_room
@@ -88,7 +89,12 @@ def test_a_piece_that_is_shut_in_stays():
         wall = spec.worldbody.add_body(name=f"wall_{number}", pos=(x, y, 0))
         wall.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.5, 1) if x else (0.5, 0.1, 1))
     # far enough to stand beyond the walls, where nothing is: but they are in the way
-    assert np.array_equal(move_furniture(spec, 1.5, 0).body("chair_0").pos, np.zeros(3))
+    with pytest.raises(InputError, match=r"use\.moved_m 1\.5: the room has no small piece that can be pushed so far"):
+        move_furniture(spec, 1.5, 0)
+    spec.worldbody.add_body(name="stool_0", pos=(9, 9, 0)).add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 1))
+    moved = move_furniture(spec, 1.5, 0)
+    assert np.array_equal(moved.body("chair_0").pos, np.zeros(3))
+    assert np.hypot(*moved.body("stool_0").pos[:2] - 9) == pytest.approx(1.5)
     for number in range(4):
         spec.delete(spec.body(f"wall_{number}"))
     assert np.hypot(*move_furniture(spec, 1.5, 0).body("chair_0").pos[:2]) == pytest.approx(1.5)

@@ -12,6 +12,7 @@ from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.scenario import Scenario
 from deepgps.studies.compare import choices
+from deepgps.studies.seeds import is_folded
 from deepgps.studies.table import ERRORS, Row, mean, split_by
 from deepgps.targets import Figure
 
@@ -36,7 +37,8 @@ NOTE = (
     "Means over seeds; in brackets how many times that is the mean without faults. Errors in centimetres on the test "
     "grid, the worst heading of each position; aligned on training samples, never scaled. Of what has changed between "
     "training and use, training has seen nothing. Where furniture was moved, test positions on which it stands are "
-    "left out."
+    "left out. Folded: maps that turn over more than a tenth of the neighbourhoods, as maps that are merely wrong in use "
+    "do, too; said: those that the detector, which sees the training images alone, calls folded."
 )
 
 
@@ -55,8 +57,10 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         for method, ours in split_by(group, "method").items():
             clean = [row for row in faults.get(Fault(CLEAN, False), ()) if row["method"] == method]
             errors = [_write(name, ours, clean) for name in ERRORS]
-            cells.append([fault.title, WHEN[fault.in_use], method_title(method), str(len(ours)), *errors])
-    return [tabulate(["fault", "in", "method", "runs", *ERRORS.values()], cells), NOTE]
+            said = "-" if ours[0]["fold_found"] is None else str(sum(row["fold_found"] for row in ours))
+            folded = [str(sum(map(is_folded, ours))), said]
+            cells.append([fault.title, WHEN[fault.in_use], method_title(method), str(len(ours)), *errors, *folded])
+    return [tabulate(["fault", "in", "method", "runs", *ERRORS.values(), "folded", "said"], cells), NOTE]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
