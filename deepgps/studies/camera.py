@@ -37,8 +37,8 @@ NOTE = (
     "Means over seeds; in brackets how many times that is the mean without faults. Errors in centimetres on the test "
     "grid, the worst heading of each position; aligned on training samples, never scaled. Of what has changed between "
     "training and use, training has seen nothing. Where furniture was moved, test positions on which it stands are "
-    "left out. Folded: maps that turn over more than a tenth of the neighbourhoods, as maps that are merely wrong in use "
-    "do, too; said: those that the detector, which sees the training images alone, calls folded."
+    "left out. Folded: maps that turn over more than a tenth of the neighbourhoods, as those that are merely wrong in "
+    "use do, too; said: those that the detector, which sees the training images alone, calls folded."
 )
 
 
