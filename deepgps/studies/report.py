@@ -10,6 +10,7 @@ from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies import (
+    camera,
     compare,
     concave,
     curves,
@@ -67,6 +68,7 @@ KINDS: dict[ReportName, Kind] = {
     "concave": Kind(
         concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
     ),
+    "camera": Kind(camera.report, camera.measure, {"camera": camera.draw}),
     "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
     "encoder": Kind(encoder.report, encoder.measure, {"encoder": encoder.draw}, encoder.add_distances),
     "lidar": Kind(lidar.report, lidar.measure, {"lidar": lidar.draw}, lidar.add),
