@@ -84,7 +84,7 @@ def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
 
 def describe(names: Sequence[str], values: Sequence[Any]) -> str:
     """Settings in words: text as it is, numbers and flags with their names."""
-    pairs = zip(shorten(names), values, strict=True)
+    pairs = zip(shorten([*names, SEED]), values, strict=False)  # a room's seed is not the run's
     return ", ".join(value if isinstance(value, str) else f"{name} {write(value)}" for name, value in pairs)
 
 

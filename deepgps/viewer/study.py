@@ -111,7 +111,7 @@ def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity
             _log_rooms(stream, slider, spaces, frame)
             for index, step in enumerate(slider.steps):
                 at = [rr.TimeColumn(slider.name, sequence=[index])]
-                fields = read_fields(folder / "runs" / step.rows[0]["run"]) if step.done else {}
+                fields = _read(folder, step) if step.done else {}
                 for method in methods:
                     log_field(stream, method, _keep(fields.get(method, NOTHING), every), at)
                     _log_heading(stream, method, slider, step, frame, at)
@@ -220,11 +220,13 @@ def _find_frame(spaces: Spaces) -> tuple[np.ndarray, np.ndarray]:
 
 def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
     """Every how many test positions are shown, so that the file stays small."""
-    arrows = 0
-    for step in (step for slider in sliders for step in slider.steps if step.done):
-        with np.load(folder / "runs" / step.rows[0]["run"] / "error_field.npz") as arrays:
-            arrows += len(arrays["truth"]) * len(step.rows)
+    steps = [step for slider in sliders for step in slider.steps if step.done]
+    arrows = sum(len(field.error) for step in steps for field in _read(folder, step).values())
     return max(1, -(-arrows // MOST_ARROWS))
+
+
+def _read(folder: Path, step: Step) -> dict[str, WorstField]:
+    return read_fields(folder / "runs" / step.rows[0]["run"])
 
 
 def _keep(field: WorstField, every: int) -> WorstField:

@@ -61,7 +61,7 @@ def _error_fields(methods: Sequence[str], frame: tuple[np.ndarray, np.ndarray]) 
                 contents=[f"curve/rms/{method}" for method in methods],
                 axis_x=whole_axis(),
             ),
-            row_shares=[5, 1],
+            row_shares=[9, 2],
         ),
         rrb.Vertical(
             rrb.TextDocumentView(name="Here", origin="report/here"),
@@ -97,7 +97,7 @@ def _figures(figures: Sequence[str]) -> rrb.Tabs:
 def _eye(frame: tuple[np.ndarray, np.ndarray], wide: bool) -> rrb.EyeControls3D:
     """An eye above the frame that sees it, the text above it and the scale below it, in a wide panel or a high one."""
     width, depth = frame[1] - frame[0]
-    seen = max(depth + 2.0, 1.04 * width / (1.5 if wide else 0.83))
+    seen = max(depth + 2.0, 1.1 * width / (1.5 if wide else 0.83))
     # the viewer's eye opens by 55 degrees; exactly above, it has no up direction of its own: north is up
     distance = seen / (2 * np.tan(np.radians(55 / 2)))
     return rrb.EyeControls3D(
