@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,11 @@ def fields(path: Path, method: str) -> dict[tuple[str, int], tuple[np.ndarray, n
     origins = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:origins")}
     vectors = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:vectors")}
     assert origins.keys() == vectors.keys()
-    return {key: tuple(np.reshape(part[key], (-1, 3))[:, :2] for part in (origins, vectors)) for key in origins}
+    return {key: (flatten(origins[key]), flatten(vectors[key])) for key in origins}
+
+
+def flatten(points: Any) -> np.ndarray:
+    return np.reshape(points, (-1, 3))[:, :2]
 
 
 def texts(path: Path, entity: str, component: str = "TextDocument:text") -> dict[tuple[str, int], str]:
@@ -136,7 +141,7 @@ def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     assert "RMS of all 2 seeds: DeepGPS " in here[AXIS, 2]
     assert "| PoseNet |" in here[AXIS, 2]
     assert here["case", 1].startswith("# case room.seed 2")
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1].startswith(f"{AXIS} 0.1: RMS ")
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1].startswith(f"{AXIS} 0.1\nRMS ")
     (guide,) = [value[0] for value in static(path, "/report/sliders")]
     assert f"The slider at the bottom moves `{AXIS}`" in guide
     assert f"- **{AXIS}**: 0 | 0.1 | 0.3 (room.seed 1, seed 0)" in guide
@@ -153,12 +158,13 @@ def static(path: Path, entity: str) -> Iterator[Any]:
 def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
     folder, plans = study
     rows = gather(plans, {}, folder)
-    for name, take in {"": np.mean, "/best": np.min, "/worst": np.max}.items():
-        curve = cells(folder / STUDY_RRD, f"/curve/rms/deepgps{name}", "Scalars:scalars")
+    takes = {"": np.mean, "/best": np.min, "/worst": np.max}
+    for (end, take), name in product(takes.items(), ("rms", "median")):
+        curve = cells(folder / STUDY_RRD, f"/curve/{name}/deepgps{end}", "Scalars:scalars")
         shown = {at: value[0] for line, at, value in curve if line == AXIS}
         for index, noise in enumerate(NOISES):
             group = [
-                100 * row["rms_m"]
+                100 * row[f"{name}_m"]
                 for row in rows
                 if (row["method"], row["room.seed"], row[AXIS]) == ("deepgps", ROOMS[0], noise)
             ]
@@ -206,8 +212,16 @@ def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
     with np.load(tmp_path / "runs" / plans[1].run / "error_field.npz") as arrays:
         np.testing.assert_allclose(shown[AXIS, 0][0], arrays["truth"], atol=1e-5)
     assert len(shown[AXIS, 1][0]) == 0
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1] == f"{AXIS} 0.1: failed"
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1] == f"{AXIS} 0.1\nfailed"
     assert texts(path, "/report/here")[AXIS, 1].endswith("This run failed: it did not want to")
+
+
+def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monkeypatch):
+    monkeypatch.setattr(viewer, "MOST_PLACES", 11)
+    (copied / STUDY_RRD).unlink()
+    path = write_rrd(copied)
+    assert {line for line, _ in fields(path, "deepgps")} == {AXIS, "case", "seed"}
+    assert any("Left out, for it has too many places: run." in value[0] for value in static(path, "/report/sliders"))
 
 
 def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
@@ -216,7 +230,7 @@ def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
     np.testing.assert_array_equal(fields(path, "deepgps")[AXIS, 0][0], whole[::3])
-    assert any("Only every 3th test position is drawn" in value[0] for value in static(path, "/report/sliders"))
+    assert any("Only one in 3 test positions is drawn" in value[0] for value in static(path, "/report/sliders"))
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
@@ -28,7 +28,7 @@ from deepgps.viewer.read import open_rrd
 from deepgps.viewer.recording import APPLICATION
 from deepgps.viewer.scene import lift, log_field, log_floor, log_scale_below, put
 from deepgps.viewer.sliders import Slider, Step, find_sliders
-from deepgps.viewer.study_layout import make_blueprint
+from deepgps.viewer.study_layout import CURVES, make_blueprint
 from sim.errors import InputError
 from sim.files import write_atomic
 from sim.records import FreeSpace, open_truth, sha256
@@ -36,7 +36,9 @@ from sim.records import FreeSpace, open_truth, sha256
 STUDY = "study.rrd"
 FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in; text beside it wants this much
 MOST_ARROWS = 2_500_000  # some 110 MB; in a larger study every field is thinned
+MOST_PLACES = 2_000  # of one slider, some 10 kB each besides their arrows
 NOTHING = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
+Take = Callable[[Sequence[Row], str], float]
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording
 
 
@@ -92,7 +94,9 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
 def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity: str) -> None:
     done = {row["run"]: row for row in rows if row["failure"] is None}
     spaces = {row["recording"]: _open_space(folder, row) for row in done.values()}
-    sliders = find_sliders(rows, list(study.axes), _own_values(study, varied_in(rows[0])))
+    found = find_sliders(rows, list(study.axes), _own_values(study, varied_in(rows[0])))
+    sliders = [slider for slider in found if len(slider.steps) <= MOST_PLACES] or found[:1]
+    left_out = [slider.name for slider in found if slider not in sliders]
     methods = list(dict.fromkeys(row["method"] for row in rows))
     frame, every = _find_frame(spaces), _thin(folder, sliders)
     pictures = sorted(folder.glob("figures/*.png"))
@@ -117,7 +121,7 @@ def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity
                     _log_heading(stream, method, slider, step, frame, at)
                 _log_text(stream, "here", study_text.describe_step(slider, step), at)
             _log_curves(stream, slider)
-        _log_text(stream, "sliders", study_text.describe_study(study, rows, sliders, every))
+        _log_text(stream, "sliders", study_text.describe_study(study, rows, sliders, left_out, every))
         _log_text(stream, "table", (folder / "table.md").read_text(encoding="utf-8"))
         for path in pictures:
             image = rr.EncodedImage(contents=path.read_bytes(), media_type="image/png")
@@ -141,14 +145,20 @@ def _log_rooms(
         middle = -scale * (low + high) / 2
         put(stream, "world", rr.Transform3D(translation=[*middle, 0.0], scale=scale), at)
         log_floor(stream, space, at)
-        length = 10.0 ** np.floor(np.log10((high[0] - low[0]) / 2))
+        length = _round_length((high[0] - low[0]) / 4)
         start = np.array([low[0], high[1] + 0.15 / scale])
         bar = lift(start + np.array([[0, 0], [length, 0]]), 0.0)
         put(stream, "world/metre", rr.LineStrips3D([bar], radii=0.012 / scale, colors=[200, 206, 216]), at)
         label = f"{length:g} m" if length >= 1 else f"{100 * length:g} cm"
-        beside = bar[1:] + np.array([0.35, 0.18, 0]) / scale  # a label stands below its point
+        beside = bar[1:] + np.array([0.4, 0.18, 0]) / scale  # a label stands below its point
         name = rr.Points3D(beside, radii=0.0, colors=[200, 206, 216], labels=[label], show_labels=True)
         put(stream, "world/metre/length", name, at)
+
+
+def _round_length(most: float) -> float:
+    """The longest of 1, 2, 5, 10 and so on, metres or parts of one, that is at most so long."""
+    decade = 10.0 ** np.floor(np.log10(most))
+    return float(decade * max(step for step in (1, 2, 5) if step * decade <= most))
 
 
 def _log_heading(
@@ -161,11 +171,11 @@ def _log_heading(
 ) -> None:
     """Above a method's field: where the slider stands, and how large the errors are."""
     text = study_text.describe_field(method, slider, step)
-    place = [[(frame[0][0] + frame[1][0]) / 2, frame[1][1] + 1.0, 0.0]]
+    place = [[(frame[0][0] + frame[1][0]) / 2, frame[1][1] + 1.15, 0.0]]
     put(
         stream,
         f"heading/{method}",
-        rr.Points3D(place, radii=0.0, colors=[220, 226, 236], labels=[text], show_labels=True),
+        rr.Points3D(place, radii=0.0, colors=_colour(method), labels=[text], show_labels=True),
         at,
     )
 
@@ -178,21 +188,19 @@ def _log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
             index: [row for at, row in rows if at == index and row["method"] == method]
             for index in dict.fromkeys(at for at, row in rows if row["method"] == method)
         }
-        title, colour = method_title(method), _colour(method)
-        curves = {
-            f"rms/{method}": ("rms_m", mean, title, colour),
-            f"median/{method}": ("median_m", mean, title, colour),
-        }
+        title, colour, pale = method_title(method), _colour(method), (*_colour(method), 110)
+        curves: dict[str, tuple[Take, str, Sequence[int]]] = {"": (mean, title, colour)}
         if max(map(len, groups.values())) > 1:
-            pale = (*colour, 110)
-            curves[f"rms/{method}/best"] = ("rms_m", _least, f"{title}, best seed", pale)
-            curves[f"rms/{method}/worst"] = ("rms_m", _most, f"{title}, worst seed", pale)
-        for path, (name, take, label, colour) in curves.items():
-            values = [100 * take(group, name) for group in groups.values()]
-            line = rr.SeriesLines(colors=[colour], names=label, widths=1.0 if len(colour) == 4 else 2.0)
-            put(stream, f"curve/{path}", line)
-            index = [rr.TimeColumn(slider.name, sequence=list(groups))]
-            stream.send_columns(f"curve/{path}", index, rr.Scalars.columns(scalars=values))
+            curves |= {"/best": (_least, f"{title}, best seed", pale), "/worst": (_most, f"{title}, worst seed", pale)}
+        index = [rr.TimeColumn(slider.name, sequence=list(groups))]
+        for name in CURVES:
+            for end, (take, label, tint) in curves.items():
+                path, values = (
+                    f"curve/{name}/{method}{end}",
+                    [100 * take(group, f"{name}_m") for group in groups.values()],
+                )
+                put(stream, path, rr.SeriesLines(colors=[tint], names=label, widths=1.0 if end else 2.0))
+                stream.send_columns(path, index, rr.Scalars.columns(scalars=values))
 
 
 def _log_text(stream: rr.RecordingStream, name: str, text: str, at: Sequence[rr.TimeColumn] = ()) -> None:
@@ -247,7 +255,8 @@ def _most(rows: Sequence[Row], name: str) -> float:
 
 
 def _colour(method: str) -> tuple[int, ...]:
-    return tuple(int(255 * part) for part in to_rgb(figures.LINES.get(method, "#888888")))
+    """The method's colour in figures, paler, since the viewer is dark."""
+    return tuple(int(255 * (0.7 * part + 0.3)) for part in to_rgb(figures.LINES.get(method, "#888888")))
 
 
 def _holds(path: Path, identity: str) -> bool:

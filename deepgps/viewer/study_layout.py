@@ -9,6 +9,7 @@ from deepgps.report import method_title
 from deepgps.viewer.layout import whole_axis
 
 STEPS_PER_SECOND = 1.5
+CURVES = {"rms": "RMS", "median": "Median"}
 
 
 def make_blueprint(
@@ -55,13 +56,8 @@ def _error_fields(methods: Sequence[str], frame: tuple[np.ndarray, np.ndarray]) 
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Grid(*fields, grid_columns=1 if len(methods) == 1 else 2),
-            rrb.TimeSeriesView(
-                name="RMS along the slider [cm]",
-                origin="curve/rms",
-                contents=[f"curve/rms/{method}" for method in methods],
-                axis_x=whole_axis(),
-            ),
-            row_shares=[9, 2],
+            rrb.Horizontal(*(_curve(name, methods) for name in CURVES)),
+            row_shares=[4, 1],
         ),
         rrb.Vertical(
             rrb.TextDocumentView(name="Here", origin="report/here"),
@@ -72,15 +68,26 @@ def _error_fields(methods: Sequence[str], frame: tuple[np.ndarray, np.ndarray]) 
     )
 
 
+def _curve(name: str, methods: Sequence[str]) -> rrb.TimeSeriesView:
+    """A small curve without a legend: its colours are those of the text above each field."""
+    return rrb.TimeSeriesView(
+        name=f"{CURVES[name]} along the slider [cm]",
+        origin=f"curve/{name}",
+        contents=[f"curve/{name}/{method}" for method in methods],
+        axis_x=whole_axis(),
+        plot_legend=rrb.PlotLegend(visible=False),
+    )
+
+
 def _curves() -> rrb.Horizontal:
-    titles = {"rms": "RMS [cm], mean, best and worst of the seeds", "median": "Median [cm], mean of the seeds"}
+    views = (
+        rrb.TimeSeriesView(
+            name=f"{title} [cm], mean, best and worst of the seeds", origin=f"curve/{name}", axis_x=whole_axis()
+        )
+        for name, title in CURVES.items()
+    )
     return rrb.Horizontal(
-        rrb.Vertical(
-            *(
-                rrb.TimeSeriesView(name=title, origin=f"curve/{name}", axis_x=whole_axis())
-                for name, title in titles.items()
-            )
-        ),
+        rrb.Vertical(*views),
         rrb.TextDocumentView(name="Here", origin="report/here"),
         column_shares=[5, 2],
         name="Curves",
@@ -97,7 +104,7 @@ def _figures(figures: Sequence[str]) -> rrb.Tabs:
 def _eye(frame: tuple[np.ndarray, np.ndarray], wide: bool) -> rrb.EyeControls3D:
     """An eye above the frame that sees it, the text above it and the scale below it, in a wide panel or a high one."""
     width, depth = frame[1] - frame[0]
-    seen = max(depth + 2.0, 1.1 * width / (1.5 if wide else 0.83))
+    seen = max(depth + 2.2, 1.1 * width / (1.5 if wide else 0.83))
     # the viewer's eye opens by 55 degrees; exactly above, it has no up direction of its own: north is up
     distance = seen / (2 * np.tan(np.radians(55 / 2)))
     return rrb.EyeControls3D(

@@ -13,14 +13,14 @@ MOST_VALUES = 8
 
 
 def describe_field(method: str, slider: Slider, step: Step) -> str:
-    """The line above a method's error field."""
+    """The lines above a method's error field."""
     where = step.value if slider.name == RUN else f"{slider.name} {step.value}"
     row = next((row for row in step.rows if row["method"] == method), None)
     if row is None:
-        return f"{where}: has no {method_title(method)}"
+        return f"{where}\nno {method_title(method)}"
     if row["failure"] is not None:
-        return f"{where}: failed"
-    return f"{where}: RMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
+        return f"{where}\nfailed"
+    return f"{where}\nRMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
 
 
 def describe_step(slider: Slider, step: Step) -> str:
@@ -42,7 +42,9 @@ def describe_step(slider: Slider, step: Step) -> str:
     return "\n\n".join(blocks)
 
 
-def describe_study(study: Study, rows: Sequence[Row], sliders: Sequence[Slider], every: int) -> str:
+def describe_study(
+    study: Study, rows: Sequence[Row], sliders: Sequence[Slider], left_out: Sequence[str], every: int
+) -> str:
     """What each slider does, in Markdown, and how to read an error field."""
     runs = split_by(rows, "run")
     lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
@@ -50,12 +52,13 @@ def describe_study(study: Study, rows: Sequence[Row], sliders: Sequence[Slider],
     more = "; the list at its left has the others." if len(sliders) > 1 else "."
     reading = (
         "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. One "
-        "colour scale for all methods and all places of a slider. Every room fills the same rectangle; the bar above "
-        "it says how long a metre is."
+        "colour scale for all methods and all places of a slider. Every room is drawn to fill the same "
+        "rectangle; the bar above it says how large it is."
     )
-    thinned = [f"Only every {every}th test position is drawn, so that the file stays small."] if every > 1 else []
+    notes = [f"Left out, for it has too many places: {name}." for name in left_out]
+    notes += [f"Only one in {every} test positions is drawn, so that the file stays small."] if every > 1 else []
     return "\n\n".join(
-        [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *thinned]
+        [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *notes]
     )
 
 
