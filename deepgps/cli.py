@@ -150,7 +150,7 @@ def view_command(words: Sequence[str]) -> None:
     """Open the recording of a run or of a study in the Rerun viewer."""
     from deepgps.run import open_run
     from deepgps.viewer.show import view
-    from deepgps.viewer.study import is_study
+    from deepgps.viewer.study_read import is_study
 
     folder = _parse(FolderArguments, "view", words).run
     if not is_study(folder):

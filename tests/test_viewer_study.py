@@ -19,7 +19,7 @@ from synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synt
 
 from deepgps import figures
 from deepgps.studies.study import Plan, load_study, plan_runs
-from deepgps.studies.table import gather
+from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
 from deepgps.viewer.show import find_viewer, view
 from deepgps.viewer.sliders import find_sliders
@@ -255,6 +255,13 @@ def test_a_study_that_is_not_whole_is_one_clear_line(copied, lost, content, mess
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list(copied.glob(f"{STUDY_RRD}"))
+
+
+def test_another_table_is_one_clear_line(copied):
+    (copied / STUDY_RRD).unlink()
+    write_table(copied / "table.parquet", [{"name": "something else"}])
+    with pytest.raises(InputError, match=r"table\.parquet is no table of a study"):
+        view([copied])
 
 
 def test_a_study_without_a_run_that_is_done_is_one_clear_line(tmp_path):

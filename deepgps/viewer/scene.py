@@ -80,8 +80,7 @@ def log_scale_below(stream: rr.RecordingStream, path: str, low: np.ndarray, high
 def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = ()) -> None:
     """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude; thin where places are dense."""
     path, colours = f"world/error_field/{name}", colours_of(field.error)
-    area = np.prod(np.ptp(field.truth, axis=0)) if len(field.truth) else 0.0
-    thin = min(1.0, np.sqrt(area / max(len(field.truth), 1)) / DENSE_M)
+    thin = _find_thinness(field.truth)
     arrows = rr.Arrows3D(
         origins=lift(field.truth, LAYER_M),
         vectors=lift(field.predicted - field.truth, 0.0),
@@ -91,6 +90,12 @@ def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Plac
     put(stream, path, arrows, at)
     dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
     put(stream, f"{path}/places", dots, at)
+
+
+def _find_thinness(places: np.ndarray) -> float:
+    """How thin arrows at places (N, 2) [m] are: one where there is room for them."""
+    area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
+    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
 
 
 def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Places = ()) -> None:

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepgps.viewer.recording import find_recording
-from deepgps.viewer.study import find_study, is_study
+from deepgps.viewer.study import find_study
+from deepgps.viewer.study_read import is_study
 from sim.errors import WorkError
 
 

@@ -8,12 +8,13 @@ import rerun.blueprint as rrb
 from deepgps.report import method_title
 from deepgps.viewer.layout import whole_axis
 
+Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corner of where every room is drawn (2,) [m]
 STEPS_PER_SECOND = 1.5
 CURVES = {"rms": "RMS", "median": "Median"}
 
 
 def make_blueprint(
-    slider: str, methods: Sequence[str], figures: Sequence[str], frame: tuple[np.ndarray, np.ndarray], tab: int = 0
+    slider: str, methods: Sequence[str], figures: Sequence[str], frame: Frame, tab: int = 0
 ) -> rrb.Blueprint:
     """How the viewer shows a study: first the error fields of all methods, side by side.
 
@@ -21,7 +22,7 @@ def make_blueprint(
         slider: Name of the timeline to open with.
         methods: Names of the methods.
         figures: Names of the study's figures.
-        frame: Corners of the rectangle that every room is drawn in [m].
+        frame: Where every room is drawn.
         tab: The tab to open with.
     """
     return rrb.Blueprint(
@@ -39,7 +40,7 @@ def make_blueprint(
     )
 
 
-def _error_fields(methods: Sequence[str], frame: tuple[np.ndarray, np.ndarray]) -> rrb.Horizontal:
+def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
     fields = (
         rrb.Spatial3DView(
             name=method_title(method),
@@ -101,7 +102,7 @@ def _figures(figures: Sequence[str]) -> rrb.Tabs:
     )
 
 
-def _eye(frame: tuple[np.ndarray, np.ndarray], wide: bool) -> rrb.EyeControls3D:
+def _eye(frame: Frame, wide: bool) -> rrb.EyeControls3D:
     """An eye above the frame that sees it, the text above it and the scale below it, in a wide panel or a high one."""
     width, depth = frame[1] - frame[0]
     seen = max(depth + 2.2, 1.1 * width / (1.5 if wide else 0.83))
