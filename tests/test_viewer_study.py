@@ -144,7 +144,7 @@ def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1].startswith(f"{AXIS} 0.1\nRMS ")
     (guide,) = [value[0] for value in static(path, "/report/sliders")]
     assert f"The slider at the bottom moves `{AXIS}`" in guide
-    assert f"- **{AXIS}**: 0 | 0.1 | 0.3 (room.seed 1, seed 0)" in guide
+    assert f"- **{AXIS}**: `0`, `0.1`, `0.3` (with room.seed 1, seed 0)" in guide
     assert "- **run**: all 12 runs, one after another" in guide
     assert [value[0] for value in static(path, "/report/table")] == [(study[0] / "table.md").read_text()]
 

@@ -74,12 +74,12 @@ def write_length(length_m: float) -> str:
 def _list_values(slider: Slider) -> str:
     if slider.name == RUN:
         return f"all {len(slider.steps)} runs, one after another"
-    values = [step.value for step in slider.steps]
+    values = [f"`{step.value}`" for step in slider.steps]
     if len(values) > MOST_VALUES:
         values = [*values[: MOST_VALUES - 2], "...", values[-1]]
     count = f"{len(slider.steps)} places, " if "..." in values else ""
-    others = f" ({slider.others})" if slider.others else ""
-    return f"{count}{' | '.join(values)}{others}"
+    others = f" (with {slider.others})" if slider.others else ""
+    return f"{count}{', '.join(values)}{others}"
 
 
 def _range(values: Sequence[float]) -> str:
