@@ -27,7 +27,7 @@ from sim.errors import InputError
 from sim.files import write_atomic
 
 STUDY = "study.rrd"
-MOST_ARROWS = 2_500_000  # some 110 MB; in a larger study every field is thinned
+MOST_ARROWS = 2_500_000  # some 75 MB; in a larger study every field is thinned
 MOST_PLACES = 2_000  # of one slider, some 10 kB each besides their arrows
 NOTHING = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
