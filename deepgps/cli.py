@@ -54,7 +54,7 @@ class StudyArguments:
 @dataclass(frozen=True)
 class FolderArguments:
     run: Annotated[Path, tyro.conf.Positional]
-    """A run folder."""
+    """A run folder, or a study's."""
 
 
 @dataclass(frozen=True)
@@ -138,18 +138,23 @@ def study_command(words: Sequence[str]) -> None:
         console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
     done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
     if done:
-        console.print(f"look at a run: deepgps view {done[0]}", soft_wrap=True)
+        from deepgps.viewer.study import write_study
+
+        write_study(folder)
+        console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {done[0]}", soft_wrap=True)
     if failures:
         raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {folder / 'table.md'} says why")
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open a run's recording in the Rerun viewer."""
+    """Open the recording of a run or of a study in the Rerun viewer."""
     from deepgps.run import open_run
     from deepgps.viewer.show import view
+    from deepgps.viewer.study_read import is_study
 
     folder = _parse(FolderArguments, "view", words).run
-    open_run(folder)
+    if not is_study(folder):
+        open_run(folder)
     view([folder])
 
 
@@ -217,7 +222,7 @@ HELP = {
     "train": "... and train the methods",
     "evaluate": "... and measure them",
     "study": "run a study: many scenarios, one table",
-    "view": "open a run's recording in the Rerun viewer",
+    "view": "open the recording of a run or of a study in the Rerun viewer",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",

@@ -102,7 +102,7 @@ def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
             *([pictures] if cameras else []),
             rrb.TimeSeriesView(name="Distance on this segment [m]", origin="drive/distance", time_ranges=recent),
             rrb.TimeSeriesView(
-                name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=_whole_axis()
+                name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
             ),
             rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=recent),
             row_shares=[3, 2, 2, 2] if cameras else [1, 1, 1],
@@ -129,7 +129,7 @@ def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
         rrb.Horizontal(
             *(
                 rrb.TimeSeriesView(
-                    name=f"{method_title(name)}: loss, log10", origin=f"training/{name}", axis_x=_whole_axis()
+                    name=f"{method_title(name)}: loss, log10", origin=f"training/{name}", axis_x=whole_axis()
                 )
                 for name in trained
             )
@@ -152,7 +152,7 @@ def _report() -> rrb.Horizontal:
     )
 
 
-def _whole_axis() -> rrb.TimeAxis:
+def whole_axis() -> rrb.TimeAxis:
     """A time axis that shows a series from its first to its last value."""
     infinite = rr.TimeRangeBoundary.infinite
     return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))

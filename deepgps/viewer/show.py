@@ -8,20 +8,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepgps.viewer.recording import find_recording
+from deepgps.viewer.study import find_study
+from deepgps.viewer.study_read import is_study
 from sim.errors import WorkError
 
 
 def view(paths: Sequence[Path]) -> None:
-    """Open runs in the Rerun viewer and wait until it is closed.
+    """Open runs and studies in the Rerun viewer and wait until it is closed.
 
     Args:
-        paths: Run folders; a run without a recording gets one first.
+        paths: Their folders; what has no recording gets one first.
 
     Raises:
-        InputError: A folder is no run, or its recording is cut off.
+        InputError: A folder is no run and no finished study, or its recording is cut off.
         WorkError: The viewer is missing or cannot open a window.
     """
-    recordings = [find_recording(path) for path in paths]
+    recordings = [find_study(path) if is_study(path) else find_recording(path) for path in paths]
     # the viewer also listens for data; only this machine may send it any
     command = [find_viewer(), "--bind", "127.0.0.1", *map(str, recordings)]
     ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
