@@ -17,6 +17,7 @@ from deepgps import figures
 from deepgps.figures import WorstField
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.drive import find_cameras, log_drive
+from deepgps.viewer.encoders import log_encoders
 from deepgps.viewer.layout import make_blueprint
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.scene import log_field, log_room, log_scale
@@ -49,6 +50,7 @@ def write_recording(run: Path) -> Path:
             for name, field in fields.items():
                 log_field(stream, name, field)
             log_drive(stream, recording, truth)
+            log_encoders(stream, recording, truth)
             for name, history in histories.items():
                 log_training(stream, name, history, truth.pose[:, :2])
             _log_report(stream, metrics, fields, histories, truth.free_space)

@@ -1,5 +1,6 @@
 """What stands still below ``world``: the room, its floor plan, the colour scale, the error fields."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,17 @@ from deepgps.figures import WorstField, colours_of
 from sim.records import FreeSpace
 
 LAYER_M = 0.01  # height of one drawn layer above the next
+STRIP = 65  # colours along a scale
 
 
-def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: str = "world") -> None:
+    stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if scene.is_file():  # a plane world has no walls to see
         room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
-        stream.log("world/room", room, static=True)
+        stream.log(f"{root}/room", room, static=True)
     plan, corner = playback.draw_floor_plan(space)
     stream.log(
-        "world/floor_plan",
+        f"{root}/floor_plan",
         rr.GridMap(
             data=plan[::-1].tobytes(),  # Rerun wants the northern row first
             format=rr.components.ImageFormat(
@@ -31,39 +33,52 @@ def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
         static=True,
     )
     strips = [lift(line, 0.0) for line in playback.find_outline(space)]
-    stream.log("world/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), static=True)
+    stream.log(f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), static=True)
 
 
-def log_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
-    """The colour scale as a strip on the floor before the room."""
+def log_scale(stream: rr.RecordingStream, space: FreeSpace, root: str = "world") -> None:
+    """The colour scale of errors as a strip on the floor before the room."""
+    low, high = figures.SCALE_M
+    decades = np.log(high / low)
+    ticks = np.array(figures.TICKS_M)
+    labels = [f"{100 * tick:g} cm" if tick < 1 else f"{tick:g} m" for tick in ticks]
+    colours = colours_of(low * np.exp(np.linspace(0, 1, STRIP) * decades))
+    log_strip(stream, space, colours, np.log(ticks / low) / decades, labels, root)
+
+
+def log_strip(
+    stream: rr.RecordingStream,
+    space: FreeSpace,
+    colours: np.ndarray,
+    share: np.ndarray,
+    labels: Sequence[str],
+    root: str = "world",
+) -> None:
+    """A strip of colours (``STRIP``, 4) on the floor before the room, with labels at shares (n,) of its length."""
     low, high = figures.limits(space)
     width = 0.9 * (high[0] - low[0])
     left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
-    share = np.linspace(0, 1, 65)
-    ends = np.stack([left + share * width, np.full(65, bottom)], axis=1)
+    ends = np.stack([left + np.linspace(0, 1, STRIP) * width, np.full(STRIP, bottom)], axis=1)
     vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
-    first = np.arange(64)
+    first = np.arange(STRIP - 1)
     triangles = np.concatenate(
-        [np.stack([first, first + 1, first + 66], axis=1), np.stack([first, first + 66, first + 65], axis=1)]
+        [
+            np.stack([first, first + 1, first + STRIP + 1], axis=1),
+            np.stack([first, first + STRIP + 1, first + STRIP], axis=1),
+        ]
     )
-    decades = np.log(figures.SCALE_M[1] / figures.SCALE_M[0])
-    colours = colours_of(figures.SCALE_M[0] * np.exp(share * decades))
     mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
-    stream.log("world/scale", mesh, static=True)
-    ticks = np.array(figures.TICKS_M)
-    place = left + np.log(ticks / figures.SCALE_M[0]) / decades * width
-    labels = [f"{100 * tick:g} cm" if tick < 1 else f"{tick:g} m" for tick in ticks]
-    points = lift(np.stack([place, np.full(len(ticks), bottom - 0.08)], axis=1), 0.0)
+    stream.log(f"{root}/scale", mesh, static=True)
+    points = lift(np.stack([left + share * width, np.full(len(share), bottom - 0.08)], axis=1), 0.0)
+    at = colours[np.rint(share * (STRIP - 1)).astype(int)]
     stream.log(
-        "world/scale/ticks",
-        rr.Points3D(points, radii=0.015, colors=colours_of(ticks), labels=labels, show_labels=True),
-        static=True,
+        f"{root}/scale/ticks", rr.Points3D(points, radii=0.015, colors=at, labels=labels, show_labels=True), static=True
     )
 
 
-def log_field(stream: rr.RecordingStream, name: str, field: WorstField) -> None:
+def log_field(stream: rr.RecordingStream, name: str, field: WorstField, root: str = "world") -> None:
     """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude."""
-    path, colours = f"world/error_field/{name}", colours_of(field.error)
+    path, colours = f"{root}/error_field/{name}", colours_of(field.error)
     arrows = rr.Arrows3D(
         origins=lift(field.truth, LAYER_M),
         vectors=lift(field.predicted - field.truth, 0.0),
