@@ -52,9 +52,9 @@ class StudyArguments:
 
 
 @dataclass(frozen=True)
-class FolderArguments:
-    run: Annotated[Path, tyro.conf.Positional]
-    """A run folder."""
+class ViewArguments:
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """A run folder, or two to compare."""
 
 
 @dataclass(frozen=True)
@@ -144,13 +144,16 @@ def study_command(words: Sequence[str]) -> None:
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open a run's recording in the Rerun viewer."""
+    """Open a run in the Rerun viewer, or two beside each other with the difference of their error fields."""
     from deepgps.run import open_run
     from deepgps.viewer.show import view
 
-    folder = _parse(FolderArguments, "view", words).run
-    open_run(folder)
-    view([folder])
+    folders = _parse(ViewArguments, "view", words).runs
+    if len(folders) not in {1, 2}:
+        raise InputError(f"deepgps view takes one run folder, or two to compare, not {len(folders)}")
+    for folder in folders:
+        open_run(folder)
+    view(folders)
 
 
 def rooms_command(words: Sequence[str]) -> None:
@@ -217,7 +220,7 @@ HELP = {
     "train": "... and train the methods",
     "evaluate": "... and measure them",
     "study": "run a study: many scenarios, one table",
-    "view": "open a run's recording in the Rerun viewer",
+    "view": "open a run in the Rerun viewer, or two with their difference",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",

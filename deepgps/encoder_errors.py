@@ -70,8 +70,8 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
             "|---|---|",
             *(f"| {name} | {value} |" for name, value in measured.items()),
             "",
-            "Above: blue is where the robot drove, orange where its wheels alone reckon that it did, both of the last two "
-            "minutes; the red line joins the two of one moment.",
+            "Above: blue is where the robot drove, orange where its wheels alone reckon that it did, both of the last "
+            "two minutes; the red line joins the two of one moment.",
         ]
     )
 

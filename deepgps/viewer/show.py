@@ -7,29 +7,30 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from deepgps.viewer.pair import write_pair
 from deepgps.viewer.recording import find_recording
 from sim.errors import WorkError
 
 
 def view(paths: Sequence[Path]) -> None:
-    """Open runs in the Rerun viewer and wait until it is closed.
+    """Open a run, or two beside each other, in the Rerun viewer and wait until it is closed.
 
     Args:
-        paths: Run folders; a run without a recording gets one first.
+        paths: One run folder, which gets a recording if it has none, or two, which get one of both.
 
     Raises:
-        InputError: A folder is no run, or its recording is cut off.
+        InputError: A folder is no run, its recording is cut off, or the two cannot be compared.
         WorkError: The viewer is missing or cannot open a window.
     """
-    recordings = [find_recording(path) for path in paths]
+    recording = find_recording(paths[0]) if len(paths) == 1 else write_pair(paths)
     # the viewer also listens for data; only this machine may send it any
-    command = [find_viewer(), "--bind", "127.0.0.1", *map(str, recordings)]
+    command = [find_viewer(), "--bind", "127.0.0.1", str(recording)]
     ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
     if ended.returncode != 0:
         lines = [line for line in ended.stderr.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
             f"the Rerun viewer ended with {ended.returncode} ({lines[-1]}); without a display, copy "
-            f"{recordings[0]} to a machine that has one, or: rerun --serve-web --bind 127.0.0.1 {recordings[0]}"
+            f"{recording} to a machine that has one, or: rerun --serve-web --bind 127.0.0.1 {recording}"
         )
 
 
