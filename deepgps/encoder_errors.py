@@ -4,11 +4,13 @@ import numpy as np
 from matplotlib import style
 from matplotlib.figure import Figure
 
+from deepgps.alignment import fit_alignment
 from deepgps.figures import SCREEN
 from deepgps.playback import find_starts, measure_distances
 from sim.records import Recording
 from sim.settings import EncoderSettings, RobotSettings
 
+HEADED_BY_M = 3.0
 ENCODER, TRUE = "#ff9628", "#5aa0ff"
 
 
@@ -27,7 +29,7 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
 
 
 def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
-    """The dead-reckoned path (R, 2) [m], put where the robot really started, headed as it really was.
+    """The dead-reckoned path (R, 2) [m] from where the robot really started, headed as on its first three metres.
 
     Args:
         recording: What was sensed.
@@ -35,9 +37,11 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
     """
     from deepgps.data import dead_reckon  # brings torch, which takes seconds
 
-    x, y, yaw = pose[recording.reading[0, 1]]
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return dead_reckon(recording)[:, :2] @ turn.T + [x, y]
+    path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
+    driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
+    first = 2 + int((driven < HEADED_BY_M).sum())
+    turn = fit_alignment(path[:first], true[:first], "SE2").rotation
+    return (path - path[0]) @ turn.T + true[0]
 
 
 def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:
@@ -54,9 +58,9 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     measured = {
         "one tick": f"{tick_mm:.3g} mm",
         "segments": f"{len(length)}, {length.sum():.0f} m in all",
-        "RMS error of a segment": f"{1000 * np.sqrt(np.mean(error**2)):.1f} mm",
-        "mean error": f"{1000 * error.mean():+.1f} mm",
-        "largest error": f"{1000 * np.abs(error).max():.1f} mm",
+        "RMS error of a segment": f"{1000 * np.sqrt(np.mean(error**2)):.3g} mm",
+        "mean error": f"{1000 * error.mean():+.3g} mm",
+        "largest error": f"{1000 * np.abs(error).max():.3g} mm",
         "encoder / true distance": f"{1 + error.sum() / length.sum():.4f}",
         "drift of the reckoned path": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
     }
@@ -77,7 +81,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
 
 
 def list_faults(recording: Recording) -> list[str]:
-    """A Markdown table of the faults that were set, beside what sound encoders have, or the sentence that none was."""
+    """A Markdown table of faults and settings that differ from sound encoders, or the sentence that none does."""
     settings = recording.manifest["settings"]
     ticks = recording.manifest["odometry"]["ticks_per_rev"]
     sound = {f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()}
@@ -90,7 +94,7 @@ def list_faults(recording: Recording) -> list[str]:
     if not faults:
         return [f"No fault was set: {ticks} ticks per revolution, and each of them true."]
     rows = (f"| {name} | **{value}** | {sound[name]} |" for name, value in faults.items())
-    return ["| fault | set to | without |", "|---|---:|---:|", *rows]
+    return ["| fault or setting | here | usually |", "|---|---:|---:|", *rows]
 
 
 def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
@@ -117,7 +121,7 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
             axes.spines[["top", "right"]].set_visible(False)
         rms_mm = np.sqrt(np.mean(error_mm**2))
         figure.suptitle(
-            f"Error of {len(error)} segments: RMS {rms_mm:.1f} mm, mean {error_mm.mean():+.1f} mm", fontsize=12
+            f"Error of {len(error)} segments: RMS {rms_mm:.3g} mm, mean {error_mm.mean():+.3g} mm", fontsize=12
         )
     return figure
 

@@ -1,7 +1,10 @@
 """Two runs in one recording: what changed where, both fields read back, and the runs left as they were."""
 
+import os
+import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -158,6 +161,17 @@ def test_the_file_verifies(written: Path) -> None:
     )
     assert verified.returncode == 0, verified.stderr
     assert len(RrdReader(written).blueprints()) >= 1
+
+
+def test_the_command_makes_the_recording_and_says_where_it_is(copied: tuple[Path, Path]) -> None:
+    words = [sys.executable, "-m", "deepgps.cli", "view", *map(str, copied)]
+    bare = {name: value for name, value in os.environ.items() if "DISPLAY" not in name and name != "WAYLAND_SOCKET"}
+    done = subprocess.run(words, env=bare, check=False, capture_output=True, text=True)
+    assert done.returncode == 1, done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    found = re.search(r"copy (\S+/pairs/\w+\.rrd) to a machine", done.stderr)
+    assert found
+    assert read_error_table(Path(found[1]), "b").num_rows
 
 
 def test_a_run_beside_itself_is_refused(runs: tuple[Path, Path]) -> None:

@@ -210,4 +210,5 @@ def _flatten(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, 
 
 def _lighten(name: str) -> str:
     """A method's colour on paper, brighter for a dark ground."""
-    return to_hex([0.35 + 0.65 * part for part in to_rgb(LINES.get(name, "#888888"))])
+    red, green, blue = (0.35 + 0.65 * part for part in to_rgb(LINES.get(name, "#888888")))
+    return to_hex((red, green, blue))

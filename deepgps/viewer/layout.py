@@ -44,8 +44,8 @@ def make_blueprint(
     )
 
 
-def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Vertical:
-    """The first method's field in the furnished room with the figures of all, and the others' fields as plans below."""
+def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | rrb.Vertical:
+    """The first method's field in the furnished room, the figures of all, and the others' fields as plans."""
     first, *others = methods
     room = rrb.Spatial3DView(
         name=f"Error field of {method_title(first)}",
@@ -64,12 +64,12 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Vertical:
         )
         for method in others
     ]
-    return rrb.Vertical(
-        rrb.Horizontal(room, rrb.TextDocumentView(name="Figures", origin="report/figures"), column_shares=[5, 2]),
-        *([rrb.Horizontal(*plans)] if plans else []),
-        row_shares=[5, 3] if plans else [1],
-        name="Error field",
-    )
+    figures_of_all = rrb.TextDocumentView(name="Figures", origin="report/figures")
+    if len(plans) < 2:
+        beside = rrb.Vertical(figures_of_all, *plans)
+        return rrb.Horizontal(room, beside, column_shares=[5, 2], name="Error field")
+    above = rrb.Horizontal(room, figures_of_all, column_shares=[5, 2])
+    return rrb.Vertical(above, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
 
 
 def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:

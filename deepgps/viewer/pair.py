@@ -24,7 +24,7 @@ from deepgps.viewer.compare import (
 from deepgps.viewer.layout import aim_eye
 from deepgps.viewer.recording import hash_run
 from deepgps.viewer.save import save_recording
-from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_field, log_room, log_scale, log_strip
+from deepgps.viewer.scene import LAYER_M, STRIP, find_spacing, lift, log_field, log_room, log_scale, log_strip
 from sim.records import FreeSpace
 
 PAIRS = "pairs"
@@ -86,7 +86,7 @@ def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change
     share = scale_change(change)
     dots = rr.Points3D(
         lift(place, LAYER_M),
-        radii=0.012 + 0.028 * np.abs(share),
+        radii=find_spacing(place) * (0.15 + 0.35 * np.abs(share)),
         colors=colours_of_change(share),
         point_shading="Flat",
     )

@@ -5,12 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
+from scipy.spatial import KDTree
 
 from deepgps import figures, playback
 from deepgps.figures import WorstField, colours_of
 from sim.records import FreeSpace
 
 LAYER_M = 0.01  # height of one drawn layer above the next
+LARGEST_M = 0.08
 STRIP = 65  # colours along a scale
 
 
@@ -56,7 +58,7 @@ def log_strip(
 ) -> None:
     """A strip of colours (``STRIP``, 4) on the floor before the room, with labels at shares (n,) of its length."""
     low, high = figures.limits(space)
-    width = 0.9 * (high[0] - low[0])
+    width = 0.9 * max(high[0] - low[0], 1.4 * (high[1] - low[1]))  # views are wider than a square room
     left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
     ends = np.stack([left + np.linspace(0, 1, STRIP) * width, np.full(STRIP, bottom)], axis=1)
     vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
@@ -79,15 +81,24 @@ def log_strip(
 def log_field(stream: rr.RecordingStream, name: str, field: WorstField, root: str = "world") -> None:
     """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude."""
     path, colours = f"{root}/error_field/{name}", colours_of(field.error)
+    size = find_spacing(field.truth)
     arrows = rr.Arrows3D(
         origins=lift(field.truth, LAYER_M),
         vectors=lift(field.predicted - field.truth, 0.0),
         colors=colours,
-        radii=0.007,
+        radii=0.09 * size,
     )
     stream.log(path, arrows, static=True)
-    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018, colors=colours, point_shading="Flat")
+    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.22 * size, colors=colours, point_shading="Flat")
     stream.log(f"{path}/places", dots, static=True)
+
+
+def find_spacing(places: np.ndarray) -> float:
+    """Median distance [m] of places (C, 2) [m] from the next one, at most 8 cm: so large may be what stands at each."""
+    if len(places) < 2:
+        return LARGEST_M
+    distance, _ = KDTree(places).query(places, k=2)
+    return min(float(np.median(distance[:, 1])), LARGEST_M)
 
 
 def lift(points: np.ndarray, z: float) -> np.ndarray:
