@@ -66,7 +66,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     }
     return "\n".join(
         [
-            "# What the encoders told",
+            "## What the encoders told",
             "",
             *list_faults(recording),
             "",

@@ -105,7 +105,7 @@ def _encoders(space: FreeSpace) -> rrb.Horizontal:
         overrides={"world/drive/path": lately, "world/reckoned/path": lately},
     )
     return rrb.Horizontal(
-        rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[1, 1]),
+        rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[5, 6]),
         rrb.Vertical(
             rrb.Horizontal(_distances(), _ticks()),
             rrb.Horizontal(
