@@ -110,9 +110,9 @@ def _encoders(space: FreeSpace) -> rrb.Horizontal:
             rrb.Horizontal(_distances(), _ticks()),
             rrb.Horizontal(
                 rrb.TimeSeriesView(
-                    name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=_whole_axis()
+                    name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
                 ),
-                rrb.TimeSeriesView(name="Reckoned path off by [m]", origin="encoders/drift", axis_x=_whole_axis()),
+                rrb.TimeSeriesView(name="Reckoned path off by [m]", origin="encoders/drift", axis_x=whole_axis()),
             ),
             rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
             row_shares=[4, 4, 6],
@@ -154,7 +154,7 @@ def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
         for name in trained
     ]
     losses = [
-        rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}", axis_x=_whole_axis()) for name in trained
+        rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}", axis_x=whole_axis()) for name in trained
     ]
     return rrb.Vertical(
         *(rrb.Horizontal(*row) for row in (maps, errors, losses)), row_shares=[5, 6, 4], name="Training"
@@ -174,7 +174,7 @@ def _report() -> rrb.Horizontal:
     )
 
 
-def _whole_axis() -> rrb.TimeAxis:
+def whole_axis() -> rrb.TimeAxis:
     """A time axis that shows a series from its first to its last value."""
     infinite = rr.TimeRangeBoundary.infinite
     return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))

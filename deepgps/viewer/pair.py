@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures import to_png
+from deepgps.figures import limits, to_png
 from deepgps.report import method_title
 from deepgps.viewer.compare import (
     Pair,
@@ -24,7 +24,7 @@ from deepgps.viewer.compare import (
 from deepgps.viewer.layout import aim_eye
 from deepgps.viewer.recording import hash_run
 from deepgps.viewer.save import save_recording
-from deepgps.viewer.scene import LAYER_M, STRIP, find_spacing, lift, log_field, log_room, log_scale, log_strip
+from deepgps.viewer.scene import LAYER_M, STRIP, find_thinness, lift, log_field, log_room, log_scale, log_strip
 from sim.records import FreeSpace
 
 PAIRS = "pairs"
@@ -78,7 +78,7 @@ def _log_side(stream: rr.RecordingStream, root: str, side: Side, methods: Sequen
     log_room(stream, side.folder / "recording" / "scene.glb", side.space, root)
     log_scale(stream, side.space, root)
     for name in methods:
-        log_field(stream, name, side.fields[name], root)
+        log_field(stream, name, side.fields[name], root=root)
 
 
 def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change: np.ndarray) -> None:
@@ -86,7 +86,7 @@ def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change
     share = scale_change(change)
     dots = rr.Points3D(
         lift(place, LAYER_M),
-        radii=find_spacing(place) * (0.15 + 0.35 * np.abs(share)),
+        radii=find_thinness(place) * (0.012 + 0.028 * np.abs(share)),
         colors=colours_of_change(share),
         point_shading="Flat",
     )
@@ -95,8 +95,8 @@ def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change
 
 def _log_change_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
     colours = colours_of_change(np.linspace(-1, 1, STRIP))
-    share = (np.array(list(LABELS)) + 1) / 2
-    log_strip(stream, space, colours, share, list(LABELS.values()), "change")
+    labels = {(change + 1) / 2: label for change, label in LABELS.items()}
+    log_strip(stream, "change/scale", *limits(space), colours, labels)
 
 
 def _change(pair: Pair) -> rrb.Horizontal:
