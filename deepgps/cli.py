@@ -52,9 +52,9 @@ class StudyArguments:
 
 
 @dataclass(frozen=True)
-class FolderArguments:
-    run: Annotated[Path, tyro.conf.Positional]
-    """A run folder, or a study's."""
+class ViewArguments:
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """A run's folder or a study's, or two runs' to compare."""
 
 
 @dataclass(frozen=True)
@@ -147,15 +147,18 @@ def study_command(words: Sequence[str]) -> None:
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open the recording of a run or of a study in the Rerun viewer."""
+    """Open a run or a study in the Rerun viewer, or two runs side by side with the difference of their error fields."""
     from deepgps.run import open_run
     from deepgps.viewer.show import view
     from deepgps.viewer.study_read import is_study
 
-    folder = _parse(FolderArguments, "view", words).run
-    if not is_study(folder):
-        open_run(folder)
-    view([folder])
+    folders = _parse(ViewArguments, "view", words).runs
+    if len(folders) not in {1, 2}:
+        raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    for folder in folders:
+        if len(folders) == 2 or not is_study(folder):
+            open_run(folder)
+    view(folders)
 
 
 def rooms_command(words: Sequence[str]) -> None:
@@ -222,7 +225,7 @@ HELP = {
     "train": "... and train the methods",
     "evaluate": "... and measure them",
     "study": "run a study: many scenarios, one table",
-    "view": "open the recording of a run or of a study in the Rerun viewer",
+    "view": "open a run or a study in the Rerun viewer, or two runs with their difference",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",

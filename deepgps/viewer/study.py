@@ -6,7 +6,6 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 
 from collections.abc import Sequence
 from contextlib import suppress
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +16,13 @@ from deepgps.studies.study import Study
 from deepgps.studies.table import Row, varied_in
 from deepgps.viewer import study_text
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.recording import APPLICATION
+from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import Places, log_field, log_scale_below, put
 from deepgps.viewer.sliders import Slider, find_sliders
 from deepgps.viewer.study_layout import make_blueprint
 from deepgps.viewer.study_read import hash_study, open_space, own_values, read_step, read_study
 from deepgps.viewer.study_scene import find_frame, log_curves, log_heading, log_rooms
 from sim.errors import InputError
-from sim.files import write_atomic
 
 STUDY = "study.rrd"
 MOST_ARROWS = 2_500_000  # some 75 MB; in a larger study every field is thinned
@@ -44,7 +42,7 @@ def write_study(folder: Path) -> Path:
     study, rows = read_study(folder)
     path, identity = folder / STUDY, hash_study(folder, rows)
     if not _holds(path, identity):
-        write_atomic(path, lambda part: _write(part, folder, study, rows, identity))
+        _write(folder, study, rows, identity)
     return path
 
 
@@ -57,7 +55,7 @@ def find_study(folder: Path) -> Path:
     return path
 
 
-def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity: str) -> None:
+def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> None:
     done = {row["run"]: row for row in rows if row["failure"] is None}
     spaces = {row["recording"]: open_space(folder, row) for row in done.values()}
     found = find_sliders(rows, list(study.axes), own_values(study, varied_in(rows[0])))
@@ -66,15 +64,8 @@ def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity
     methods = list(dict.fromkeys(row["method"] for row in rows))
     frame, every = find_frame(spaces), _thin(folder, sliders)
     pictures = sorted(folder.glob("figures/*.png"))
-    blueprint = make_blueprint(sliders[0].name, methods, [path.stem for path in pictures], frame)
-    # Chunks end by size and never by the clock, as in a run's recording.
-    by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
-    # The viewer keeps one layout for an application: a study's is its own.
-    application = f"{APPLICATION}-study-{identity}"
-    stream = rr.RecordingStream(application, recording_id=identity, send_properties=False, batcher_config=by_size)
-    with stream:
-        stream.save(part, default_blueprint=blueprint)
-        stream.send_recording_name(study.name)
+
+    def log(stream: rr.RecordingStream) -> None:
         put(stream, "/", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         log_scale_below(stream, "scale", *frame)
         for slider in sliders:
@@ -92,8 +83,9 @@ def _write(part: Path, folder: Path, study: Study, rows: Sequence[Row], identity
         for path in pictures:
             image = rr.EncodedImage(contents=path.read_bytes(), media_type="image/png")
             put(stream, f"report/figures/{path.stem}", image)
-        stream.flush()
-        stream.disconnect()
+
+    blueprint = make_blueprint(sliders[0].name, methods, [path.stem for path in pictures], frame)
+    save_recording(folder / STUDY, identity, study.name, blueprint, log)
 
 
 def _log_text(stream: rr.RecordingStream, name: str, text: str, at: Places = ()) -> None:
