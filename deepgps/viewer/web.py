@@ -1,0 +1,78 @@
+"""A run's recording in a browser: the viewer's page and its data, served to this machine alone."""
+
+import os
+import signal
+import socket
+import subprocess
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from tempfile import TemporaryFile
+from urllib.parse import quote
+
+from deepgps.viewer.connect import HOST, find_free_port, wait_for_port
+from deepgps.viewer.recording import find_recording
+from deepgps.viewer.show import find_viewer
+from sim.errors import InputError, WorkError
+
+
+def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
+    """Serve runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
+
+    Args:
+        paths: Run folders; a run without a recording gets one first.
+        ports: Of the page, and of its data.
+        say: Told the address once it can be opened.
+
+    Raises:
+        InputError: A folder is no run, or its recording is cut off.
+        WorkError: The viewer is missing, or ended.
+    """
+    recordings = [str(find_recording(path)) for path in paths]
+    page, data = ports
+    command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(page), "--port", str(data)]
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # else the server would outlive this process
+    with TemporaryFile("w+") as told:
+        # Its own words, of which an error is the last line, are few enough for a file.
+        quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
+        server = subprocess.Popen([*command, *recordings], stdout=told, stderr=told, env=quiet)
+        try:
+            wait_for_port(data, server)
+            wait_for_port(page, server)
+            if server.poll() is None:
+                source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
+                say(f"open http://{HOST}:{page}/?url={source}\nCtrl-C ends it")
+            server.wait()
+            told.seek(0)
+            reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
+            raise WorkError(f"the Rerun viewer's server ended with {server.returncode} ({reason})")
+        finally:
+            stop(server)
+
+
+def choose_ports(page: int | None) -> tuple[int, int]:
+    """Ports of the page and of its data: the one wanted and the next, or free ones; raises InputError."""
+    if page is None:
+        return find_free_port(), find_free_port()
+    if not 1 <= page <= 65534:
+        raise InputError(f"--port {page}: must be between 1 and 65534, since the data comes from the next one")
+    for port in (page, page + 1):
+        try:
+            with socket.socket() as listener:
+                listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                listener.bind((HOST, port))
+        except OSError as error:
+            raise InputError(
+                f"--port {page}: port {port} cannot be had ({error.strerror}); without it, one is chosen"
+            ) from None
+    return page, page + 1
+
+
+def stop(server: subprocess.Popen) -> None:
+    """End the viewer that came with rerun-sdk: a script, which passes on an interrupt and nothing else."""
+    with suppress(subprocess.TimeoutExpired):
+        if server.poll() is None:
+            server.send_signal(signal.SIGINT)
+        server.wait(5)
+        return
+    server.kill()
