@@ -58,6 +58,8 @@ class LiveDrive:
         """Send poses (n, 3) of new observations, and the segments of readings (r,) that begin there or just before."""
         if not len(pose):
             return
+        if not self.observations:
+            _log_robot(self.stream)
         place = np.concatenate([self.last, pose[:, :2]])
         index = observation - (self.observations - len(self.last))
         start = playback.find_starts(segment)
@@ -84,11 +86,15 @@ class LiveDrive:
 
 
 def log_drive_styles(stream: rr.RecordingStream) -> None:
-    """Log what does not change about a drive: colours, the robot's mark, the pictures' format."""
+    """Log what does not change about a drive: its colour, its pictures' format."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     stream.log("world/drive/path", rr.LineStrips3D.from_fields(radii=0.008, colors=[90, 160, 255]), static=True)
+    for path in ("drive/fisheye", "drive/polar"):
+        stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+
+
+def _log_robot(stream: rr.RecordingStream) -> None:
+    """Mark where the robot is and where it heads; its size is known only when the recording is whole."""
     stream.log(f"{ROBOT}/place", rr.Points3D([(0, 0, 0.1)], radii=0.1, colors=[232, 37, 79]), static=True)
     heading = rr.Arrows3D(origins=[(0, 0, 0.1)], vectors=[(0.4, 0, 0)], colors=[255, 196, 60], radii=0.03)
     stream.log(f"{ROBOT}/heading", heading, static=True)
-    for path in ("drive/fisheye", "drive/polar"):
-        stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)

@@ -9,6 +9,7 @@ from matplotlib.colors import to_rgb
 
 from deepgps import figures, playback
 from deepgps.alignment import fit_alignment
+from deepgps.report import method_title
 from deepgps.viewer.live_drive import Spread
 from deepgps.viewer.scene import LAYER_M, lift
 
@@ -63,6 +64,6 @@ class LiveTraining:
 
     def _log_styles(self, method: str) -> None:
         colour = [int(255 * part) for part in to_rgb(figures.LINES.get(method, "#888888"))]
-        style = rr.SeriesLines(colors=[colour], names="loss", widths=1.5)
+        style = rr.SeriesLines(colors=[colour], names=method_title(method), widths=1.5)
         self.stream.log(f"training/{method}/loss", style, static=True)
         self.stream.log(f"world/training/{method}", rr.Points3D.from_fields(radii=0.025), static=True)

@@ -42,7 +42,11 @@ class LiveView:
         self._space: FreeSpace | None = None
         self._training: LiveTraining | None = None
         self._measured: list[str] = []
-        self._start, self._before = time.monotonic(), 0.0
+        self._start, self._before, self._began = (
+            time.monotonic(),
+            0.0,
+            0.0,
+        )  # when it began, last looked, training began
         self._shown: object = None
         stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
         log_drive_styles(stream)
@@ -99,4 +103,7 @@ class LiveView:
         shown = (self._space is not None, trained, self._measured)
         if shown != self._shown:
             self._shown = shown
-            self._stream.send_blueprint(make_live_blueprint(self._space, pictures, trained, self._measured))
+            if len(trained) == 1:
+                self._began = self._before
+            layout = make_live_blueprint(self._space, pictures, trained, self._began, self._measured)
+            self._stream.send_blueprint(layout)
