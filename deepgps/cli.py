@@ -96,11 +96,12 @@ def study_command(words: Sequence[str]) -> None:
 def view_command(words: Sequence[str]) -> None:
     """Open a run's recording in the Rerun viewer, or serve it to a browser."""
     from deepgps.run import open_run
-    from deepgps.viewer.show import view
-    from deepgps.viewer.web import choose_ports, serve
 
     arguments = _parse(ViewArguments, "view", words)
     open_run(arguments.run)
+    from deepgps.viewer.show import view
+    from deepgps.viewer.web import choose_ports, serve
+
     if arguments.web:
         serve([arguments.run], choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
     elif arguments.port is not None:

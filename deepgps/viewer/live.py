@@ -14,7 +14,7 @@ import rerun as rr
 
 from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
-from deepgps.viewer.connect import find_url, open_viewer
+from deepgps.viewer.connect import ANSWER_S, find_url, open_viewer
 from deepgps.viewer.live_view import LiveView
 from sim.errors import InputError
 
@@ -49,7 +49,7 @@ def show_live(
     stream.connect_grpc(url)
     view = LiveView(stream, scenario, folder)
     _check(stream, address)
-    begun, ended, heard = threading.Event(), threading.Event(), 0.0
+    begun, ended, lost, heard = threading.Event(), threading.Event(), threading.Event(), 0.0
 
     def report(label: str, done: int, total: int, look: Look | None = None) -> None:
         nonlocal heard
@@ -59,17 +59,18 @@ def show_live(
             view.histories[label], heard = look(), time.monotonic()
         begun.set()  # not before: the folder may hold a run that is to be replaced
 
-    thread = threading.Thread(target=_send, args=(stream, view, begun, ended, warn), name="live", daemon=True)
+    thread = threading.Thread(target=_send, args=(stream, view, begun, ended, lost, warn), daemon=True)
     thread.start()
     try:
         yield report
     finally:
         ended.set()
         begun.set()
-        thread.join(PATIENCE_S)
+        thread.join(1.0 if lost.is_set() else PATIENCE_S)
         if thread.is_alive():
-            warn("the viewer takes nothing any more; what it shows is not the whole run")
-            rr.unregister_shutdown()  # it would wait for the viewer for ever
+            if not lost.is_set():
+                warn("the viewer takes nothing any more; what it shows is not the whole run")
+            rr.unregister_shutdown()  # at the end of the process it would wait for the viewer for ever
 
 
 def _send(
@@ -77,6 +78,7 @@ def _send(
     view: LiveView,
     begun: threading.Event,
     ended: threading.Event,
+    lost: threading.Event,
     warn: Callable[[str], None],
 ) -> None:
     """Send what is new every second, and a last time when the run has ended."""
@@ -87,17 +89,19 @@ def _send(
             last = ended.wait(PERIOD_S)
             view.update()
             stream.flush(timeout_sec=PATIENCE_S)
-        stream.disconnect()
     except Exception as error:  # rerun raises RuntimeError when the viewer is gone; no fault in showing ends a run
         reason = " ".join(str(error).split())
+        lost.set()
         warn(f"the viewer is gone ({type(error).__name__}: {reason}); the run goes on without it")
+    finally:
+        stream.disconnect()  # never returns where a viewer hangs
 
 
 def _check(stream: rr.RecordingStream, address: str) -> None:
     """Raise InputError where something other than a viewer answers."""
     try:
         for _ in range(5):
-            stream.flush(timeout_sec=PATIENCE_S)
+            stream.flush(timeout_sec=ANSWER_S)
             time.sleep(0.1)  # the refusal of what has been sent takes a moment
     except RuntimeError:
-        raise InputError(f"--live {address}: what answers there is no Rerun viewer") from None
+        raise InputError(f"--live {address}: what answers there is no Rerun viewer, or one that hangs") from None

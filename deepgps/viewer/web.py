@@ -31,11 +31,12 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
     recordings = [str(find_recording(path)) for path in paths]
     page, data = ports
     command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(page), "--port", str(data)]
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # else the server would outlive this process
+    for ending in (signal.SIGTERM, signal.SIGHUP):  # else the server would outlive this process
+        signal.signal(ending, signal.default_int_handler)
     with TemporaryFile("w+") as told:
         # Its own words, of which an error is the last line, are few enough for a file.
         quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
-        server = subprocess.Popen([*command, *recordings], stdout=told, stderr=told, env=quiet)
+        server = subprocess.Popen([*command, *recordings], stdout=told, stderr=told, env=quiet, start_new_session=True)
         try:
             wait_for_port(data, server)
             wait_for_port(page, server)
@@ -47,7 +48,9 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
             reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
             raise WorkError(f"the Rerun viewer's server ended with {server.returncode} ({reason})")
         finally:
-            stop(server)
+            with suppress(ProcessLookupError):  # it has ended
+                os.killpg(server.pid, signal.SIGTERM)  # both: rerun is a script that starts the server
+            server.wait()
 
 
 def choose_ports(page: int | None) -> tuple[int, int]:
@@ -63,16 +66,6 @@ def choose_ports(page: int | None) -> tuple[int, int]:
                 listener.bind((HOST, port))
         except OSError as error:
             raise InputError(
-                f"--port {page}: port {port} cannot be had ({error.strerror}); without it, one is chosen"
+                f"--port {page}: port {port} cannot be had ({error.strerror}); without --port a free one is taken"
             ) from None
     return page, page + 1
-
-
-def stop(server: subprocess.Popen) -> None:
-    """End the viewer that came with rerun-sdk: a script, which passes on an interrupt and nothing else."""
-    with suppress(subprocess.TimeoutExpired):
-        if server.poll() is None:
-            server.send_signal(signal.SIGINT)
-        server.wait(5)
-        return
-    server.kill()
