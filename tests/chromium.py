@@ -1,10 +1,12 @@
 """A real Chromium without a window, told what to do through its DevTools pipe: JSON between zero bytes."""
 
 import base64
+import fcntl
 import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -15,6 +17,11 @@ NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 # WebGL on the processor, for machines without a graphics card.
 SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
+# It reads from 3 and writes to 4.
+START = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); os.execv(sys.argv[3], sys.argv[3:])"
+)
+
 Picture = Callable[[], bytes]
 
 
@@ -24,7 +31,7 @@ def find_chromium() -> str | None:
 
 @contextmanager
 def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 900) -> Iterator[Picture]:
-    """Open a page in the dark theme; yields a function that takes its picture as PNG.
+    """Open a page in the dark theme; yields a function that takes its picture as PNG, empty where there is none yet.
 
     Args:
         url: Of the page.
@@ -36,14 +43,15 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
     assert chromium
     read_here, write_there = os.pipe()
     read_there, write_here = os.pipe()
+    theirs = [_move_up(end) for end in (read_there, write_there)]
     flags = [*SOFTWARE, "--headless=new", "--no-first-run", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
     if os.geteuid() == 0:
         flags.append("--no-sandbox")  # Chromium has none for root
-    command = ["sh", "-c", f'exec "$@" 3<&{read_there} 4>&{write_there}', "sh", chromium, *flags, "about:blank"]
+    command = [sys.executable, "-c", START, *map(str, theirs), chromium, *flags, "about:blank"]
     quiet = subprocess.DEVNULL
-    with subprocess.Popen(command, pass_fds=(read_there, write_there), stdout=quiet, stderr=quiet) as process:
-        os.close(read_there)
-        os.close(write_there)
+    with subprocess.Popen(command, pass_fds=theirs, stdout=quiet, stderr=quiet) as process:
+        for end in theirs:
+            os.close(end)
         with os.fdopen(write_here, "wb", buffering=0) as out, os.fdopen(read_here, "rb") as answers:
             numbers = count(1)
 
@@ -54,7 +62,7 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
                 while True:
                     answer = json.loads(_read_message(answers))
                     if answer.get("id") == number:
-                        return answer["result"]
+                        return answer.get("result", {})
 
             try:
                 target = tell("Target.createTarget", url="about:blank")["targetId"]
@@ -64,9 +72,17 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
                 dark = [{"name": "prefers-color-scheme", "value": "dark"}]
                 tell("Emulation.setEmulatedMedia", page, features=dark)
                 tell("Page.navigate", page, url=url)
-                yield lambda: base64.b64decode(tell("Page.captureScreenshot", page, format="png")["data"])
+                # a page that is still busy with loading has no picture
+                yield lambda: base64.b64decode(tell("Page.captureScreenshot", page, format="png").get("data", ""))
             finally:
                 process.kill()
+
+
+def _move_up(end: int) -> int:
+    """The same pipe under a number that Chromium has no use for."""
+    moved = fcntl.fcntl(end, fcntl.F_DUPFD, 10)
+    os.close(end)
+    return moved
 
 
 def _read_message(answers: Any) -> bytes:

@@ -146,18 +146,16 @@ def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
 def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
     colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
     assert len(colours) > 50
-    pictures = []
+    shown, png, picture = 0.0, b"", np.zeros((1, 1, 3))
     with served(str(run), "--web") as (address, _), open_page(address, tmp_path / "profile") as take_picture:
         end = time.monotonic() + PICTURE_TIME_S
-        while time.monotonic() < end:
-            png = take_picture()
-            pictures.append(np.asarray(Image.open(io.BytesIO(png)).convert("RGB")))
-            if shown_colours(pictures[-1], colours) > 0.6:
-                break
+        while shown <= 0.6 and time.monotonic() < end:
             time.sleep(2)
-        else:
-            pytest.fail(f"after {PICTURE_TIME_S} s {shown_colours(pictures[-1], colours):.0%} of the colours are shown")
-    assert pictures[-1].shape == (900, 1600, 3)
-    assert shown_colours(np.zeros_like(pictures[-1]), colours) == 0.0, "a blank page shows none"
+            if png := take_picture():
+                picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+                shown = shown_colours(picture, colours)
+    assert picture.shape == (900, 1600, 3)
+    assert shown > 0.6
+    assert shown_colours(np.zeros_like(picture), colours) == 0.0, "a blank page shows none"
     if folder := os.environ.get("SCREENSHOTS"):  # to look at, and for the README
         (Path(folder) / "web.png").write_bytes(png)

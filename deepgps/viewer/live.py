@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 
 import rerun as rr
@@ -45,7 +46,8 @@ def show_live(
         WorkError: No viewer can be opened.
     """
     url = find_url(address) if address else open_viewer()
-    stream = rr.RecordingStream(APPLICATION, send_properties=False)
+    by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # flushed at each look
+    stream = rr.RecordingStream(APPLICATION, send_properties=False, batcher_config=by_hand)
     stream.connect_grpc(url)
     view = LiveView(stream, scenario, folder)
     _check(stream, address)

@@ -47,7 +47,7 @@ class LiveView:
             0.0,
             0.0,
         )  # when it began, last looked, training began
-        self._shown: object = None
+        self._text, self._shown = "", object()
         stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
         log_drive_styles(stream)
         self._arrange()
@@ -94,6 +94,9 @@ class LiveView:
             f"| {method_title(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()
         ]
         text = "\n".join(["| what | done | of |", "|---|---|---|", *rows])
+        if text == self._text:
+            return
+        self._text = text
         self._stream.log("steps", rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def _arrange(self) -> None:
