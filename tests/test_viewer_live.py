@@ -1,6 +1,7 @@
 """A run that is watched: what arrives is what was made, the results are the same, and a lost viewer ends nothing."""
 
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -27,6 +28,8 @@ from deepgps.viewer.live import show_live
 from deepgps.viewer.live_layout import RUN_TIME
 from deepgps.viewer.read import FIELDS
 from sim.errors import InputError, WorkError
+from sim.files import write_arrays
+from sim.records import chunk_files, work_folder
 
 
 @pytest.fixture(scope="module")
@@ -59,12 +62,18 @@ def rows(path: Path) -> Counter[str]:
     return counts
 
 
+# The server is killed at last, and does not close its file.
+no_footer = pytest.mark.filterwarnings("ignore:RRD file has no footer")
+
+
 @pytest.mark.slow
+@no_footer
 def test_the_viewer_gets_the_whole_run(watched: tuple[Path, Path]) -> None:
     run, got = watched
     counts = rows(got)
-    assert counts["/world/drive/path"] == len(np.unique(np.load(run / "recording" / "truth" / "reading.npy")[:, 0]))
-    assert counts[f"/{ROBOT}"] == len(np.load(run / "recording" / "truth" / "pose.npy"))
+    assert counts["/world/drive/path"] >= len(np.unique(np.load(run / "recording" / "truth" / "reading.npy")[:, 0]))
+    # the drive goes on to the end of its chunk, and is cut to the samples wanted
+    assert counts[f"/{ROBOT}"] >= len(np.load(run / "recording" / "truth" / "pose.npy"))
     assert counts["/drive/fisheye"] == counts["/drive/polar"] > 0
     for name in ("deepgps", "posenet", "odometry"):
         with np.load(run / name / "history.npz") as history:
@@ -73,6 +82,7 @@ def test_the_viewer_gets_the_whole_run(watched: tuple[Path, Path]) -> None:
 
 
 @pytest.mark.slow
+@no_footer
 def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> None:
     run, got = watched
     static = {chunk.entity_path: chunk for chunk in RrdReader(got).stream() if not chunk.timeline_names}
@@ -106,6 +116,14 @@ def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(
     assert arrays(tmp_path / "run") == arrays(tmp_path / "plain") == arrays(run)
 
 
+def write_chunk(recording: Path, readings: int) -> None:
+    """Write what a drive leaves while it is collected: one long segment along x."""
+    state = np.zeros((readings, 7))
+    state[:, 0], state[:, 3] = np.linspace(0, 1, readings), 1.0
+    arrays = {"state": state, "segment": np.zeros(readings, int), "observation": np.arange(readings)}
+    write_arrays(chunk_files(work_folder(recording), 0)[0], arrays)
+
+
 HANGING = """
 import os, signal, sys
 from pathlib import Path
@@ -113,7 +131,7 @@ from deepgps.progress import ignore
 from deepgps.scenario import Scenario
 from deepgps.viewer import live
 
-live.PATIENCE_S = 1.0
+live.STALL_S, live.PATIENCE_S = 1.0, 5.0
 with live.show_live(sys.argv[1], Scenario(), Path(sys.argv[2]), ignore, print) as report:
     os.kill(int(sys.argv[3]), signal.SIGSTOP)
     report("drive", 1, 2)
@@ -122,12 +140,17 @@ print("done")
 
 
 def test_a_viewer_that_hangs_holds_up_neither_the_run_nor_the_end_of_the_process(tmp_path: Path) -> None:
+    write_chunk(tmp_path / "recording", readings=300_000)  # more than waits in the sockets between
     with serve_grpc("--serve-grpc") as (address, server):
         command = [sys.executable, "-c", HANGING, address, str(tmp_path), str(server.pid)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
         server.send_signal(signal.SIGCONT)
-    warning = "the viewer takes nothing any more; what it shows is not the whole run"
-    assert (done.returncode, done.stdout) == (0, f"{warning}\ndone\n"), done.stderr
+    assert done.returncode == 0, done.stderr
+    warning, end = done.stdout.splitlines()
+    assert re.fullmatch(
+        r"the viewer (is gone \(.+\); the run goes on|takes nothing any more; what it shows).+", warning
+    )
+    assert end == "done"
 
 
 def test_what_the_stages_tell_is_told_on(tmp_path: Path) -> None:

@@ -21,8 +21,10 @@ from sim.errors import InputError
 
 APPLICATION = "deepgps live"  # apart from recordings, whose blueprint it would replace
 PERIOD_S = 1.0
-PATIENCE_S = 15.0
-"""How long a finished run waits for the viewer to take the rest."""
+STALL_S = 10.0
+"""How long a viewer may take nothing."""
+PATIENCE_S = 20.0
+"""How long a finished run waits for the viewer to take the rest; longer, so that a stall is told first."""
 
 
 @contextmanager
@@ -90,7 +92,7 @@ def _send(
         while not last:
             last = ended.wait(PERIOD_S)
             view.update()
-            stream.flush(timeout_sec=PATIENCE_S)
+            stream.flush(timeout_sec=STALL_S)
     except Exception as error:  # rerun raises RuntimeError when the viewer is gone; no fault in showing ends a run
         reason = " ".join(str(error).split())
         lost.set()
