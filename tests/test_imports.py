@@ -211,6 +211,7 @@ def test_import_law_allows_what_it_should():
     assert break_import_law("deepgps.viewer.scene", "import rerun\nfrom sim.records import open_recording") == []
     assert break_import_law("deepgps.run", "def f():\n    from sim.collect import collect") == []
     assert break_import_law("sim.render", "import mujoco, cv2") == []
+    assert break_import_law("deepgps.cli_arguments", "import tyro") == []
 
 
 @pytest.mark.parametrize(

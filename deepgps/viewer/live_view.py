@@ -42,11 +42,8 @@ class LiveView:
         self._space: FreeSpace | None = None
         self._training: LiveTraining | None = None
         self._measured: list[str] = []
-        self._start, self._before, self._began = (
-            time.monotonic(),
-            0.0,
-            0.0,
-        )  # when it began, last looked, training began
+        self._start, self._before = time.monotonic(), 0.0  # when the view began; its last look, since then
+        self._began_s: float | None = None  # when the training did
         self._text, self._shown = "", object()
         stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
         log_drive_styles(stream)
@@ -56,6 +53,8 @@ class LiveView:
         """Send what is new."""
         now = time.monotonic() - self._start
         before, self._before = self._before, now
+        if self._began_s is None and self.histories:
+            self._began_s = before
 
         def at(rows: int) -> list[rr.TimeColumn]:
             return [rr.TimeColumn(RUN_TIME, duration=np.linspace(before, now, rows + 1)[1:])]
@@ -106,7 +105,5 @@ class LiveView:
         shown = (self._space is not None, trained, self._measured)
         if shown != self._shown:
             self._shown = shown
-            if len(trained) == 1:
-                self._began = self._before
-            layout = make_live_blueprint(self._space, pictures, trained, self._began, self._measured)
+            layout = make_live_blueprint(self._space, pictures, trained, self._began_s or 0.0, self._measured)
             self._stream.send_blueprint(layout)
