@@ -19,7 +19,7 @@ from deepgps.bench_speed import measure_speed, measure_spread
 from deepgps.bench_studies import read_studies
 from deepgps.evaluate import evaluate
 from deepgps.positioner import NetworkPositioner, load_positioner
-from deepgps.progress import Report
+from deepgps.progress import Report, ignore
 from deepgps.run import collect, describe_environment, stage_times, train
 from deepgps.scenario import Scenario, load_scenario
 from sim.errors import InputError, WorkError
@@ -158,7 +158,7 @@ def measure_demo(size: Size, folder: Path) -> list[Row]:
         raise WorkError(f"deepgps run {size.scenario}: {done.stderr.strip()[-300:]}")
     (folder / "samples").mkdir()
     grid = GridSettings(spacing_m=1.0, headings=1)
-    collect(scenario.model_copy(update={"grid": grid}), folder / "samples", lambda label, done, total: None)
+    collect(scenario.model_copy(update={"grid": grid}), folder / "samples", ignore)
     collect_s = stage_times(folder / "samples")["collect"]
     times = read_json(folder / "demo" / "timing.json")
     training = read_json(folder / "demo" / "deepgps" / "training.json")

@@ -5,83 +5,29 @@ import io
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
 
-from deepgps.progress import show_progress
+from deepgps.cli_arguments import (
+    BenchArguments,
+    NoArguments,
+    RoomsArguments,
+    RunArguments,
+    StudyArguments,
+    ViewArguments,
+)
+from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, load_scenario, names_in
 from sim.errors import InputError, WorkError
 from sim.paths import SCENARIOS, STUDIES
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
-
-
-@dataclass(frozen=True)
-class RunArguments:
-    scenario: Annotated[str, tyro.conf.Positional]
-    """A name in assets/scenarios, or the path of a YAML file."""
-    out: Path | None = None
-    """The run folder itself; without it runs/<scenario>/seed<seed>-<hash>."""
-    fresh: bool = False
-    """Throw away what stands in the run folder and begin anew."""
-
-
-@dataclass(frozen=True)
-class StudyArguments:
-    study: Annotated[str, tyro.conf.Positional]
-    """A name in assets/studies, or the path of a YAML file."""
-    out: Path | None = None
-    """The study folder itself; without it runs/studies/<study>, with --tiny or --full <study>-tiny or <study>-full."""
-    tiny: bool = False
-    """The small version that the study describes, half a minute: it shows the way, its figures mean nothing."""
-    full: bool = False
-    """The long version, where the study describes one."""
-    engine: Literal["local", "ray"] = "local"
-    """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
-    address: str | None = None
-    """Of the Ray cluster, as auto or host:port; none: one is started here."""
-    publish: Path | None = None
-    """Copy table, report and figures to the folder of the study's name in this one, as docs/results."""
-    fresh: bool = False
-    """Throw away what stands in the study folder and begin anew."""
-
-
-@dataclass(frozen=True)
-class ViewArguments:
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """A run's folder or a study's, or two runs' to compare."""
-
-
-@dataclass(frozen=True)
-class RoomsArguments:
-    kinds: str = "all"
-    """Kinds of room, separated by commas, or all."""
-    seeds: str = "0-3"
-    """Seeds, as 0-3 or 0,2,5."""
-    out: Path = Path("rooms.png")
-    """The picture to write."""
-
-
-@dataclass(frozen=True)
-class BenchArguments:
-    out: Path = Path("bench.json")
-    """The file to write; a copy is kept in runs/bench."""
-    against: str | None = None
-    """Show an earlier bench beside this one: last, or its file."""
-    tiny: bool = False
-    """Everything small, under a minute: it shows the way, its figures mean nothing and are not kept."""
-    memory_samples: int | None = None
-    """Observations of the long recording, 12 kB each on disk; none: a million."""
-
-
-@dataclass(frozen=True)
-class NoArguments:
-    pass
 
 
 def run_command(words: Sequence[str]) -> None:
@@ -92,8 +38,8 @@ def run_command(words: Sequence[str]) -> None:
     arguments, scenario = _parse_scenario("run", words)
     folder = arguments.out or default_folder(scenario)
     _choose_renderer_for([scenario])
-    with show_progress() as progress:
-        run(scenario, folder, arguments.fresh, progress)
+    with show_progress() as progress, _watch(arguments, scenario, folder, progress) as report:
+        run(scenario, folder, arguments.fresh, report)
     print_report(folder, console)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
@@ -107,9 +53,13 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         arguments, scenario = _parse_scenario(stage, words)
         folder = arguments.out or default_folder(scenario)
         _choose_renderer_for([scenario])
-        with claim(scenario, folder, arguments.fresh), show_progress() as progress:
+        with (
+            show_progress() as progress,
+            _watch(arguments, scenario, folder, progress) as report,
+            claim(scenario, folder, arguments.fresh),
+        ):
             for name, work in STAGES.items():
-                work(scenario, folder, progress)
+                work(scenario, folder, report)
                 if name == stage:
                     break
         console.print(f"{stage} is done: {folder}", soft_wrap=True)
@@ -147,18 +97,26 @@ def study_command(words: Sequence[str]) -> None:
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open a run or a study in the Rerun viewer, or two runs side by side with the difference of their error fields."""
+    """Open a run or a study in the Rerun viewer, or two runs side by side; or serve them to a browser."""
     from deepgps.run import open_run
-    from deepgps.viewer.show import view
-    from deepgps.viewer.study_read import is_study
 
-    folders = _parse(ViewArguments, "view", words).runs
+    arguments = _parse(ViewArguments, "view", words)
+    folders = arguments.runs
     if len(folders) not in {1, 2}:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    from deepgps.viewer.show import view
+    from deepgps.viewer.study_read import is_study
+    from deepgps.viewer.web import choose_ports, serve
+
     for folder in folders:
         if len(folders) == 2 or not is_study(folder):
             open_run(folder)
-    view(folders)
+    if arguments.web:
+        serve(folders, choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
+    elif arguments.port is not None:
+        raise InputError("--port needs --web")
+    else:
+        view(folders)
 
 
 def rooms_command(words: Sequence[str]) -> None:
@@ -267,7 +225,7 @@ def _dispatch(words: Sequence[str]) -> None:
 def _parse_scenario(command: str, words: Sequence[str]) -> tuple[RunArguments, Scenario]:
     if {"-h", "--help"} & set(words):
         _show_settings(command)
-    own, overrides = _split(words, {"--out", "--fresh"})
+    own, overrides = _split(words, {"--out", "--fresh", "--live"})
     if not own or own[0].startswith("-"):
         raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
     arguments = _parse(RunArguments, command, own)
@@ -294,6 +252,23 @@ def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[s
         flag, _, value = word.partition("=")
         values = [value] if value else []
     return own, overrides
+
+
+def _watch(
+    arguments: RunArguments, scenario: Scenario, folder: Path, progress: Report
+) -> AbstractContextManager[Report]:
+    """The live view of a run, or nothing: what the stages shall tell."""
+    if arguments.live is None:
+        return nullcontext(progress)
+    # Read when rerun is imported: it raises what it would log, and a viewer that goes away is one line.
+    os.environ.setdefault("RUST_LOG", "off")
+    from deepgps.viewer.live import show_live
+
+    return show_live(" ".join(arguments.live), scenario, folder, progress, _warn)
+
+
+def _warn(text: str) -> None:
+    errors.print(f"[yellow]warning:[/yellow] {_plain(text)}")
 
 
 def _show_settings(command: str) -> None:
@@ -360,7 +335,7 @@ def _choose_renderer() -> None:
     choose_backend()
 
 
-def _plain(error: Exception) -> str:
+def _plain(error: Exception | str) -> str:
     """One line that rich takes as it is."""
     return " ".join(str(error).split()).replace("[", "\\[")
 

@@ -1,12 +1,22 @@
-"""Progress of long work: a function told (what, steps done, steps in all)."""
+"""Progress of long work: a function told (what, steps done, steps in all), and how to see what there is so far."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from typing import Protocol
 
-Report = Callable[[str, int, int], None]
+import numpy as np
+
+Look = Callable[[], Mapping[str, np.ndarray]]
+"""Makes arrays of what there is so far; called by whoever wants to see it."""
 
 
-def ignore(label: str, done: int, total: int) -> None:
+class Report(Protocol):
+    """Told what is done, its steps done and in all, and, by a training, how to see its history."""
+
+    def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None: ...
+
+
+def ignore(label: str, done: int, total: int, look: Look | None = None) -> None:
     """Say nothing."""
 
 
@@ -35,7 +45,7 @@ def show_progress() -> Iterator[Report]:
     with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         tasks = {}
 
-        def report(label: str, done: int, total: int) -> None:
+        def report(label: str, done: int, total: int, look: Look | None = None) -> None:
             if label not in tasks:
                 tasks[label] = bars.add_task(label, total=total, rate="")
             speed = bars.tasks[tasks[label]].speed

@@ -220,7 +220,7 @@ def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
     for part in loc[:-1]:
         group = group.model_fields[cast(str, part)].annotation
     names = list(group.model_fields)
-    close = difflib.get_close_matches(str(loc[-1]), names, n=1)
+    close = difflib.get_close_matches(str(loc[-1]), names, n=1, cutoff=0.65)
     return f", did you mean {close[0]}?" if close else f"; there are {', '.join(names)}"
 
 

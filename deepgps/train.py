@@ -189,7 +189,7 @@ def train(
             if (step + 1) % every == 0:
                 history.add_loss(step + 1, running.item() / every)
                 running.zero_()
-                progress(label, step + 1, settings.steps)
+                progress(label, step + 1, settings.steps, history.tables)
             # A checkpoint falls on a loss point, so that the running mean need not be saved.
             if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0 or step + 1 == settings.steps:
                 seconds = time.perf_counter() - start

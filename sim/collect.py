@@ -28,7 +28,7 @@ from sim.horizontal import camera_matrix, mounting
 from sim.labels import write_labels
 from sim.mount import draw_leans
 from sim.processes import end_with_parent
-from sim.records import finish_recording, save_free_space
+from sim.records import chunk_files, finish_recording, save_free_space, work_folder
 from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
 from sim.scan import measure
 from sim.sensing import HORIZONTAL, SIGHTINGS, sense_states
@@ -75,7 +75,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     from sim.mesh import write_scene  # the workers, which import this file too, do without it
 
     start = time.perf_counter()
-    work = folder.with_name(f"{folder.name}.collecting")
+    work = work_folder(folder)
     if (folder / "manifest.json").is_file():
         shutil.rmtree(work, ignore_errors=True)  # killed just before it was removed
         return
@@ -283,13 +283,13 @@ def _drive_and_render(
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
         index = len(drive.chunks)
-        path = work / f"drive-{index:06d}.npz"
+        path, images = chunk_files(work, index)
         if not path.is_file():
             write_arrays(path, drive_chunk(world, settings, rng, chunk))
         with np.load(path, allow_pickle=False) as stored:
             chunk = dict(stored)
         drive.chunks.append(chunk)
-        drive.images.append(work / f"image-{index:06d}.npy")
+        drive.images.append(images)
         leans = draw_leans(settings.mount, len(chunk["state"]), lean)
         jobs.append(pool.submit(sense_states, settings, chunk["state"], drive.images[-1], leans))
         driven = int(chunk["observations"])

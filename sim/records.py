@@ -144,6 +144,16 @@ def open_labels(folder: Path) -> Labels | None:
     return Labels(pose=_open_array(labels / "pose.npy"), test_pose=_open_array(labels / "test_pose.npy"))
 
 
+def work_folder(folder: Path) -> Path:
+    """Where a recording keeps its parts until it is finished."""
+    return folder.with_name(f"{folder.name}.collecting")
+
+
+def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
+    """States and readings of one chunk of a drive that is being recorded, and its images."""
+    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npy"
+
+
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Read a recording's manifest; raises InputError where it is missing, broken or of another schema."""
     path = folder / "manifest.json"

@@ -100,7 +100,7 @@ def test_a_fold_restarts_training_and_the_best_attempt_is_kept(toy: Recording, t
     strict = SETTINGS.fold.model_copy(update={"bent": 1e-9, "restarts": 1})
     settings = SETTINGS.model_copy(update={"train": train, "fold": strict, "start": "random"})
     labels = []
-    fit(toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, done, total: labels.append(label))
+    fit(toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, *_: labels.append(label))
     training = json.loads((tmp_path / "run" / "deepgps" / "training.json").read_text())
     assert training["attempts"] == 2 and training["fold"]["found"] and training["steps"] == 80
     assert set(labels) == {"deepgps", "deepgps, restart 1"}

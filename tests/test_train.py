@@ -6,7 +6,7 @@ import torch
 
 from deepgps import losses
 from deepgps.network import make_network
-from deepgps.progress import Report, ignore
+from deepgps.progress import Look, Report, ignore
 from deepgps.settings import NetworkSettings, TrainSettings
 from deepgps.train import (
     Batch,
@@ -29,7 +29,7 @@ class Cut(Exception):
 
 
 def cut_at(step: int) -> Report:
-    def report(label: str, done: int, total: int) -> None:
+    def report(label: str, done: int, total: int, look: Look | None = None) -> None:
         if done == step:
             raise Cut
 
@@ -141,7 +141,7 @@ def test_an_absent_device_is_refused():
 def test_threads_are_lent_only_to_training(tmp_path: Path):
     before = torch.get_num_threads()
     seen = []
-    learn(tmp_path, progress=lambda label, done, total: seen.append(torch.get_num_threads()))
+    learn(tmp_path, progress=lambda *_: seen.append(torch.get_num_threads()))
     assert set(seen) == {SETTINGS.threads} == {1}
     with pytest.raises(Cut):
         learn(tmp_path / "cut", progress=cut_at(1))

@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from deepgps.progress import Report
+from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
@@ -64,7 +64,7 @@ def work(scenario: Scenario, folder: Path, recording: str, record: bool, pipe: C
     end_with_parent()
     steps: dict[str, int] = {}
 
-    def tell(label: str, done: int, total: int) -> None:
+    def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
         if total > 1:  # a training
             steps[label] = done
             pipe.send(sum(steps.values()))

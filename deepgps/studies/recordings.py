@@ -8,13 +8,14 @@ another, each made by all cores.
 from collections.abc import Sequence
 from pathlib import Path
 
-from deepgps.progress import Report
+from deepgps.progress import Look, Report
 from deepgps.run import make_recording
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, one_line
 from sim.derive import can_be_cut, choose_drive, derive
 from sim.errors import InputError, WorkError
+from sim.records import work_folder
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -65,7 +66,7 @@ def _name_drive(scenario: Scenario) -> str:
 
 def _stands(recording: Path) -> bool:
     """Whether a recording is finished, and nothing is left of its making."""
-    return (recording / "manifest.json").is_file() and not recording.with_name(f"{recording.name}.collecting").exists()
+    return (recording / "manifest.json").is_file() and not work_folder(recording).exists()
 
 
 def _collect_all(scenarios: dict[str, Scenario], home: Path, progress: Report) -> Failures:
@@ -93,7 +94,7 @@ def _half_and_half(progress: Report, before: int, size: int, total: int) -> Repo
     """One bar of driving and rendering: each counts half of a recording's samples."""
     share: dict[str, float] = {}
 
-    def report(label: str, done: int, of: int) -> None:
+    def report(label: str, done: int, of: int, look: Look | None = None) -> None:
         share[label] = done / of
         progress("recordings", before + round(size * sum(share.values()) / 2), total)
 

@@ -1,6 +1,7 @@
 """Reading recordings back: whatever the viewer shows is there for code."""
 
 from pathlib import Path
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pyarrow as pa
@@ -18,8 +19,10 @@ def open_rrd(path: Path) -> RrdReader:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
-        reader = RrdReader(path)
-        reader.store().schema()  # needs the footer, which a cut-off file lacks
+        with catch_warnings():
+            simplefilter("ignore")  # what it warns of is told below
+            reader = RrdReader(path)
+            reader.store().schema()  # needs the footer, which a cut-off file lacks
     except Exception as error:  # rerun raises ValueError, RuntimeError and its own kinds
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path} is cut off or no recording ({reason}); delete it and view the run again") from None

@@ -32,7 +32,7 @@ def view(paths: Sequence[Path]) -> None:
         lines = [line for line in ended.stderr.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
             f"the Rerun viewer ended with {ended.returncode} ({lines[-1]}); without a display, copy "
-            f"{recording} to a machine that has one, or: rerun --serve-web --bind 127.0.0.1 {recording}"
+            f"{recording} to a machine that has one, or: deepgps view {' '.join(map(str, paths))} --web"
         )
 
 

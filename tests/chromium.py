@@ -1,0 +1,94 @@
+"""A real Chromium without a window, told what to do through its DevTools pipe: JSON between zero bytes."""
+
+import base64
+import fcntl
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+# WebGL on the processor, for machines without a graphics card.
+SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+# It reads from 3 and writes to 4.
+START = (
+    "import os, sys; os.dup2(int(sys.argv[1]), 3); os.dup2(int(sys.argv[2]), 4); os.execv(sys.argv[3], sys.argv[3:])"
+)
+
+Picture = Callable[[], bytes]
+
+
+def find_chromium() -> str | None:
+    return next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+@contextmanager
+def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 900) -> Iterator[Picture]:
+    """Open a page in the dark theme; yields a function that takes its picture as PNG, empty where there is none yet.
+
+    Args:
+        url: Of the page.
+        profile: An empty folder for Chromium's own files.
+        width_px: Of the page.
+        height_px: Of the page.
+    """
+    chromium = find_chromium()
+    assert chromium
+    read_here, write_there = os.pipe()
+    read_there, write_here = os.pipe()
+    theirs = [_move_up(end) for end in (read_there, write_there)]
+    flags = [*SOFTWARE, "--headless=new", "--no-first-run", "--remote-debugging-pipe", f"--user-data-dir={profile}"]
+    if os.geteuid() == 0:
+        flags.append("--no-sandbox")  # Chromium has none for root
+    command = [sys.executable, "-c", START, *map(str, theirs), chromium, *flags, "about:blank"]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, pass_fds=theirs, stdout=quiet, stderr=quiet) as process:
+        for end in theirs:
+            os.close(end)
+        with os.fdopen(write_here, "wb", buffering=0) as out, os.fdopen(read_here, "rb") as answers:
+            numbers = count(1)
+
+            def tell(method: str, session: str | None = None, **values: Any) -> dict[str, Any]:
+                number = next(numbers)
+                message = {"id": number, "method": method, "params": values}
+                out.write(json.dumps(message | ({"sessionId": session} if session else {})).encode() + b"\0")
+                while True:
+                    answer = json.loads(_read_message(answers))
+                    if answer.get("id") == number:
+                        return answer.get("result", {})
+
+            try:
+                target = tell("Target.createTarget", url="about:blank")["targetId"]
+                page = tell("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+                size = {"width": width_px, "height": height_px}
+                tell("Emulation.setDeviceMetricsOverride", page, **size, deviceScaleFactor=1, mobile=False)
+                dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+                tell("Emulation.setEmulatedMedia", page, features=dark)
+                tell("Page.navigate", page, url=url)
+                # a page that is still busy with loading has no picture
+                yield lambda: base64.b64decode(tell("Page.captureScreenshot", page, format="png").get("data", ""))
+            finally:
+                process.kill()
+
+
+def _move_up(end: int) -> int:
+    """The same pipe under a number that Chromium has no use for."""
+    moved = fcntl.fcntl(end, fcntl.F_DUPFD, 10)
+    os.close(end)
+    return moved
+
+
+def _read_message(answers: Any) -> bytes:
+    message = bytearray()
+    while (byte := answers.read(1)) != b"\0":
+        if not byte:
+            raise EOFError("Chromium has ended")
+        message += byte
+    return bytes(message)

@@ -1,0 +1,161 @@
+"""The viewer in a browser: served to this machine alone, ended by Ctrl-C, and a real Chromium shows the error field."""
+
+import io
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from urllib.error import URLError
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from chromium import NAMES, find_chromium, open_page
+from PIL import Image
+from synthetic_run import write_synthetic_run
+
+from deepgps.cli import main
+from deepgps.figures import colours_of, read_fields
+from deepgps.viewer.connect import HOST, find_free_port
+from deepgps.viewer.recording import RECORDING, write_recording
+from deepgps.viewer.web import choose_ports
+from sim.errors import InputError
+
+PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.16)
+    (folder / "scenario.yaml").write_text("name: living_room\n")
+    write_recording(folder)
+    return folder
+
+
+@contextmanager
+def served(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Address and process of ``deepgps view`` with these words; ended when left."""
+    command = [sys.executable, "-m", "deepgps.cli", "view", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout
+            address = re.match(r"open (http://127\.0\.0\.1:\d+/\?url=\S+)\n", process.stdout.readline())
+            assert address, process.stderr.read() if process.stderr else ""
+            yield address[1], process
+        finally:
+            process.send_signal(signal.SIGTERM)
+
+
+def find_pair() -> int:
+    """A free port whose next one is free too."""
+    while True:
+        with suppress(InputError):
+            return choose_ports(find_free_port())[0]
+
+
+def port_of(address: str) -> int:
+    return int(address.removeprefix(f"http://{HOST}:").partition("/")[0])
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_it_is_served_until_it_is_interrupted(run: Path, how: signal.Signals) -> None:
+    with served(str(run), "--web") as (address, process):
+        with urlopen(address, timeout=30) as page:
+            assert page.status == 200 and b"re_viewer" in page.read()
+        process.send_signal(how)
+        assert process.wait(30) == 130
+        assert process.stderr and "interrupted" in process.stderr.read()
+    with pytest.raises(URLError):
+        urlopen(address, timeout=5)
+
+
+def test_a_port_can_be_wanted_and_nothing_else_listens(run: Path) -> None:
+    port = find_pair()
+    with served(str(run), "--web", "--port", str(port)) as (address, _):
+        assert port_of(address) == port and f"%3A{port + 1}%2Fproxy" in address
+        others = [socket.gethostbyname(socket.gethostname())]
+        for other in {name for name in others if name != HOST}:
+            with pytest.raises(OSError):
+                socket.create_connection((other, port), 2)
+
+
+def fail_to_view(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What the command says on stderr when its input is wrong."""
+    with pytest.raises(SystemExit) as ended:
+        main(["view", *words])
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_one_clear_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server((HOST, 0)) as taken:
+        port = taken.getsockname()[1]
+        said = fail_to_view(capsys, str(run), "--web", "--port", str(port))
+    reason = f"port {port} cannot be had (Address already in use); without --port a free one is taken"
+    assert said == f"error: --port {port}: {reason}\n"
+
+
+def test_the_next_port_is_needed_as_well() -> None:
+    with socket.create_server((HOST, 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"--port {port - 1}: port {port} cannot be had"):
+            choose_ports(port - 1)
+
+
+@pytest.mark.parametrize("port", [0, -1, 65535, 70000])
+def test_a_port_out_of_range_is_refused(port: int) -> None:
+    with pytest.raises(InputError, match="must be between 1 and 65534"):
+        choose_ports(port)
+
+
+def test_a_port_alone_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fail_to_view(capsys, str(run), "--port", "9090") == "error: --port needs --web\n"
+
+
+def test_a_folder_that_is_no_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = fail_to_view(capsys, str(tmp_path), "--web")
+    assert said == f"error: {tmp_path} is no run folder: it has no scenario.yaml\n"
+
+
+def test_a_cut_off_recording_is_one_clear_line(run: Path, tmp_path: Path) -> None:
+    cut = Path(shutil.copytree(run, tmp_path / "copy")) / RECORDING
+    cut.write_bytes(cut.read_bytes()[:-1000])
+    command = [sys.executable, "-m", "deepgps.cli", "view", str(cut.parent), "--web"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1 and "recording.rrd is cut off or no recording" in done.stderr
+
+
+def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
+    """The share of colours (n, 3) that the middle of a picture (rows, columns, 3) has, above the scale's strip."""
+    rows, columns, _ = picture.shape
+    middle = picture[rows // 8 : 3 * rows // 4, : 2 * columns // 3].reshape(-1, 3).astype(int)
+    there = {tuple(colour) for colour in np.unique(middle, axis=0) // 4}
+    return float(np.mean([tuple(colour) in there for colour in colours.astype(int) // 4]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_chromium() is None, reason=f"no Chromium: there is no command {', '.join(NAMES)}")
+def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
+    colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
+    assert len(colours) > 50
+    shown, png, picture = 0.0, b"", np.zeros((1, 1, 3))
+    with served(str(run), "--web") as (address, _), open_page(address, tmp_path / "profile") as take_picture:
+        end = time.monotonic() + PICTURE_TIME_S
+        while shown <= 0.6 and time.monotonic() < end:
+            time.sleep(2)
+            if png := take_picture():
+                picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+                shown = shown_colours(picture, colours)
+    assert picture.shape == (900, 1600, 3)
+    assert shown > 0.6
+    assert shown_colours(np.zeros_like(picture), colours) == 0.0, "a blank page shows none"
+    if folder := os.environ.get("SCREENSHOTS"):  # to look at, and for the README
+        (Path(folder) / "web.png").write_bytes(png)
