@@ -88,26 +88,35 @@ def study_command(words: Sequence[str]) -> None:
         console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
     done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
     if done:
-        console.print(f"look at a run: deepgps view {done[0]}", soft_wrap=True)
+        from deepgps.viewer.study import write_study
+
+        write_study(folder)
+        console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {done[0]}", soft_wrap=True)
     if failures:
         raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {folder / 'table.md'} says why")
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open a run's recording in the Rerun viewer, or serve it to a browser."""
+    """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
     from deepgps.run import open_run
 
     arguments = _parse(ViewArguments, "view", words)
-    open_run(arguments.run)
+    folders = arguments.runs
+    if len(folders) not in {1, 2}:
+        raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    if arguments.port is not None and not arguments.web:
+        raise InputError("--port needs --web")
     from deepgps.viewer.show import view
+    from deepgps.viewer.study_read import is_study
     from deepgps.viewer.web import choose_ports, serve
 
+    for folder in folders:
+        if len(folders) == 2 or not is_study(folder):
+            open_run(folder)
     if arguments.web:
-        serve([arguments.run], choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
-    elif arguments.port is not None:
-        raise InputError("--port needs --web")
+        serve(folders, choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
     else:
-        view([arguments.run])
+        view(folders)
 
 
 def rooms_command(words: Sequence[str]) -> None:
@@ -174,7 +183,7 @@ HELP = {
     "train": "... and train the methods",
     "evaluate": "... and measure them",
     "study": "run a study: many scenarios, one table",
-    "view": "open a run's recording in the Rerun viewer",
+    "view": "open a run or a study in the Rerun viewer, or two runs with their difference",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",

@@ -42,8 +42,8 @@ class StudyArguments:
 
 @dataclass(frozen=True)
 class ViewArguments:
-    run: Annotated[Path, tyro.conf.Positional]
-    """A run folder."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """A run's folder or a study's, or two runs' to compare."""
     web: bool = False
     """Serve the viewer and the recording to a browser on this machine, until Ctrl-C."""
     port: int | None = None

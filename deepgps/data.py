@@ -1,12 +1,13 @@
 """Weak constraints from a recording: what lies on one straight segment, and how far along it. Never the truth."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 
+from deepgps.train import Batch
 from sim.encoder import ticks_to_distance
 from sim.errors import InputError
 from sim.records import Recording
@@ -26,12 +27,18 @@ class Segments:
         distance: Distance of each from the segment's first reading, by encoder (L, longest) [m].
         count: Readings of each segment (L,) int64, at least 2.
         skipped: Segments left out because fewer than two readings arrived.
+        weight: How much each is believed (L,), from 0 to 1; None: all alike.
+        variance: Expected squared error of each distance that grows with the way (L, longest) [m^2]; None: not asked.
+        rounding_m2: The same of any distance between two readings that does not [m^2].
     """
 
     index: torch.Tensor
     distance: torch.Tensor
     count: torch.Tensor
     skipped: int
+    weight: torch.Tensor | None = None
+    variance: torch.Tensor | None = None
+    rounding_m2: float = 0.0
 
     @property
     def valid(self) -> torch.Tensor:
@@ -40,7 +47,13 @@ class Segments:
 
     def to(self, device: torch.device) -> "Segments":
         """The same on a device."""
-        return Segments(self.index.to(device), self.distance.to(device), self.count.to(device), self.skipped)
+        tensors = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        return replace(self, **tensors)
+
+    def take(self, rows: torch.Tensor) -> "Segments":
+        """Some of the segments (n,) int64, with their observations numbered as before."""
+        tensors = {name: value[rows] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        return replace(self, **tensors)
 
 
 def read_segments(recording: Recording) -> Segments:
@@ -52,8 +65,7 @@ def read_segments(recording: Recording) -> Segments:
         InputError: when no segment has two readings, or the odometry constants are missing.
     """
     travelled = travel(recording.reading[:, 2:], recording.manifest).mean(axis=1)
-    number = recording.reading[:, 0]
-    runs = np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
+    runs = find_runs(recording)
     kept = [run for run in runs if len(run) >= 2]
     if not kept:
         raise InputError(f"{recording.folder}: no segment has two readings, so there is no distance to learn from")
@@ -69,6 +81,12 @@ def read_segments(recording: Recording) -> Segments:
         count=torch.tensor([len(run) for run in kept]),
         skipped=len(runs) - len(kept),
     )
+
+
+def find_runs(recording: Recording) -> list[np.ndarray]:
+    """The readings (n,) of each segment in the order driven; of those with at least two, ``Segments`` has a row."""
+    number = recording.reading[:, 0]
+    return np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
 
 
 def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
@@ -88,15 +106,14 @@ def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tu
     key = torch.arange(len(segments.count), dtype=torch.float64) * GOLDEN % 1.0
     order = key.argsort()
     rows = order[segments.count[order].cumsum(0) <= most].sort().values
-    count = segments.count[rows]
-    kept = Segments(segments.index[rows], segments.distance[rows], count, segments.skipped)
+    kept = segments.take(rows)
     chosen = kept.index[kept.valid].unique()
-    return Segments(torch.searchsorted(chosen, kept.index) * kept.valid, kept.distance, count, kept.skipped), chosen
+    return replace(kept, index=torch.searchsorted(chosen, kept.index) * kept.valid), chosen
 
 
 def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
     """Way of each wheel [m] from its cumulative ticks, both (R, 2)."""
-    odometry = _odometry(manifest)
+    odometry = read_odometry(manifest)
     return ticks_to_distance(ticks, odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
 
 
@@ -107,7 +124,7 @@ def dead_reckon(recording: Recording) -> np.ndarray:
     between segments the robot turns in place first, and then drives.
     """
     way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
-    turn = (way[:, 1] - way[:, 0]) / _odometry(recording.manifest)["track_m"]
+    turn = (way[:, 1] - way[:, 0]) / read_odometry(recording.manifest)["track_m"]
     yaw = np.concatenate([[0.0], np.cumsum(turn)])
     heading = yaw[:-1] + turn / 2.0
     between = np.diff(recording.reading[:, 0]) != 0
@@ -117,20 +134,16 @@ def dead_reckon(recording: Recording) -> np.ndarray:
     return np.concatenate([place, yaw[:, None]], axis=1)
 
 
-def draw(
-    segments: Segments, count: int, samples: int, generator: torch.Generator
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Draw ``count`` segments, each reading equally often, and up to ``samples`` different readings of each.
-
-    Returns:
-        Observations (count, samples), distances along their segment (count, samples) [m], and which are valid.
-    """
-    row = torch.multinomial(segments.count.float(), count, replacement=True, generator=generator)
+def draw(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
+    """Draw ``count`` segments, readings as often as they are believed, and up to ``samples`` different ones of each."""
+    often = segments.count.float() if segments.weight is None else segments.count * segments.weight
+    row = torch.multinomial(often, count, replacement=True, generator=generator)
     valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
     key = torch.rand(valid.shape, generator=generator, device=valid.device)
     place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
     index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
-    return index, along, valid.gather(1, place)
+    variance = None if segments.variance is None else segments.variance[row].gather(1, place)
+    return Batch(index, along, valid.gather(1, place), variance)
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:
@@ -143,7 +156,7 @@ def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, to
     return first, last
 
 
-def _odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
+def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
     odometry = manifest.get("odometry", {})
     for name in ("wheel_radius_m", "track_m", "ticks_per_rev"):
         if not isinstance(odometry.get(name), int | float):

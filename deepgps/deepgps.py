@@ -7,7 +7,7 @@ then by lifting.
 """
 
 import shutil
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import torch
@@ -20,10 +20,12 @@ from deepgps.fold import Signs, find_signs
 from deepgps.isomap import has_lines
 from deepgps.material import Material, as_positioner, new_network, prepare
 from deepgps.network import count_parameters
+from deepgps.noise import expect_errors, find_believed, trust_pairs, trust_places
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings, LiftSettings, Start
 from deepgps.train import Batch, Loss, derive_seed, make_generator, predict, train
+from deepgps.turns import find_hand, read_turns, straighten
 from sim.errors import InputError
 from sim.files import write_bytes
 from sim.records import Recording
@@ -54,7 +56,34 @@ def fit(
 ) -> Positioner:
     """Train DeepGPS into ``folder``; done work is loaded, cut-off work continued."""
     if not is_finished(folder):
+        learn(prepare(recording, settings, seed, folder.parent), settings, seed, folder, progress)
+    return load_positioner(folder)
+
+
+def fit_aware(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """The same, with residuals divided by what encoders are expected to be wrong by, and doubtful segments found."""
+    if not is_finished(folder):
         material = prepare(recording, settings, seed, folder.parent)
+        expected = replace(material, segments=expect_errors(recording, material.segments))
+        learn(expected, settings, seed, folder, progress)
+    return load_positioner(folder)
+
+
+def fit_turns(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """The same from the path that the wheels reckon, with left and right as they turned: no mirrored map."""
+    if not is_finished(folder):
+        material = replace(prepare(recording, settings, seed, folder.parent), turns=read_turns(recording))
+        learn(material, settings, seed, folder, progress)
+    return load_positioner(folder)
+
+
+def learn(material: Material, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> None:
+    """Train on this material into ``folder``."""
+    if not is_finished(folder):
         attempts = run_attempts(material, settings, seed, folder, progress)
         best = min(range(len(attempts)), key=lambda number: attempts[number].signs.worst(settings.fold))
         chosen = attempts[best]
@@ -66,11 +95,11 @@ def fit(
             "attempts": len(attempts),
             "fold": {"found": chosen.signs.folded(settings.fold), **asdict(chosen.signs)},
             "segments_skipped": material.segments.skipped,
+            "segments_doubted": len(material.segments.count) - len(find_believed(material.segments).count),
         }
         save_positioner(folder, chosen.positioner, training)
     for left in folder.glob("attempt*"):
         shutil.rmtree(left)
-    return load_positioner(folder)
 
 
 def run_attempts(
@@ -79,7 +108,7 @@ def run_attempts(
     """Train until a map shows no fold, or the restarts are used up."""
     attempts = []
     for number in range(settings.fold.restarts + 1):
-        label = "deepgps" if number == 0 else f"deepgps, restart {number}"
+        label = folder.name if number == 0 else f"{folder.name}, restart {number}"
         attempts.append(run_attempt(material, settings, seed, number, _attempt_folder(folder, number), progress, label))
         if not attempts[-1].signs.folded(settings.fold):
             break
@@ -100,19 +129,22 @@ def run_attempt(
     network = new_network(material, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     device = material.inputs.table.device
     segments = material.segments.to(device)
-    sample, chosen = spread(material.segments, len(material.features))
+    sample, chosen = spread(find_believed(material.segments), len(material.features))
     features, near, numbers = material.features[chosen], sample.to(device), chosen.to(device)
 
     def draw_batch(generator: torch.Generator, done: float) -> Batch:
         if start in FIRST_MAP and done < IMITATE:  # only these have a place on the first map
-            index, along, valid = draw(near, settings.train.segments, settings.train.samples, generator)
-            return Batch(numbers[index], along, valid)
-        return Batch(*draw(segments, settings.train.segments, settings.train.samples, generator))
+            batch = draw(near, settings.train.segments, settings.train.samples, generator)
+            return replace(batch, index=numbers[batch.index])
+        return draw(segments, settings.train.segments, settings.train.samples, generator)
 
-    loss = segment_loss(settings)
+    loss = segment_loss(settings, segments.rounding_m2)
     if start in FIRST_MAP:
         first = torch.full((len(material.features), 2), torch.nan)
-        places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
+        if material.turns and start == "paths" and number == 0:
+            places = straighten(material.turns, chosen, features, sample)
+        else:
+            places = FIRST_MAP[start](features, sample, make_generator(seed, "start", number))
         first[chosen] = torch.from_numpy(places).float()
         loss = imitate_first(loss, first.to(device), SLACK_M[start])
     elif start == "lifting":
@@ -123,6 +155,10 @@ def run_attempt(
     centre, axes = find_plane(out)
     positions = ((out - centre) @ axes).double().numpy()
     signs = find_signs(positions, features, sample, make_generator(seed, "fold", number))
+    if material.turns:
+        out = predict(network, material.inputs, torch.arange(len(material.features)))
+        hand = find_hand(((out - centre) @ axes).double().numpy(), material.segments, material.turns)
+        axes = axes * torch.tensor([1.0, hand])
     return Attempt(as_positioner(material, settings, network, centre, axes), signs, seconds)
 
 
@@ -137,14 +173,18 @@ def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -
     return settings.start
 
 
-def segment_loss(settings: LearnSettings) -> Loss:
-    """The paper's dense loss (Eq. 5), and ours of straightness with its weight."""
+def segment_loss(settings: LearnSettings, rounding_m2: float = 0.0) -> Loss:
+    """The paper's dense loss (Eq. 5), and ours of straightness with its weight; errors that are expected count less."""
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        pairs = losses.dense(out, batch.target, batch.valid, settings.loss)
+        of_pairs = of_places = None
+        if batch.variance is not None:
+            of_pairs = trust_pairs(batch.variance, rounding_m2)
+            of_places = trust_places(batch.variance, batch.valid, rounding_m2)
+        pairs = losses.dense(out, batch.target, batch.valid, settings.loss, of_pairs)
         if settings.straight == 0.0:
             return pairs
-        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid)
+        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid, of_places)
 
     return both
 

@@ -16,12 +16,15 @@ from deepgps.alignment import AlignmentKind, fit_alignment
 from deepgps.data import dead_reckon
 from deepgps.positioner import load_positioner
 from deepgps.scenario import MethodName, Scenario
+from deepgps.segment_errors import measure_distances
 from sim.files import read_json, write_arrays
 from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
 ALIGNMENT: dict[MethodName, AlignmentKind] = {
     "deepgps": "E2",
+    "deepgps_aware": "E2",
+    "deepgps_turns": "SE2",
     "posenet": "SE2",
     "posenet_noisy": "SE2",
     "odometry": "SE2",
@@ -96,6 +99,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         "distance_driven_m": recording.manifest["distance_driven_m"],
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
+        "distances": measure_distances(recording, truth),
         "methods": methods,
     }
 

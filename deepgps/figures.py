@@ -34,6 +34,8 @@ COLOURS = LinearSegmentedColormap.from_list(
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 LINES = {
     "deepgps": "#0b62d6",
+    "deepgps_aware": "#00a3b4",
+    "deepgps_turns": "#7048e8",
     "posenet": "#e07b00",
     "posenet_noisy": "#b8860b",
     "explicit": "#7a4fbf",

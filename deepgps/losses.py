@@ -30,7 +30,13 @@ def normalised(d: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
 PAIR_LOSSES = {"absolute": absolute, "normalised": normalised}
 
 
-def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kind: PairLoss) -> torch.Tensor:
+def dense(
+    positions: torch.Tensor,
+    along: torch.Tensor,
+    valid: torch.Tensor,
+    kind: PairLoss,
+    trust: torch.Tensor | None = None,
+) -> torch.Tensor:
     """Mean loss over all pairs inside each segment (Eq. 5).
 
     Args:
@@ -38,6 +44,7 @@ def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kin
         along: Distance of each sample from its segment's start (S, m) [m].
         valid: Which samples there are (S, m) bool.
         kind: Loss of one pair.
+        trust: What each pair's loss is multiplied by (S, m, m); none: 1.
 
     Returns:
         A scalar; zero when there is no pair.
@@ -45,10 +52,14 @@ def dense(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, kin
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
     pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
     weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
+    if trust is not None:
+        pair = pair * trust[:, i, j]
     return (pair * weight).sum() / weight.sum().clamp_min(1.0)
 
 
-def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+def straight(
+    positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, trust: torch.Tensor | None = None
+) -> torch.Tensor:
     """Mean distance of predictions from the straight line that they were driven on; ours, not the paper's.
 
     All distances of a segment are right exactly when ``p_i = mean(p) + (c_i - mean(c)) u`` with a unit vector ``u``. A
@@ -59,6 +70,8 @@ def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) 
         positions: Predictions (S, m, D) [m].
         along: Distance of each sample from its segment's start (S, m) [m].
         valid: Which samples there are (S, m) bool.
+        trust: What the part of the distance along the line is multiplied by (S, m), since encoders are wrong along it
+            and not across it; none: 1.
 
     Returns:
         A scalar [m]; zero when there is no sample.
@@ -70,5 +83,9 @@ def straight(positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor) 
     total = ((weight * c)[..., None] * p).sum(dim=1, keepdim=True)
     length = distance(total, torch.zeros_like(total))[..., None]
     u = total / torch.where(length > 0, length, 1.0)
-    away = distance(p, c[..., None] * u)
+    if trust is None:
+        away = distance(p, c[..., None] * u)
+    else:
+        ahead = ((p * u).sum(dim=-1) - c)[..., None] * u
+        away = distance(p - c[..., None] * u, (1.0 - trust[..., None]) * ahead)
     return (away * weight).sum() / weight.sum().clamp_min(1.0)

@@ -14,6 +14,7 @@ from deepgps.network import make_network
 from deepgps.positioner import NetworkPositioner
 from deepgps.settings import LearnSettings
 from deepgps.train import Inputs, choose_device, make_generator, use_threads
+from deepgps.turns import Turns
 from sim.records import Recording
 
 
@@ -27,6 +28,7 @@ class Material:
         features: Features of the training observations (N, components).
         inputs: What the network takes, on the device.
         shape: Shape of one observation.
+        turns: What the wheels say of the whole drive; None: not asked.
     """
 
     segments: Segments
@@ -34,6 +36,7 @@ class Material:
     features: torch.Tensor
     inputs: Inputs
     shape: tuple[int, ...]
+    turns: Turns | None = None
 
 
 def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:

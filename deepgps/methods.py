@@ -13,6 +13,8 @@ Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
 
 METHODS: dict[str, Fit] = {
     "deepgps": deepgps.fit,
+    "deepgps_aware": deepgps.fit_aware,
+    "deepgps_turns": deepgps.fit_turns,
     "posenet": posenet.fit,
     "posenet_noisy": posenet.fit_noisy,
     "odometry": odometry.fit,

@@ -14,6 +14,8 @@ from sim.files import read_json
 
 TITLES = {
     "deepgps": "DeepGPS",
+    "deepgps_aware": "DeepGPS, noise-aware",
+    "deepgps_turns": "DeepGPS, with turns",
     "posenet": "PoseNet",
     "posenet_noisy": "PoseNet, noisy labels",
     "explicit": "Explicit positioning",
@@ -87,6 +89,13 @@ def describe(metrics: Mapping[str, Any]) -> list[str]:
     if trajectory := metrics.get("trajectory"):
         drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
         sentences.insert(1, f"The path that the wheels alone reckon drifts by {drift}.")
+    if distances := metrics.get("distances"):
+        measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
+        sentences.insert(
+            1,
+            f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
+            f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
+        )
     return sentences
 
 

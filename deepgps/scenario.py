@@ -14,9 +14,20 @@ from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.records import SCHEMA
-from sim.settings import Group, SimSettings
+from sim.settings import NO_FAULTS, Group, SimSettings
 
-MethodName = Literal["deepgps", "posenet", "posenet_noisy", "odometry", "knn", "explicit", "explicit_mds", "pca_knn"]
+MethodName = Literal[
+    "deepgps",
+    "deepgps_aware",
+    "deepgps_turns",
+    "posenet",
+    "posenet_noisy",
+    "odometry",
+    "knn",
+    "explicit",
+    "explicit_mds",
+    "pca_knn",
+]
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 
 
@@ -151,12 +162,12 @@ def write_out(scenario: Scenario) -> str:
 
 def digest(scenario: Scenario) -> str:
     """Eight hexadecimal digits of the resolved scenario, the schema and the room file, if one is used."""
-    return _hash(scenario.model_dump_json(), scenario.room.mjcf)
+    return _hash(_dump(scenario), scenario.room.mjcf)
 
 
 def digest_recording(scenario: Scenario) -> str:
     """The same of the part that decides the recording."""
-    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario.room.mjcf)
+    return _hash(f"{scenario.seed} {_dump(scenario.sim)}", scenario.room.mjcf)
 
 
 class _Loader(yaml.SafeLoader):
@@ -169,6 +180,12 @@ class _Loader(yaml.SafeLoader):
                 mark = node.value[index][0].start_mark
                 raise yaml.constructor.ConstructorError(None, None, f"{key} stands twice", mark)
         return super().construct_mapping(node, deep)
+
+
+def _dump(settings: SimSettings) -> str:
+    """Settings as they are hashed: without the groups that are off and once were not there, so that runs made then
+    keep their names."""
+    return settings.model_dump_json(exclude={name for name, off in NO_FAULTS.items() if getattr(settings, name) == off})
 
 
 def _hash(settings: str, room: str | None) -> str:

@@ -36,11 +36,13 @@ class Batch:
         index: Observations (B,) or, segment by segment, (S, m).
         target: Positions (B, 2) [m], or distances along the segment (S, m) [m].
         valid: Which of them there are, of the shape of ``index``.
+        variance: Of distances, the expected squared error that grows with the way [m^2]; None: not asked.
     """
 
     index: torch.Tensor
     target: torch.Tensor
     valid: torch.Tensor
+    variance: torch.Tensor | None = None
 
 
 class Inputs:

@@ -19,18 +19,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sim.camera_faults import make_develop, spawn_streams
 from sim.drive import Course, Segment, next_segment
-from sim.encoder import read_encoders, ticks_to_distance
+from sim.encoder import describe_odometry, read_encoders, ticks_to_distance
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays, write_atomic
 from sim.horizontal import camera_matrix, mounting
 from sim.labels import write_labels
+from sim.mount import draw_leans
 from sim.processes import end_with_parent
 from sim.records import chunk_files, finish_recording, save_free_space, work_folder
 from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
 from sim.scan import measure
 from sim.sensing import HORIZONTAL, SIGHTINGS, sense_states
-from sim.settings import SimSettings
+from sim.settings import SimSettings, UseSettings
 from sim.streams import stream
 from sim.tags import Sightings
 from sim.world import RoomWorld
@@ -78,14 +80,19 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         shutil.rmtree(work, ignore_errors=True)  # killed just before it was removed
         return
     work.mkdir(parents=True, exist_ok=True)
-    world = RoomWorld(settings, drawn=False)
+    taught = settings.model_copy(update={"use": UseSettings()})  # the room as it is in training
+    world = RoomWorld(taught, drawn=False)
     held_out = settings.grid.held_out
     test_pose = np.empty((0, 1, 3)) if held_out else lay_grid(world, settings)
+    if settings.use.moved_m:
+        test_pose = test_pose[RoomWorld(settings, drawn=False).is_free(test_pose[:, 0, :2])]
     for deaths in range(DEATHS + 1):
         pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
         try:
-            tests, jobs = _render_grid(pool, world, settings, test_pose, work)
-            drive, drive_jobs = _drive_and_render(pool, world, settings, stream(seed, "drive"), work, progress)
+            chance = spawn_streams(seed)
+            tests, jobs = _render_grid(pool, world, settings, test_pose, work, chance.test_lean)
+            streams = stream(seed, "drive"), chance.lean
+            drive, drive_jobs = _drive_and_render(pool, world, taught, *streams, work, progress)
             renderer = _watch([*jobs, *drive_jobs], progress)
             break
         except BrokenProcessPool:  # what the dead have drawn and driven stands, and is not done again
@@ -93,28 +100,23 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
                 raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
         finally:
             pool.shutdown(cancel_futures=True)
-    noise = stream(seed, "lidar")
-    sense = (lambda scans: measure(scans, settings.lidar, noise)) if settings.sensor == "lidar" else None
+    sense, sense_test = _make_senses(settings, seed)
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
     if held_out:
         test_pose = take_held_out(settings, drive)
         tests = drive.images
     first = settings.drive.samples if held_out else 0
-    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense)
+    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
     if settings.horizontal.mounted:
         counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
-    write_scene(RoomWorld(settings).model, folder / "scene.glb")
+    write_scene(RoomWorld(taught).model, folder / "scene.glb")
     manifest = {
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
         **counts,
-        "odometry": {
-            "wheel_radius_m": WHEEL_RADIUS_M,
-            "track_m": TRACK_M * (1.0 + settings.encoder.track_error),
-            "ticks_per_rev": settings.encoder.ticks_per_rev,
-        },
+        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "gl_renderer": renderer,
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
@@ -122,6 +124,19 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     }
     finish_recording(folder, manifest)
     shutil.rmtree(work)
+
+
+def _make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense | None]:
+    """What the sensor makes of what there is to see: on the drive, and at the tests."""
+    if settings.sensor == "lidar":
+        noise = stream(seed, "lidar")
+
+        def scan(scans: np.ndarray) -> np.ndarray:
+            return measure(scans, settings.lidar, noise)
+
+        return scan, scan
+    chance = spawn_streams(seed)
+    return make_develop(settings.image, chance.noise), make_develop(settings.image, chance.test_noise)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -259,6 +274,7 @@ def _drive_and_render(
     world: RoomWorld,
     settings: SimSettings,
     rng: np.random.Generator,
+    lean: np.random.Generator,
     work: Path,
     progress: Report,
 ) -> tuple[Drive, list[Future]]:
@@ -274,20 +290,28 @@ def _drive_and_render(
             chunk = dict(stored)
         drive.chunks.append(chunk)
         drive.images.append(images)
-        jobs.append(pool.submit(sense_states, settings, chunk["state"], drive.images[-1]))
+        leans = draw_leans(settings.mount, len(chunk["state"]), lean)
+        jobs.append(pool.submit(sense_states, settings, chunk["state"], drive.images[-1], leans))
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
     return drive, jobs
 
 
 def _render_grid(
-    pool: ProcessPoolExecutor, world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path
+    pool: ProcessPoolExecutor,
+    world: RoomWorld,
+    settings: SimSettings,
+    test_pose: np.ndarray,
+    work: Path,
+    lean: np.random.Generator,
 ) -> tuple[list[Path], list[Future]]:
-    """Hand the test grid to the renderers: the robot settled and at rest at each pose."""
+    """Hand the test grid to the renderers: the robot settled and at rest at each pose, in the room as it is in use."""
     parts = np.split(test_pose.reshape(-1, 3), range(CHUNK, test_pose.size // 3, CHUNK))
     paths = [work / f"test-{index:06d}.npy" for index in range(len(parts))]
     states = [world.rest_states(part) for part in parts]
-    return paths, [pool.submit(sense_states, settings, state, path) for state, path in zip(states, paths, strict=True)]
+    leans = [draw_leans(settings.mount, len(part), lean) for part in parts]
+    jobs = zip(states, paths, leans, strict=True)
+    return paths, [pool.submit(sense_states, settings, *job) for job in jobs]
 
 
 def _watch(jobs: Sequence[Future], progress: Report) -> str:

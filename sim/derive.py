@@ -1,7 +1,8 @@
 """Deriving: a recording made of another one of the same drive, which is neither driven nor drawn again.
 
 Recordings whose settings differ only in the encoder are one drive with the same images; only the ticks are read again,
-from its wheel angles. And no drive depends on how long it will be: a shorter one is the beginning of a longer one.
+from its wheel angles. Where they differ in faults of finished images, these are put on the images of the other. And no
+drive depends on how long it will be: a shorter one is the beginning of a longer one.
 """
 
 import os
@@ -12,22 +13,25 @@ from typing import Any
 
 import numpy as np
 
-from sim.encoder import read_encoders
+from sim.camera_faults import Develop, make_develop, spawn_streams
+from sim.encoder import describe_odometry, read_encoders
 from sim.errors import InputError
-from sim.files import write_array
+from sim.files import write_array, write_atomic
 from sim.records import Recording, Truth, finish_recording, open_recording, open_truth
-from sim.settings import EncoderSettings, SimSettings
+from sim.settings import EncoderSettings, ImageSettings, SimSettings
 from sim.streams import stream
 
 PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 NEW = ("reading.npy", "time.npy")
+AT_ONCE = 256
+"""Images that are given their faults at a time."""
 
 
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
     """Settings of the recording of so many samples from which others of the same drive are derived: no faults."""
     drive = settings.drive.model_copy(update={"samples": samples})
-    return settings.model_copy(update={"encoder": EncoderSettings(), "drive": drive})
+    return settings.model_copy(update={"encoder": EncoderSettings(), "image": ImageSettings(), "drive": drive})
 
 
 def can_be_cut(settings: SimSettings) -> bool:
@@ -41,8 +45,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     What stays the same is a hard link, or a copy where there can be none: each recording is whole without the other.
 
     Args:
-        base: Folder of the other recording: no shorter, and none of its readings is lost.
-        settings: As the other's but for the encoder and the samples.
+        base: Folder of the other recording: no shorter, none of its readings is lost, its images have no faults.
+        settings: As the other's but for the encoder, faults of the finished image and the samples.
         seed: The other's.
         folder: The recording's folder; finished once it holds ``manifest.json``.
 
@@ -58,8 +62,15 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
+    chance = spawn_streams(seed)
+    faults = {
+        "observation.npy": make_develop(settings.image, chance.noise),
+        "test/observation.npy": make_develop(settings.image, chance.test_noise),
+    }
     for name in recording.manifest["sha256"]:
-        if name in PER_SAMPLE + PER_READING and not whole:
+        if fault := faults.get(name):
+            _develop_again(base / name, folder / name, fault, samples if name in PER_SAMPLE else None)
+        elif name in PER_SAMPLE + PER_READING and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
             write_array(folder / name, array[: samples if name in PER_SAMPLE else kept])
         elif name not in NEW:
@@ -89,11 +100,7 @@ def _read_again(
         "readings": kept,
         "readings_lost": int((~arrived).sum()),
         "distance_driven_m": round(float(np.abs(step_m).sum()), 3),
-        "odometry": {
-            **odometry,
-            "track_m": track_m * (1.0 + encoder.track_error),
-            "ticks_per_rev": encoder.ticks_per_rev,
-        },
+        "odometry": describe_odometry(encoder, odometry["wheel_radius_m"], track_m),
     }
 
 
@@ -101,13 +108,30 @@ def _check(base: Recording, settings: SimSettings, seed: int) -> None:
     other = SimSettings.model_validate(base.manifest["settings"])
     samples = settings.drive.samples
     if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
-        raise InputError(f"{base} is a recording of another drive: more than encoder and drive.samples differ")
+        raise InputError(f"{base} is a recording of another drive: more than encoder, image and drive.samples differ")
+    if other.image != ImageSettings():
+        raise InputError(f"{base} has faults in its images, which cannot be taken away: nothing can be derived from it")
     if other.drive.samples < samples:
         raise InputError(f"{base} has {other.drive.samples} samples, too few for drive.samples {samples}")
     if other.drive.samples > samples and not can_be_cut(settings):
         raise InputError(f"{base} has {other.drive.samples} samples, of which {samples} are no recording of their own")
     if base.manifest["readings_lost"]:
         raise InputError(f"{base} has lost readings, whose times are not known: nothing can be derived from it")
+
+
+def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:
+    """Write the images of a file, or the first ``count``, with faults; some at a time."""
+    images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
+    flat = images.reshape(-1, *images.shape[-3:])
+
+    def write(part: Path) -> None:
+        whole = np.lib.format.open_memmap(part, mode="w+", dtype=images.dtype, shape=images.shape)
+        into = whole.reshape(flat.shape)
+        for first in range(0, len(flat), AT_ONCE):
+            into[first : first + AT_ONCE] = fault(np.asarray(flat[first : first + AT_ONCE]))
+        whole.flush()
+
+    write_atomic(target, write)
 
 
 def _link(source: Path, target: Path) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 
 from sim.settings import EncoderSettings
 
+Constants = dict[str, float]
+
 
 def read_encoders(
     wheel_angle: np.ndarray, wheel_radius_m: float, settings: EncoderSettings, rng: np.random.Generator
@@ -18,15 +20,16 @@ def read_encoders(
         wheel_angle: Left and right joint angle at each reading (R, 2) [rad], in the order driven.
         wheel_radius_m: The radius by which slip, given per metre, becomes an angle [m].
         settings: Resolution and faults.
-        rng: Source of slip, gap noise and losses, drawn in this order, so that one fault does not shift another.
+        rng: Source of slip, gap noise, losses and what sticks; one stream each, so that one does not shift another.
 
     Returns:
         Cumulative ticks (R, 2) int64 and a mask (R,) bool of the readings that arrive.
     """
-    slip_rng, gap_rng, lost_rng = rng.spawn(3)
+    slip_rng, gap_rng, lost_rng, stuck_rng = rng.spawn(4)
     angle = scale_wheels(wheel_angle, settings.radius_error_left, settings.radius_error_right)
     angle = slip_wheels(angle, settings.slip_per_m, wheel_radius_m, slip_rng)
     angle = disturb_gaps(angle, settings.gap_noise, gap_rng)
+    angle = stick_wheel(angle, settings.stuck, stuck_rng)
     return count_ticks(angle, settings), keep_readings(len(angle), settings.lost, lost_rng)
 
 
@@ -56,6 +59,32 @@ def disturb_gaps(wheel_angle: np.ndarray, gap_noise: float, rng: np.random.Gener
     """
     gap = np.diff(wheel_angle, axis=0)
     return _accumulate(wheel_angle, gap * (1.0 + gap_noise * rng.standard_normal((len(gap), 1))))
+
+
+def stick_wheel(wheel_angle: np.ndarray, stuck: float, rng: np.random.Generator) -> np.ndarray:
+    """Angles (R, 2) of which one wheel's stand still for this fraction of the gaps, in one stretch by chance."""
+    gap = np.diff(wheel_angle, axis=0)
+    wheel, length = int(rng.integers(2)), round(stuck * len(gap))
+    first = int(rng.integers(len(gap) - length + 1))
+    gap[first : first + length, wheel] = 0.0
+    return _accumulate(wheel_angle, gap) if length else wheel_angle
+
+
+def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m: float) -> Constants:
+    """What a robot's builder knows of its odometry: constants, as wrong as they are set, and the noise in data sheets.
+
+    Args:
+        settings: The encoders.
+        wheel_radius_m: Radius of both wheels [m].
+        track_m: True distance of the wheels [m].
+    """
+    return {
+        "wheel_radius_m": wheel_radius_m,
+        "track_m": track_m * (1.0 + settings.track_error),
+        "ticks_per_rev": settings.ticks_per_rev,
+        "gap_noise": settings.gap_noise,
+        "slip_per_m": settings.slip_per_m,
+    }
 
 
 def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarray:

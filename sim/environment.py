@@ -14,7 +14,7 @@ from sim.gl import choose_backend
 from sim.ranges import REACH_M
 from sim.render import Fisheye
 from sim.robot import PREFIX, WHEELS
-from sim.settings import SimSettings
+from sim.settings import NO_FAULTS, SimSettings
 from sim.world import RoomWorld
 
 try:
@@ -41,7 +41,8 @@ class RoomEnvironment(dm_env.Environment):
         episode_s: Length of an episode [s]; it ends with discount 1, as it is cut off, not lost.
 
     Raises:
-        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings).
+        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings), or the
+            camera has any.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 
@@ -52,6 +53,8 @@ class RoomEnvironment(dm_env.Environment):
                     f"encoder.{fault} {getattr(settings.encoder, fault)} must be 0 in the environment: "
                     "it is drawn for a whole drive, after it"
                 )
+        if faults := [name for name, off in NO_FAULTS.items() if getattr(settings, name) != off]:
+            raise InputError(f"{faults[0]} must be as by default: the environment's camera has no faults")
         if episode_s < settings.drive.control_period_s:
             raise InputError(
                 f"episode_s {episode_s} must be at least drive.control_period_s {settings.drive.control_period_s} s"

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.encoder import read_encoders
+from sim.encoder import describe_odometry, read_encoders
 from sim.records import FreeSpace, save_free_space, write_recording
 from sim.settings import SimSettings
 from sim.streams import stream
@@ -112,11 +112,7 @@ def record(
         "seed": seed,
         **count_drive(drive),
         "readings_lost": int((~arrived).sum()),
-        "odometry": {
-            "wheel_radius_m": WHEEL_RADIUS_M,
-            "track_m": TRACK_M * (1.0 + settings.encoder.track_error),
-            "ticks_per_rev": settings.encoder.ticks_per_rev,
-        },
+        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "gl_renderer": "none",
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),

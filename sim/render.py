@@ -14,6 +14,7 @@ import numpy as np
 
 from sim.faces import Face, edge_planes, make_faces, map_rays
 from sim.lens import make_lens, polar_rays, round_rays
+from sim.mount import tilt
 from sim.offscreen import Offscreen
 from sim.settings import CameraSettings
 
@@ -67,16 +68,21 @@ class Fisheye:
         self._screen = Offscreen(model, *_strip_size(self._faces))
         self.renderer_string = self._screen.renderer_string
 
-    def polar(self, data: mujoco.MjData) -> np.ndarray:
-        """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB."""
-        return _warp(self._draw(data), self._polar)
+    def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None) -> np.ndarray:
+        """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
 
-    def round(self, data: mujoco.MjData, size_px: int) -> np.ndarray:
+        Args:
+            data: Of the model, its places computed.
+            lean: Of the camera about its own place, to the robot's right and ahead (2,) [rad].
+        """
+        return _warp(self._draw(data, lean), self._polar)
+
+    def round(self, data: mujoco.MjData, size_px: int, lean: np.ndarray | None = None) -> np.ndarray:
         """The round picture of the state ``data``: (size_px, size_px, 3) uint8 RGB, black outside the rim."""
         if size_px not in self._round:
             finer = self._finer(2 * self._lens.half_angle / size_px)
             self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer), finer)
-        return _warp(self._draw(data), self._round[size_px])
+        return _warp(self._draw(data, lean), self._round[size_px])
 
     def close(self) -> None:
         """Free the OpenGL context; a second call does nothing."""
@@ -97,16 +103,18 @@ class Fisheye:
         column_row, fraction = cv2.convertMaps(column, row, cv2.CV_16SC2)
         return _Warp(column_row, fraction, (column.shape[0] // finer, column.shape[1] // finer))
 
-    def _draw(self, data: mujoco.MjData) -> np.ndarray:
+    def _draw(self, data: mujoco.MjData, lean: np.ndarray | None) -> np.ndarray:
         """Draw all faces; the strip's first row is the lowest."""
         self._screen.begin()
         scene = self._scene
         position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+        if lean is not None:
+            turn = turn @ tilt(lean)
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
         dim_headlight(scene)
         geoms = scene.geoms[: scene.ngeom]
         kinds = [geom.type for geom in geoms]
-        seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int))
+        seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int), turn)
         shown = np.ones(len(geoms), bool)
         for face, wanted in zip(self._faces, seen, strict=True):
             for index in np.flatnonzero(wanted != shown):
@@ -116,9 +124,12 @@ class Fisheye:
             mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._screen.target)
         return self._screen.read()
 
-    def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray) -> np.ndarray:
-        """Which of the geoms reach into each face's pyramid (faces, geoms): their boxes against its four planes."""
-        position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+    def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Which of the geoms reach into each face's pyramid (faces, geoms): their boxes against its four planes.
+
+        ``turn`` (3, 3) holds the camera's axes as columns.
+        """
+        position = data.site_xpos[self._site]
         middle, half = self._boxes[0][geoms], self._boxes[1][geoms]
         axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
         place = data.geom_xpos[geoms] - position + np.einsum("gij,gj->gi", axes, middle)

@@ -3,7 +3,8 @@
 import mujoco
 
 from sim.robot import PREFIX, load_robot, mount_horizontal
-from sim.settings import SimSettings
+from sim.settings import SimSettings, UseSettings
+from sim.use import dim
 
 AMBIENT = 0.4
 """Brightness of the light that comes from everywhere; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
@@ -17,11 +18,13 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
 
     Args:
         room: The room, without moving parts; it is not changed.
-        settings: Physics step, wheel error and camera height are used.
+        settings: Physics step, wheel error, camera height and the light in use are used.
     """
     spec = freeze(room)
     _force_physics(spec, settings.robot.timestep_s)
     _force_picture(spec)
+    if settings.use != UseSettings():
+        dim(spec, settings.use)
     robot = load_robot(settings.robot, settings.camera)
     if settings.horizontal.mounted:
         mount_horizontal(robot, settings.horizontal)

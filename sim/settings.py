@@ -152,6 +152,8 @@ class EncoderSettings(Group):
     """The paper's w: each gap between readings is multiplied by 1 + w n, n standard normal."""
     lost: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of readings that never arrive."""
+    stuck: float = Field(default=0.0, ge=0.0, le=0.9)
+    """Fraction of the readings, in one stretch, during which one encoder, left or right by chance, counts nothing."""
 
 
 class DriveSettings(Group):
@@ -193,6 +195,50 @@ class GridSettings(Group):
     """Samples driven after those to learn from, at which is tested in place of the grid; 0: the grid."""
 
 
+class ImageSettings(Group):
+    """What the camera's sensor makes of light: faults that act on a finished image, in training and in use alike."""
+
+    exposure: float = Field(default=1.0, gt=0.0, le=16.0)
+    """Exposure time, as a fraction of that of an image without faults; what is brighter than white is white."""
+    vignetting: float = Field(default=0.0, ge=0.0, le=0.99)
+    """Fraction of the light that is lost at the rim of the image; less inward, none in the middle."""
+    read_noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each sensor pixel's noise in the dark, as a fraction of white, in linear light."""
+    shot_noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each sensor pixel's photon noise at white, as a fraction of it; it grows with the root of
+    the light. One over the root of the electrons that fill a pixel: 0.01 for 10,000 of them."""
+    sensor_px: int = Field(default=480, ge=16, le=8192)
+    """Diameter of the image's circle on the sensor [px]; a pixel of the polar image is the mean of those it covers."""
+    turn_deg: float = Field(default=0.0, ge=0.0, le=90.0)
+    """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
+
+
+class MountSettings(Group):
+    """How the camera sits on the robot and rides with it: faults that are drawn, in training and in use alike."""
+
+    roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
+    """The camera's axis leans to the robot's right by this [deg]."""
+    pitch_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
+    """The camera's axis leans ahead by this [deg]."""
+    wobble_deg: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Standard deviation of a lean of its own for each image, to the right and ahead, besides [deg]."""
+    driven_m: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Way that the robot drives ahead while the shutter is open: speed x exposure time [m]."""
+
+
+class UseSettings(Group):
+    """What has changed in the room between training and use: the test grid alone is drawn with it."""
+
+    light: float = Field(default=1.0, ge=0.0, le=1.0)
+    """Brightness of all light, that of windows too, as a fraction of that in training."""
+    lamps: float = Field(default=1.0, ge=0.0, le=1.0)
+    """Brightness of the lamps alone: what shines from them, and their own glow; light from all around stays."""
+    moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
+    """How far chairs and other small pieces have been pushed, each in a direction by chance in which it can be [m]."""
+    seed: int = Field(default=0, ge=0)
+    """Directions come from this number."""
+
+
 class SimSettings(Group):
     """All that decides a recording."""
 
@@ -211,6 +257,9 @@ class SimSettings(Group):
     encoder: EncoderSettings = EncoderSettings()
     drive: DriveSettings = DriveSettings()
     grid: GridSettings = GridSettings()
+    image: ImageSettings = ImageSettings()
+    mount: MountSettings = MountSettings()
+    use: UseSettings = UseSettings()
 
     @model_validator(mode="after")
     def _control_is_whole_steps(self) -> "SimSettings":
@@ -242,3 +291,18 @@ class SimSettings(Group):
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         return self
+
+    @model_validator(mode="after")
+    def _only_a_camera_has_its_faults(self) -> "SimSettings":
+        faults = [name for name, off in NO_FAULTS.items() if getattr(self, name) != off]
+        if faults and (self.world != "room" or self.sensor != "fisheye"):
+            raise ValueError(f"{faults[0]} has faults of images, which need world room and sensor fisheye")
+        if self.use != UseSettings() and self.grid.held_out:
+            raise ValueError(f"use changes the room of the test grid, and grid.held_out {self.grid.held_out} has none")
+        if self.use.moved_m and self.room.mjcf is not None:
+            raise ValueError("use.moved_m needs a room whose furniture is known, and room.mjcf is one of your own")
+        return self
+
+
+NO_FAULTS: dict[str, Group] = {"image": ImageSettings(), "mount": MountSettings(), "use": UseSettings()}
+"""The camera's groups of faults as they are by default: off."""

@@ -14,6 +14,7 @@ from sim.robot import BASE, BUMPER, PREFIX, RADIUS_M, WHEELS, robot_height
 from sim.room import build_room
 from sim.scene import bare, compile_scene, empty_room, freeze
 from sim.settings import SimSettings
+from sim.use import move_furniture
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _SETTLE_S = 1.0
@@ -32,11 +33,13 @@ class RoomWorld:
         """Build the room of the settings, or take a ready one, and put the robot into it at rest.
 
         Args:
-            settings: Room, robot, camera height and control period are used.
+            settings: Room, what has changed in it, robot, camera height and control period are used.
             room: A ready room instead of the settings' own.
             drawn: Whether ``model`` holds what nothing can touch; physics is a third faster without.
         """
         still = freeze(build_room(settings.room) if room is None else room)
+        if settings.use.moved_m:
+            still = move_furniture(still, settings.use.moved_m, settings.use.seed)
         self.settings = settings
         self.model = compile_scene(still if drawn else bare(still), settings)
         self.data = mujoco.MjData(self.model)

@@ -36,6 +36,8 @@ ONE_LINE_ERRORS = [
     (["study", "missing.yaml"], "study missing.yaml: no such file"),
     (["study", "seeds", "--tinny"], "--tinny"),
     (["view", "."], "is no run folder: it has no scenario.yaml"),
+    (["view"], "deepgps view takes one folder, or two to compare, not 0"),
+    (["view", "a", "b", "c"], "deepgps view takes one folder, or two to compare, not 3"),
     (["view", "nowhere"], "is no run folder: it has no scenario.yaml"),
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
     (["rooms", "--seeds", "3-x"], "--seeds '3-x': one to a hundred whole numbers"),

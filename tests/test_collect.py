@@ -1,5 +1,6 @@
 import os
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -8,6 +9,9 @@ from sim.collect import collect
 from sim.encoder import ticks_to_distance
 from sim.errors import WorkError
 from sim.records import check_recording, open_recording, open_truth, read_manifest
+from sim.render import Fisheye
+from sim.settings import GridSettings, Group, MountSettings, SimSettings, UseSettings
+from sim.world import RoomWorld
 
 
 def arrays(folder) -> dict[str, bytes]:
@@ -133,3 +137,52 @@ def test_a_renderer_that_always_dies_is_said_so(small_settings, tmp_path, monkey
     monkeypatch.setattr(collecting, "ProcessPoolExecutor", Broken)
     with pytest.raises(WorkError, match="a rendering process died; deepgps doctor checks the renderer"):
         collect(small_settings, 0, tmp_path / "x", lambda *_: None)
+
+
+def change(settings: SimSettings, samples: int, **groups: Group) -> SimSettings:
+    drive = settings.drive.model_copy(update={"samples": samples})
+    return settings.model_copy(update={"drive": drive, **groups})
+
+
+def test_without_faults_an_image_is_what_the_camera_draws(small_settings, small_recording):
+    recording = open_recording(small_recording)
+    world = RoomWorld(small_settings)
+    state = np.load(small_recording / "truth" / "state.npy")
+    with Fisheye(world.model, small_settings.camera) as fisheye:
+        for number in (0, 150, 299):
+            world.data.qpos[:] = state[number]
+            mujoco.mj_kinematics(world.model, world.data)
+            np.testing.assert_array_equal(fisheye.polar(world.data), recording.observation[number])
+
+
+@pytest.mark.slow
+def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_settings, tmp_path):
+    plain = change(small_settings, 30, grid=GridSettings(spacing_m=0.1, headings=1))
+    settings = plain.model_copy(update={"use": UseSettings(light=0.5, moved_m=0.5)})
+    for name, group in (("plain", plain), ("used", settings)):
+        collect(group, 0, tmp_path / name, lambda *_: None, workers=1)
+    ours, before = arrays(tmp_path / "used"), arrays(tmp_path / "plain")
+    tests = {"test/observation.npy", "truth/test_pose.npy"}
+    assert {name for name in before if ours[name] != before[name]} == tests
+    truth, old = open_truth(tmp_path / "used"), open_truth(tmp_path / "plain")
+    known = {tuple(pose) for pose in old.test_pose[:, 0]}
+    assert {tuple(pose) for pose in truth.test_pose[:, 0]} < known, "some are blocked by what was moved, none is new"
+    assert RoomWorld(settings).is_free(truth.test_pose[..., :2]).all()
+    now = {tuple(pose) for pose in truth.test_pose[:, 0]}
+    kept = [number for number, pose in enumerate(old.test_pose[:, 0]) if tuple(pose) in now]
+    changed, was = (open_recording(tmp_path / name).test_observation for name in ("used", "plain"))
+    assert changed.mean() == pytest.approx(was[kept].mean() / 2, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_mounted_camera_s_faults_are_drawn_the_same_again_and_for_a_shorter_drive(
+    small_settings, small_recording, tmp_path
+):
+    mount = MountSettings(roll_deg=2.0, wobble_deg=1.0, driven_m=0.05)
+    for name, samples in (("one", 30), ("longer", 40)):
+        collect(change(small_settings, samples, mount=mount), 0, tmp_path / name, lambda *_: None, workers=1)
+    one, longer, sound = (open_recording(folder) for folder in (tmp_path / "one", tmp_path / "longer", small_recording))
+    np.testing.assert_array_equal(one.observation, longer.observation[:30])
+    np.testing.assert_array_equal(one.test_observation, longer.test_observation)
+    assert (one.observation != sound.observation[:30]).mean() > 0.5
+    np.testing.assert_array_equal(open_truth(tmp_path / "one").pose, open_truth(small_recording).pose[:30])

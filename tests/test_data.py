@@ -77,7 +77,8 @@ def test_a_left_turn_is_positive():
 
 def test_draws_are_different_readings_of_one_segment(tmp_path: Path):
     segments = read_segments(make_toy(tmp_path / "toy"))
-    index, along, valid = draw(segments, 50, 8, torch.Generator().manual_seed(0))
+    batch = draw(segments, 50, 8, torch.Generator().manual_seed(0))
+    index, along, valid = batch.index, batch.target, batch.valid
     assert index.shape == along.shape == valid.shape == (50, 8)
     rows = [set(row.tolist()) for row in segments.index]
     for one, use in zip(index, valid, strict=True):
@@ -89,7 +90,7 @@ def test_draws_are_different_readings_of_one_segment(tmp_path: Path):
 def test_each_reading_is_drawn_equally_often():
     reading = [[0, k, k, k] for k in range(10)] + [[1, 10 + k, k, k] for k in range(30)]
     segments = read_segments(recording_of(reading))
-    index, _, _ = draw(segments, 4000, 1, torch.Generator().manual_seed(0))
+    index = draw(segments, 4000, 1, torch.Generator().manual_seed(0)).index
     often = torch.bincount(index.flatten(), minlength=40)
     assert often.min() > 60 and often.max() < 145
 

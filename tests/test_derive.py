@@ -9,7 +9,15 @@ from sim.collect import collect
 from sim.derive import can_be_cut, choose_drive, derive
 from sim.errors import InputError
 from sim.records import check_recording, read_manifest
-from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
+from sim.settings import (
+    DriveSettings,
+    EncoderSettings,
+    GridSettings,
+    ImageSettings,
+    LandmarksSettings,
+    MountSettings,
+    SimSettings,
+)
 
 FAULTY = EncoderSettings(
     ticks_per_rev=128,
@@ -61,6 +69,28 @@ def test_derived_is_as_collected_in_the_plane(samples: int, encoder: EncoderSett
     derive(plane, settings, 0, tmp_path / "derived")
     assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
     check_recording(tmp_path / "derived")
+
+
+DARK = ImageSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noise=0.1, turn_deg=8.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("samples", [270, 300])
+def test_faults_of_images_are_derived_as_they_are_collected(
+    samples: int, small_recording: Path, small_settings: SimSettings, tmp_path: Path
+):
+    settings = change(small_settings, samples, FAULTY).model_copy(update={"image": DARK})
+    collect(settings, 0, tmp_path / "collected", quiet, workers=1)
+    derive(small_recording, settings, 0, tmp_path / "derived")
+    assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
+    check_recording(tmp_path / "derived")
+    sound, faulty = (read_manifest(folder)["sha256"] for folder in (small_recording, tmp_path / "derived"))
+    assert all(sound[name] != faulty[name] for name in ("observation.npy", "test/observation.npy"))
+    with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
+        derive(tmp_path / "derived", change(settings, 64, FAULTY), 0, tmp_path / "again")
+    with pytest.raises(InputError, match="more than encoder, image and drive"):
+        leaning = settings.model_copy(update={"mount": MountSettings(roll_deg=1.0)})
+        derive(small_recording, leaning, 0, tmp_path / "again")
 
 
 @pytest.mark.slow

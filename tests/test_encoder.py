@@ -4,7 +4,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from sim.encoder import count_ticks, disturb_gaps, read_encoders, scale_wheels, slip_wheels, ticks_to_distance
+from sim.encoder import (
+    count_ticks,
+    disturb_gaps,
+    read_encoders,
+    scale_wheels,
+    slip_wheels,
+    stick_wheel,
+    ticks_to_distance,
+)
 from sim.settings import EncoderSettings
 
 RADIUS = 0.033
@@ -77,6 +85,28 @@ def test_faults_draw_from_streams_of_their_own():
     _, arrived_noisy = read_encoders(angle, RADIUS, noisy, np.random.default_rng(3))
     np.testing.assert_array_equal(arrived, arrived_noisy)
     assert 0.15 < 1 - arrived.mean() < 0.45
+
+
+@given(st.floats(0.0, 0.9), st.integers(0, 10_000))
+def test_one_wheel_sticks_in_one_stretch_and_the_other_never(stuck, seed):
+    angle = drive(100, seed)
+    gap = np.diff(stick_wheel(angle, stuck, np.random.default_rng(seed)), axis=0)
+    still = np.isclose(gap, 0.0) & ~np.isclose(np.diff(angle, axis=0), 0.0)
+    assert still.sum() == round(stuck * 99)
+    assert not still.all(axis=1).any() and not (still.any(axis=0)).all()
+    where = np.flatnonzero(still.any(axis=1))
+    assert len(where) == 0 or where[-1] - where[0] + 1 == len(where)
+    np.testing.assert_allclose(gap[~still], np.diff(angle, axis=0)[~still], atol=1e-9)
+
+
+def test_sticking_shifts_no_other_fault():
+    quiet = EncoderSettings(gap_noise=0.1, slip_per_m=0.01, lost=0.2)
+    angle = drive()
+    ticks, arrived = read_encoders(angle, RADIUS, quiet, np.random.default_rng(3))
+    stuck, arrived_too = read_encoders(angle, RADIUS, quiet.model_copy(update={"stuck": 0.3}), np.random.default_rng(3))
+    np.testing.assert_array_equal(arrived, arrived_too)
+    same = (stuck == ticks).all(axis=0)
+    assert same.sum() == 1  # of one wheel
 
 
 def test_same_seed_same_ticks_other_seed_others():

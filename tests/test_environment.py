@@ -14,7 +14,7 @@ from dm_env import StepType, test_utils
 from sim.environment import RoomEnvironment
 from sim.errors import InputError, WorkError
 from sim.robot import wheel_speeds
-from sim.settings import CameraSettings, EncoderSettings, SimSettings
+from sim.settings import CameraSettings, EncoderSettings, MountSettings, SimSettings
 
 SETTINGS = SimSettings(camera=CameraSettings(rings=8, sectors=32, face_px=16))
 
@@ -77,6 +77,8 @@ def test_faults_that_are_drawn_for_a_whole_drive_are_refused() -> None:
     settings = SimSettings(encoder=EncoderSettings(slip_per_m=0.1))
     with pytest.raises(InputError, match=r"encoder\.slip_per_m 0\.1 must be 0 in the environment"):
         RoomEnvironment(settings, np.random.default_rng(0))
+    with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
+        RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
 
 def test_an_episode_shorter_than_a_step_is_refused() -> None:

@@ -1,7 +1,10 @@
+import hashlib
+import json
+
 import pytest
 from pydantic import ValidationError
 
-from deepgps.scenario import Scenario, check_scenario, digest, load_scenario, names_in, write_out
+from deepgps.scenario import Scenario, check_scenario, digest, digest_recording, load_scenario, names_in, write_out
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 
@@ -56,6 +59,22 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "drive.spacing_m 0.6 m must be at most a quarter of the longest",
         ),
         ("world: {}", "world {}: must be 'room', 'landmarks' or 'lidar'"),
+        ("{world: landmarks, image: {exposure: 0.5}}", "image has faults of images, which need world room and sensor"),
+        (
+            "{sensor: lidar, mount: {roll_deg: 2}}",
+            "mount has faults of images, which need world room and sensor fisheye",
+        ),
+        (
+            "{grid: {held_out: 5}, use: {light: 0.5}}",
+            "use changes the room of the test grid, and grid.held_out 5 has none",
+        ),
+        (
+            "{room: {mjcf: a.xml}, use: {moved_m: 0.5}}",
+            "use.moved_m needs a room whose furniture is known, and room.mjcf",
+        ),
+        ("image: {exposure: 0}", "image.exposure 0: must be greater than 0"),
+        ("image: {vignetting: 1}", "image.vignetting 1: must be less than or equal to 0.99"),
+        ("use: {light: 1.5}", "use.light 1.5: must be less than or equal to 1"),
         ("seed: {", "line 1"),
         ("seed: 1\nseed: 2", "line 2: seed stands twice"),
         ("name: ../up", "name '../up': string should match pattern"),
@@ -94,3 +113,20 @@ def test_the_digest_tells_settings_and_room_files_apart(tmp_path):
     room.write_text("<mujoco model='b'/>")
     assert len({digest(plain), digest(other), first, digest(mine)}) == 4
     assert digest(plain) == digest(Scenario())
+
+
+def test_groups_of_faults_that_are_off_leave_the_digests_as_they_were_before_there_were_any():
+    scenario = load_scenario("tiny", {})
+    values = json.loads(scenario.model_dump_json())
+    sim = {name: value for name, value in values.items() if name in type(scenario.sim).model_fields}
+    for digest_of, head, part in ((digest, "1 ", values), (digest_recording, "1 0 ", sim)):
+        before = {name: value for name, value in part.items() if name not in {"image", "mount", "use"}}
+        text = head + json.dumps(before, separators=(",", ":"))
+        assert digest_of(scenario) == hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+@pytest.mark.parametrize("fault", ["image.exposure", "mount.roll_deg", "use.light"])
+def test_a_fault_makes_another_run_and_another_recording(fault):
+    plain, faulty = load_scenario("tiny", {}), load_scenario("tiny", {fault: 0.5})
+    assert digest(plain) != digest(faulty)
+    assert digest_recording(plain) != digest_recording(faulty)

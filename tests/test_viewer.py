@@ -1,26 +1,30 @@
 """The recording: whole, read back as it was written, and one clear line where something is missing."""
 
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
+from scipy.spatial.distance import pdist
 from synthetic_run import METHODS, write_synthetic_run
 
 from deepgps.figures import read_fields
 from deepgps.viewer import drive
 from deepgps.viewer.drive import ROBOT
-from deepgps.viewer.read import read_error_field
+from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.recording import RECORDING, find_recording, write_recording
 from deepgps.viewer.show import find_viewer, view
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, STEP
 from sim.errors import InputError, WorkError
 
 SAMPLES = 60
+ROOT = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +61,58 @@ def test_the_error_field_reads_back_as_it_was_measured(run: Path, method: str) -
     np.testing.assert_allclose(field.predicted, read_fields(run)[method].predicted, atol=1e-6)
 
 
+def test_the_table_holds_all_error_fields(run: Path) -> None:
+    table = read_error_table(run / RECORDING)
+    assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "method"]
+    with np.load(run / "error_field.npz") as arrays:
+        assert table.num_rows == len(METHODS) * len(arrays["truth"])
+        for method in METHODS:
+            rows = table.filter(pc.field("method") == method)
+            truth, predicted = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
+            error = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1)
+            worst = arrays[method][np.arange(len(error)), error.argmax(axis=1)]
+            np.testing.assert_allclose(truth, arrays["truth"], atol=1e-6)
+            np.testing.assert_allclose(predicted, worst, atol=1e-6)
+            np.testing.assert_allclose(rows["error_m"], error.max(axis=1), atol=1e-6)
+
+
+def test_the_table_of_a_root_that_is_not_there_is_refused(run: Path) -> None:
+    with pytest.raises(InputError, match="has no error field below 'a'"):
+        read_error_table(run / RECORDING, "a")
+
+
+def test_the_examples_of_reading_back_work(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pages = [(ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "runs/README.md")]
+    blocks = [block for page in pages for block in re.findall(r"```python\n(.*?)```", page, re.S)]
+    examples = [block for block in blocks if "read_error_table" in block]
+    assert examples
+    for example in examples:
+        code, found = re.subn(r'"runs/[^"]*recording\.rrd"', repr(str(run / RECORDING)), example)
+        assert found
+        exec(code, {})
+        assert capsys.readouterr().out
+
+
+def test_the_errors_of_each_snapshot_read_back(run: Path) -> None:
+    """Arrows end at the snapshot's points but for a rigid motion, and shorten as the training goes on."""
+    with np.load(run / "deepgps" / "history.npz") as history:
+        index, snapshot = history["snapshot_index"], history["snapshot"]
+    place = np.load(run / "recording" / "truth" / "pose.npy")[index, :2]
+    rows = read_entity(run / RECORDING, "world/training_error/deepgps")
+    rows = rows.filter(pc.field("step").is_valid()).sort_by("step")
+    origins, vectors = (np.array(rows[f"Arrows3D:{part}"].to_pylist())[..., :2] for part in ("origins", "vectors"))
+    np.testing.assert_allclose(origins, np.broadcast_to(place, origins.shape), atol=1e-6)
+    for points, ends in zip(snapshot, origins + vectors, strict=True):
+        np.testing.assert_allclose(pdist(ends), pdist(points), atol=1e-4)
+    length = np.linalg.norm(vectors, axis=2).mean(axis=1)
+    assert length[-1] < 0.2 * length[0]
+
+
+def test_an_entity_that_is_not_there_is_told_with_those_that_are(run: Path) -> None:
+    with pytest.raises(InputError, match=r"no entity 'drive/tick'; it has .*drive/ticks/left"):
+        read_entity(run / RECORDING, "drive/tick")
+
+
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
     counts = rows(run / RECORDING)
     readings = len(np.load(run / "recording" / "reading.npy"))
@@ -67,7 +123,12 @@ def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
     for name in ("deepgps", "posenet", "odometry"):
         with np.load(run / name / "history.npz") as history:
             assert counts[f"/training/{name}/loss"] == len(history["loss"])
-            assert counts[f"/world/training/{name}"] == len(history["snapshot"])
+            for path in (f"training/{name}", f"training_error/{name}", f"training_error/{name}/places"):
+                assert counts[f"/world/{path}"] == len(history["snapshot"])
+    for path in ("world/reckoned/place", "world/reckoned/drift", "world/reckoned/leg", "encoders/drift"):
+        assert counts[f"/{path}"] == readings
+    assert counts["/world/reckoned/path"] == counts["/world/drive/path"]
+    assert {"/encoders/faults", "/encoders/segments"} <= set(counts)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/report/text"} <= set(counts)
 
 

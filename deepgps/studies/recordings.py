@@ -1,7 +1,8 @@
-"""The recordings of a study, each drive made once: runs that differ only in encoder or length share it.
+"""The recordings of a study, each drive made once: runs that differ only in encoder, image or length share it.
 
-A drive is collected as its longest recording, with encoders as they are by default; each other recording of it is
-derived, which takes no simulator and little room on the disk. One drive follows another, each made by all cores.
+A drive is collected as its longest recording, with encoders and images as they are by default; each other recording of
+it is derived, which takes no simulator, and little room on the disk where the images are the same. One drive follows
+another, each made by all cores.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,7 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
 
 
 def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
-    """What to collect for each recording, by its hash: the longest of its drive, with encoders of no faults."""
+    """What to collect for each recording, by its hash: the longest of its drive, encoders and images without faults."""
     longest: dict[str, int] = {}
     for plan in plans:
         drive = _name_drive(plan.scenario)
@@ -55,7 +56,7 @@ def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:
     sim = choose_drive(scenario.sim, samples)
-    return scenario.model_copy(update={"encoder": sim.encoder, "drive": sim.drive})
+    return scenario.model_copy(update={"encoder": sim.encoder, "image": sim.image, "drive": sim.drive})
 
 
 def _name_drive(scenario: Scenario) -> str:

@@ -9,7 +9,21 @@ from matplotlib.figure import Figure as Picture
 from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies import compare, concave, curves, lab, landmarks, lidar, mds, networks, rooms, seeds, strategies
+from deepgps.studies import (
+    camera,
+    compare,
+    concave,
+    curves,
+    encoder,
+    lab,
+    landmarks,
+    lidar,
+    mds,
+    networks,
+    rooms,
+    seeds,
+    strategies,
+)
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
 from deepgps.targets import Figure, tabulate_targets
@@ -54,7 +68,9 @@ KINDS: dict[ReportName, Kind] = {
     "concave": Kind(
         concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
     ),
+    "camera": Kind(camera.report, camera.measure, {"camera": camera.draw}),
     "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
+    "encoder": Kind(encoder.report, encoder.measure, {"encoder": encoder.draw}, encoder.add_distances),
     "lidar": Kind(lidar.report, lidar.measure, {"lidar": lidar.draw}, lidar.add),
     "lab": Kind(lab.report, lab.measure, lab.FIGURES, lab.add),
 }

@@ -35,6 +35,8 @@ ReportName = Literal[
     "mds",
     "concave",
     "curves",
+    "encoder",
+    "camera",
 ]
 # The figures of each report that a target or the paper's own can stand beside.
 FIGURES: dict[ReportName, tuple[str, ...]] = {
@@ -57,6 +59,8 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
     "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
     "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
+    "encoder": tuple(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
+    "camera": ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "use_rms_ratio", "use_median_ratio"),
     "lidar": ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
     "lab": (
         *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),

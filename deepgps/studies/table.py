@@ -66,6 +66,16 @@ def write_errors(row: Mapping[str, Any]) -> list[str]:
     return [f"{100 * row[name]:.1f}" for name in ERRORS]
 
 
+def read_setting(scenario: Scenario, dotted: str) -> Any:
+    """A setting by its dotted name as a column holds it; a whole group as text."""
+    if dotted == "scenario":
+        return scenario.name
+    value: Any = scenario
+    for part in dotted.split("."):
+        value = getattr(value, part)
+    return value if value is None or isinstance(value, bool | int | float | str) else str(value)
+
+
 def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) -> list[Row]:
     metrics = {} if failure else read_metrics(folder / "runs" / plan.run)
     coverage = metrics.get("coverage")
@@ -73,7 +83,7 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
         "run": plan.run,
         "recording": plan.recording,
         "seed": plan.scenario.seed,
-        **{name: _value(plan.scenario, name) for name in varied},
+        **{name: read_setting(plan.scenario, name) for name in varied},
         "samples": metrics.get("samples"),
         "segments": metrics.get("segments"),
         "distance_m": metrics.get("distance_driven_m"),
@@ -91,13 +101,3 @@ def _figures(measured: Mapping[str, Any]) -> Row:
     fold = measured.get("fold", {})
     signs = {"fold_found": fold.get("found"), "fold_bent": fold.get("bent"), "fold_doubled": fold.get("doubled")}
     return {**{name: measured.get(name) for name in FIGURES}, **signs}
-
-
-def _value(scenario: Scenario, dotted: str) -> Any:
-    """A setting as a column holds it; a whole group as text."""
-    if dotted == "scenario":
-        return scenario.name
-    value: Any = scenario
-    for part in dotted.split("."):
-        value = getattr(value, part)
-    return value if value is None or isinstance(value, bool | int | float | str) else str(value)

@@ -12,7 +12,7 @@ from sim.errors import InputError, WorkError
 from sim.files import write_text
 
 FAILURE = "failure.txt"
-TRAINED = ("deepgps", "posenet", "posenet_noisy", "odometry")  # step by step
+TRAINED = ("deepgps", "deepgps_aware", "deepgps_turns", "posenet", "posenet_noisy", "odometry")  # step by step
 Failures = dict[str, str]  # reasons by the hash of the run
 
 

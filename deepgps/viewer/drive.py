@@ -10,6 +10,9 @@ from sim.records import Recording, Truth
 from sim.settings import CameraSettings
 
 ROBOT = "world/drive/robot"
+Colour = tuple[int, int, int]
+TRUE: Colour = (90, 160, 255)
+LEG: Colour = (255, 196, 60)
 IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
 ROUND_PX = 144
 
@@ -17,9 +20,7 @@ ROUND_PX = 144
 def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
     height_m = _camera(recording).height_m
     _log_robot(stream, float(recording.manifest["odometry"]["track_m"]), height_m)
-    segment, observation = recording.reading[:, 0], recording.reading[:, 1]
-    place = lift(truth.pose[observation, :2], LAYER_M)
-    indexes = drive_index(recording.time, recording)
+    observation = recording.reading[:, 1]
     seen, first = np.unique(observation, return_index=True)
     stream.send_columns(
         ROBOT,
@@ -28,23 +29,41 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
             translation=lift(truth.pose[seen, :2], 0.0), quaternion=_quaternions(truth.pose[seen, 2])
         ),
     )
-    start = playback.find_starts(segment)
-    end = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
-    stream.log("world/drive/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[90, 160, 255, 150]), static=True)
-    stream.send_columns(
-        "world/drive/path",
-        drive_index(recording.time[end], recording),
-        rr.LineStrips3D.columns(strips=np.stack([place[start[end]], place[end]], axis=1)),
-    )
-    stream.log("world/drive/leg", rr.LineStrips3D.from_fields(radii=0.012, colors=[255, 196, 60]), static=True)
-    stream.send_columns(
-        "world/drive/leg", indexes, rr.LineStrips3D.columns(strips=np.stack([place[start], place], axis=1))
-    )
+    log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
     _log_distances(stream, recording, truth)
     if recording.observation.ndim == 4:
         _log_images(stream, recording, seen, recording.time[first])
     elif recording.observation.ndim == 3:
         _log_scans(stream, recording, seen, recording.time[first])
+
+
+def log_path(
+    stream: rr.RecordingStream, root: str, place: np.ndarray, colours: tuple[Colour, Colour], recording: Recording
+) -> None:
+    """Whole segments below ``root``, one row each, and the leg driven so far, of places at each reading (R, 2) [m].
+
+    Args:
+        stream: Where to.
+        root: Entity below which they are logged.
+        place: Where the robot was, or is said to have been.
+        colours: Of the segments, and of the leg.
+        recording: What was sensed.
+    """
+    segment, place = recording.reading[:, 0], lift(place, LAYER_M)
+    start = playback.find_starts(segment)
+    end = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+    stream.log(f"{root}/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[*colours[0], 150]), static=True)
+    stream.send_columns(
+        f"{root}/path",
+        drive_index(recording.time[end], recording),
+        rr.LineStrips3D.columns(strips=np.stack([place[start[end]], place[end]], axis=1)),
+    )
+    stream.log(f"{root}/leg", rr.LineStrips3D.from_fields(radii=0.012, colors=colours[1]), static=True)
+    stream.send_columns(
+        f"{root}/leg",
+        drive_index(recording.time, recording),
+        rr.LineStrips3D.columns(strips=np.stack([place[start], place], axis=1)),
+    )
 
 
 def find_cameras(recording: Recording) -> list[str]:
@@ -64,7 +83,7 @@ def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> N
             colors=[(60, 66, 80), (180, 184, 190)],
             fill_mode=rr.components.FillMode.Solid,
         ),
-        rr.Arrows3D(origins=[(0, 0, body_m + 0.01)], vectors=[(0.25, 0, 0)], colors=[255, 196, 60], radii=0.015),
+        rr.Arrows3D(origins=[(0, 0, body_m + 0.01)], vectors=[(0.25, 0, 0)], colors=LEG, radii=0.015),
         static=True,
     )
     stream.log(f"{ROBOT}/lens", rr.Points3D([(0, 0, height_m)], radii=0.03, colors=[232, 37, 79]), static=True)
@@ -75,7 +94,7 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
     ticks = recording.reading[:, 2:]
     series = {
         "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),
-        "drive/distance/truth": (true, "true", (90, 160, 255)),
+        "drive/distance/truth": (true, "true", TRUE),
         "drive/difference": (1000 * difference, "encoder minus truth", (232, 37, 79)),
         "drive/ticks/left": (ticks[:, 0], "left", (90, 160, 255)),
         "drive/ticks/right": (ticks[:, 1], "right", (63, 208, 165)),

@@ -12,10 +12,11 @@ from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
 from sim.records import FreeSpace
 
 CAMERAS = {
-    "fisheye": "Fisheye, forward is up",
+    "fisheye": "Fisheye",
     "polar": "Polar image, zenith at the top",
     "horizontal": "Horizontal camera",
 }
+RECENT_S, TRAIL_S = 60.0, 120.0
 
 
 def make_blueprint(
@@ -28,69 +29,57 @@ def make_blueprint(
     """How the viewer shows a run, with what its cameras saw: what matters first, without a click."""
     return rrb.Blueprint(
         rrb.Tabs(
-            _overview(space, methods[0]),
             _error_fields(space, methods),
             _drive(space, cameras),
             *([_training(space, trained)] if trained else []),
+            _encoders(space),
             _report(),
             active_tab=tab,
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 100, play_state="paused"),
+        # at the end of the drive and of training, from where it plays all in a hundred seconds
+        rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 100, play_state="following"),
         auto_views=False,
     )
 
 
-def _overview(space: FreeSpace, method: str) -> rrb.Horizontal:
-    return rrb.Horizontal(
+def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | rrb.Vertical:
+    """The first method's field in the furnished room, the figures of all, and the others' fields as plans."""
+    first, *others = methods
+    room = rrb.Spatial3DView(
+        name=f"Error field of {method_title(first)}",
+        origin="world",
+        contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{first}/**"],
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.08),
+        line_grid=False,
+    )
+    plans = [
         rrb.Spatial3DView(
-            name=f"Error field of {method_title(method)}",
+            name=method_title(method),
             origin="world",
-            contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{method}/**"],
-            eye_controls=_eye(space, tilt=0.45, reach=1.08),
+            contents=["world/floor_plan", f"world/error_field/{method}/**"],
+            eye_controls=aim_eye(space, reach=0.85, before=0.0),
             line_grid=False,
-        ),
-        rrb.TextDocumentView(name="Figures", origin="report/figures"),
-        column_shares=[5, 2],
-        name="Overview",
-    )
-
-
-def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Grid:
-    return rrb.Grid(
-        *(
-            rrb.Spatial3DView(
-                name=method_title(method),
-                origin="world",
-                contents=["world/floor_plan", "world/scale/**", f"world/error_field/{method}/**"],
-                eye_controls=_eye(space),
-                line_grid=False,
-            )
-            for method in methods
-        ),
-        grid_columns=2,
-        name="Error field",
-    )
+        )
+        for method in others
+    ]
+    figures_of_all = rrb.TextDocumentView(name="Figures", origin="report/figures")
+    if len(plans) < 2:
+        beside = rrb.Vertical(figures_of_all, *plans)
+        return rrb.Horizontal(room, beside, column_shares=[5, 2], name="Error field")
+    above = rrb.Horizontal(room, figures_of_all, column_shares=[5, 2])
+    return rrb.Vertical(above, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
 
 
 def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
-    relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
-    recent = [
-        rr.VisibleTimeRange(DRIVE_TIME, start=relative(seconds=-60), end=relative(seconds=0)),
-        rr.VisibleTimeRange(PROGRESS, start=relative(seq=-PROGRESS_END // 50), end=relative(seq=0)),
-    ]
-    so_far = [
-        rr.VisibleTimeRange(DRIVE_TIME, start=infinite(), end=relative(seconds=0)),
-        rr.VisibleTimeRange(PROGRESS, start=infinite(), end=relative(seq=0)),
-    ]
     room = rrb.Spatial3DView(
         name="Robot and path so far",
         origin="world",
         contents=["world/room", "world/drive/**"],
-        eye_controls=_eye(space, tilt=0.45, reach=1.3),
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
         line_grid=False,
-        overrides={"world/drive/path": rrb.VisibleTimeRanges(so_far)},
+        overrides={"world/drive/path": rrb.VisibleTimeRanges(_until_now())},
     )
     pictures = rrb.Horizontal(
         *(rrb.Spatial2DView(name=CAMERAS[camera], origin=f"drive/{camera}") for camera in cameras),
@@ -98,44 +87,77 @@ def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
     )
     return rrb.Horizontal(
         room,
-        rrb.Vertical(
-            *([pictures] if cameras else []),
-            rrb.TimeSeriesView(name="Distance on this segment [m]", origin="drive/distance", time_ranges=recent),
-            rrb.TimeSeriesView(
-                name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=_whole_axis()
-            ),
-            rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=recent),
-            row_shares=[3, 2, 2, 2] if cameras else [1, 1, 1],
-        ),
+        rrb.Vertical(*([pictures] if cameras else []), _distances(), _ticks(), row_shares=[1] * (3 if cameras else 2)),
         column_shares=[5, 4],
         name="Drive",
     )
 
 
-def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
-    return rrb.Vertical(
-        rrb.Horizontal(
-            *(
-                rrb.Spatial3DView(
-                    name=f"{method_title(name)}: where it puts the training images",
-                    origin="world",
-                    contents=["world/outline", f"world/training/{name}"],
-                    eye_controls=_eye(space),
-                    line_grid=False,
-                )
-                for name in trained
-            )
-        ),
-        rrb.Horizontal(
-            *(
+def _encoders(space: FreeSpace) -> rrb.Horizontal:
+    """What the encoders told: in words, on the floor, along the drive, and of each segment."""
+    lately = rrb.VisibleTimeRanges(_until_now(TRAIL_S))
+    paths = rrb.Spatial3DView(
+        name="The true path (blue) and the reckoned one (orange)",
+        origin="world",
+        contents=["world/floor_plan", "world/drive/**", "world/reckoned/**"],
+        eye_controls=aim_eye(space, reach=1.5, before=0.0),
+        line_grid=False,
+        overrides={"world/drive/path": lately, "world/reckoned/path": lately},
+    )
+    return rrb.Horizontal(
+        rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[5, 6]),
+        rrb.Vertical(
+            rrb.Horizontal(_distances(), _ticks()),
+            rrb.Horizontal(
                 rrb.TimeSeriesView(
-                    name=f"{method_title(name)}: loss, log10", origin=f"training/{name}", axis_x=_whole_axis()
-                )
-                for name in trained
-            )
+                    name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
+                ),
+                rrb.TimeSeriesView(name="Reckoned path off by [m]", origin="encoders/drift", axis_x=whole_axis()),
+            ),
+            rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
+            row_shares=[4, 4, 6],
         ),
-        row_shares=[3, 2],
-        name="Training",
+        column_shares=[5, 8],
+        name="Encoders",
+    )
+
+
+def _distances() -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        name="Distance on this segment [m]", origin="drive/distance", time_ranges=_until_now(RECENT_S)
+    )
+
+
+def _ticks() -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=_until_now(RECENT_S))
+
+
+def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
+    maps = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: its map of the training images",
+            origin="world",
+            contents=["world/outline", f"world/training/{name}"],
+            eye_controls=aim_eye(space, reach=0.85, before=0.0),
+            line_grid=False,
+        )
+        for name in trained
+    ]
+    errors = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: its errors on them",
+            origin="world",
+            contents=["world/outline", "world/scale/**", f"world/training_error/{name}/**"],
+            eye_controls=aim_eye(space),
+            line_grid=False,
+        )
+        for name in trained
+    ]
+    losses = [
+        rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}", axis_x=whole_axis()) for name in trained
+    ]
+    return rrb.Vertical(
+        *(rrb.Horizontal(*row) for row in (maps, errors, losses)), row_shares=[5, 6, 4], name="Training"
     )
 
 
@@ -152,17 +174,37 @@ def _report() -> rrb.Horizontal:
     )
 
 
-def _whole_axis() -> rrb.TimeAxis:
+def whole_axis() -> rrb.TimeAxis:
     """A time axis that shows a series from its first to its last value."""
     infinite = rr.TimeRangeBoundary.infinite
     return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
 
 
-def _eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0) -> rrb.EyeControls3D:
-    """An eye above the room, tilted towards the south by ``tilt`` [rad], ``reach`` times as far as for a plan."""
+def _until_now(seconds: float | None = None) -> list[rrb.VisibleTimeRange]:
+    """What came in the last seconds [s], or, on the timeline of all, in as many hundredths of it; none: all so far."""
+    relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
+    if seconds is None:
+        begins = (infinite(), infinite())
+    else:
+        begins = (relative(seconds=-seconds), relative(seq=-int(PROGRESS_END * seconds / 3000)))
+    return [
+        rrb.VisibleTimeRange(DRIVE_TIME, start=begins[0], end=relative(seconds=0)),
+        rrb.VisibleTimeRange(PROGRESS, start=begins[1], end=relative(seq=0)),
+    ]
+
+
+def aim_eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
+    """An eye above the room, which leaves space before it for the scale.
+
+    Args:
+        space: The room's floor.
+        tilt: How far it leans to the south [rad].
+        reach: How far away it is, as a multiple of what shows the plan.
+        before: How far south of the room's middle it looks [m].
+    """
     low, high = figures.limits(space)
-    middle = np.array([*(low + high) / 2, 0.0]) - [0, 0.25, 0]  # the scale lies before the room
-    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + 0.8)
+    middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
+    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
     away = distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)])
     # an eye exactly above has no up direction of its own: north is up
     return rrb.EyeControls3D(

@@ -4,12 +4,14 @@ from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
+import pyarrow as pa
 from rerun.chunk import RrdReader
 
 from deepgps.figures import WorstField
 from sim.errors import InputError
 
-FIELDS = "/world/error_field/"
+ROW_ID = "rerun.controls.RowId"
+COLUMNS = ("x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m")
 
 
 def open_rrd(path: Path) -> RrdReader:
@@ -27,27 +29,88 @@ def open_rrd(path: Path) -> RrdReader:
     return reader
 
 
-def read_error_field(path: Path, method: str) -> WorstField:
+def read_error_table(path: Path, root: str = "world") -> pa.Table:
+    """Read the error fields of all methods back from a recording, as one table; ``.to_pandas()`` makes a data frame.
+
+    Args:
+        path: A ``.rrd`` file.
+        root: Entity below which they lie: ``world`` in a run's recording, ``a`` and ``b`` in that of a pair.
+
+    Returns:
+        A row for each method and test position, of the heading that did worst there: ``x_m`` and ``y_m`` [m] where the
+        robot was, ``predicted_x_m`` and ``predicted_y_m`` [m] where the method put it, ``error_m`` [m] how far that is
+        off, and ``method`` by its name in metrics.json. Positions are rounded to single precision.
+
+    Raises:
+        InputError: The file is missing, cut off, or has no error field below ``root``.
+    """
+    fields = _read_fields(path, root)
+    if not fields:
+        raise InputError(f"{path} has no error field below {root!r}")
+    values = [np.column_stack([field.truth, field.predicted, field.error]) for field in fields.values()]
+    columns = dict(zip(COLUMNS, np.concatenate(values).T, strict=True))
+    methods = [name for name, field in fields.items() for _ in range(len(field.error))]
+    return pa.table({**columns, "method": methods})
+
+
+def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
     """Read a method's error field back from a recording.
 
     Args:
         path: A ``.rrd`` file.
         method: Its name, as in metrics.json.
+        root: As for ``read_error_table``.
 
     Raises:
         InputError: The file is broken, or has no such method; the names it has are told.
     """
-    columns: dict[str, np.ndarray] = {}
-    methods: set[str] = set()
+    fields = _read_fields(path, root)
+    if method not in fields:
+        raise InputError(f"{path} has no method {method!r}; it has {', '.join(sorted(fields)) or 'none'}")
+    return fields[method]
+
+
+def read_entity(path: Path, entity: str) -> pa.Table:
+    """Read everything back that a recording holds of one entity, in the viewer's own columns.
+
+    Args:
+        path: A ``.rrd`` file.
+        entity: Its path, as ``drive/distance/encoder`` or ``world/training_error/deepgps``.
+
+    Returns:
+        A row for each time: the timelines (``drive_time`` or ``step``, and ``progress``), and a column of lists for
+        each component, as ``Scalars:scalars`` or ``Arrows3D:vectors``; what does not change has no time.
+
+    Raises:
+        InputError: The file is broken, or has no such entity; the names it has are told.
+    """
+    entities, parts = set[str](), list[pa.Table]()
     for chunk in open_rrd(path).stream():
-        if chunk.entity_path.startswith(FIELDS):
-            methods.add(chunk.entity_path.removeprefix(FIELDS).split("/")[0])
-        if chunk.entity_path == FIELDS + method:
+        entities.add(chunk.entity_path.lstrip("/"))
+        if chunk.entity_path == f"/{entity}":
+            rows = pa.table(chunk.to_record_batch()).replace_schema_metadata(None)
+            parts.append(rows.drop_columns(ROW_ID))
+    if not parts:
+        raise InputError(f"{path} has no entity {entity!r}; it has {', '.join(sorted(entities))}")
+    return pa.concat_tables(parts, promote_options="default")
+
+
+def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
+    """The error fields below an entity by their methods' names, in the order of the file."""
+    below = f"/{root}/error_field/"
+    columns: dict[str, dict[str, np.ndarray]] = {}
+    for chunk in open_rrd(path).stream():
+        name = chunk.entity_path.removeprefix(below)
+        if chunk.entity_path.startswith(below) and "/" not in name:
             batch = chunk.to_record_batch()
-            for name in {"Arrows3D:origins", "Arrows3D:vectors"} & set(batch.schema.names):
-                flat = batch.column(name).flatten().flatten().to_numpy()
-                columns[name] = flat.reshape(-1, 3)[:, :2].astype(float)
-    if method not in methods:
-        raise InputError(f"{path} has no method {method!r}; it has {', '.join(sorted(methods)) or 'none'}")
-    truth, error = columns["Arrows3D:origins"], columns["Arrows3D:vectors"]
+            for component in {"Arrows3D:origins", "Arrows3D:vectors"} & set(batch.schema.names):
+                flat = batch.column(component).flatten().flatten().to_numpy()
+                columns.setdefault(name, {})[component] = flat.reshape(-1, 3)[:, :2].astype(float)
+    return {
+        name: _make_field(*(found[f"Arrows3D:{part}"] for part in ("origins", "vectors")))
+        for name, found in columns.items()
+    }
+
+
+def _make_field(truth: np.ndarray, error: np.ndarray) -> WorstField:
     return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))

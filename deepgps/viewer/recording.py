@@ -1,12 +1,11 @@
 """A run's recording for the Rerun viewer, with a blueprint.
 
 Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (what was
-sensed), ``training`` (loss) and ``report`` (text and figures).
+sensed), ``encoders`` (how wrong that was), ``training`` (loss) and ``report`` (text and figures).
 """
 
 import hashlib
 from collections.abc import Mapping
-from datetime import timedelta
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,14 @@ from deepgps import figures
 from deepgps.figures import WorstField
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.drive import find_cameras, log_drive
+from deepgps.viewer.encoders import log_encoders
 from deepgps.viewer.layout import make_blueprint
 from deepgps.viewer.read import open_rrd
+from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from deepgps.viewer.training import Data, log_training
-from sim.files import write_atomic
 from sim.records import FreeSpace, open_recording, open_truth, sha256
 
-APPLICATION = "deepgps"
 RECORDING = "recording.rrd"
 
 
@@ -37,26 +36,19 @@ def write_recording(run: Path) -> Path:
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording))
 
-    def write(part: Path) -> None:
-        # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
-        by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
-        stream = rr.RecordingStream(APPLICATION, recording_id=_hash(run), send_properties=False, batcher_config=by_size)
-        with stream:
-            stream.save(part, default_blueprint=blueprint)
-            stream.send_recording_name(f"{metrics['scenario']}, seed {metrics['seed']}")
-            log_room(stream, recording.folder / "scene.glb", truth.free_space)
-            log_scale(stream, truth.free_space)
-            for name, field in fields.items():
-                log_field(stream, name, field)
-            log_drive(stream, recording, truth)
-            for name, history in histories.items():
-                log_training(stream, name, history, truth.pose[:, :2])
-            _log_report(stream, metrics, fields, histories, truth.free_space)
-            stream.flush()
-            stream.disconnect()
+    def log(stream: rr.RecordingStream) -> None:
+        log_room(stream, recording.folder / "scene.glb", truth.free_space)
+        log_scale(stream, truth.free_space)
+        for name, field in fields.items():
+            log_field(stream, name, field)
+        log_drive(stream, recording, truth)
+        log_encoders(stream, recording, truth)
+        for name, history in histories.items():
+            log_training(stream, name, history, truth.pose[:, :2])
+        _log_report(stream, metrics, fields, histories, truth.free_space)
 
     path = run / RECORDING
-    write_atomic(path, write)
+    save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
     return path
 
 
@@ -105,7 +97,8 @@ def _log_report(
         stream.log(f"report/{name}", image, static=True)
 
 
-def _hash(run: Path) -> str:
+def hash_run(run: Path) -> str:
+    """Thirty-two hexadecimal digits that tell a run's recording, figures and fields from another's."""
     state = hashlib.sha256()
     for path in (run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"):
         state.update(sha256(path).encode())

@@ -1,5 +1,9 @@
-"""What stands still below ``world``: the room, its floor plan, the colour scale, the error fields."""
+"""What stands still below ``world``: the room, its floor plan, the colour scale, the error fields.
 
+In a study they change along its timelines: whatever takes ``at``, places on timelines, then stands from there on.
+"""
+
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +14,25 @@ from deepgps.figures import WorstField, colours_of
 from sim.records import FreeSpace
 
 LAYER_M = 0.01  # height of one drawn layer above the next
+STRIP = 65  # colours along a scale
+DENSE_M = 0.05  # test positions nearer than this get thinner arrows
+Places = Sequence[rr.TimeColumn]  # one place on each of some timelines
 
 
-def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
-    stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: str = "world") -> None:
+    stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if scene.is_file():  # a plane world has no walls to see
         room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
-        stream.log("world/room", room, static=True)
+        stream.log(f"{root}/room", room, static=True)
+    log_floor(stream, space, root=root)
+
+
+def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), root: str = "world") -> None:
+    """The floor plan, and a line around what the robot can reach."""
     plan, corner = playback.draw_floor_plan(space)
-    stream.log(
-        "world/floor_plan",
+    put(
+        stream,
+        f"{root}/floor_plan",
         rr.GridMap(
             data=plan[::-1].tobytes(),  # Rerun wants the northern row first
             format=rr.components.ImageFormat(
@@ -28,51 +41,95 @@ def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace) -> None:
             cell_size=space.cell_m,
             translation=[*corner, LAYER_M / 2],
         ),
-        static=True,
+        at,
     )
     strips = [lift(line, 0.0) for line in playback.find_outline(space)]
-    stream.log("world/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), static=True)
+    put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
 
 
-def log_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
-    """The colour scale as a strip on the floor before the room."""
-    low, high = figures.limits(space)
-    width = 0.9 * (high[0] - low[0])
-    left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
-    share = np.linspace(0, 1, 65)
-    ends = np.stack([left + share * width, np.full(65, bottom)], axis=1)
-    vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
-    first = np.arange(64)
-    triangles = np.concatenate(
-        [np.stack([first, first + 1, first + 66], axis=1), np.stack([first, first + 66, first + 65], axis=1)]
-    )
+def log_scale(stream: rr.RecordingStream, space: FreeSpace, root: str = "world") -> None:
+    """The colour scale of errors as a strip on the floor before the room."""
+    log_scale_below(stream, f"{root}/scale", *figures.limits(space))
+
+
+def log_scale_below(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
+    """The colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
     decades = np.log(figures.SCALE_M[1] / figures.SCALE_M[0])
-    colours = colours_of(figures.SCALE_M[0] * np.exp(share * decades))
-    mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
-    stream.log("world/scale", mesh, static=True)
     ticks = np.array(figures.TICKS_M)
-    place = left + np.log(ticks / figures.SCALE_M[0]) / decades * width
-    labels = [f"{100 * tick:g} cm" if tick < 1 else f"{tick:g} m" for tick in ticks]
-    points = lift(np.stack([place, np.full(len(ticks), bottom - 0.08)], axis=1), 0.0)
-    stream.log(
-        "world/scale/ticks",
-        rr.Points3D(points, radii=0.015, colors=colours_of(ticks), labels=labels, show_labels=True),
-        static=True,
+    colours = colours_of(figures.SCALE_M[0] * np.exp(np.linspace(0, 1, STRIP) * decades))
+    labels = [f"{100 * ticks[0]:g} cm", *(f"{100 * tick:g}" for tick in ticks[1:-1]), f"{ticks[-1]:g} m"]
+    log_strip(
+        stream, path, low, high, colours, dict(zip(np.log(ticks / figures.SCALE_M[0]) / decades, labels, strict=True))
     )
 
 
-def log_field(stream: rr.RecordingStream, name: str, field: WorstField) -> None:
-    """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude."""
-    path, colours = f"world/error_field/{name}", colours_of(field.error)
+def log_strip(
+    stream: rr.RecordingStream,
+    path: str,
+    low: np.ndarray,
+    high: np.ndarray,
+    colours: np.ndarray,
+    labels: Mapping[float, str],
+) -> None:
+    """A strip of colours below a rectangle of the floor.
+
+    Args:
+        stream: Where to.
+        path: Entity of the strip; its labels are logged below it.
+        low: South-west corner of the rectangle (2,) [m].
+        high: Its north-east corner (2,) [m].
+        colours: Colours from left to right (``STRIP``, 4) uint8.
+        labels: What stands at which shares of the strip's length.
+    """
+    width = 0.9 * max(high[0] - low[0], 1.4 * (high[1] - low[1]))  # views are wider than a square room
+    left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
+    ends = np.stack([left + np.linspace(0, 1, STRIP) * width, np.full(STRIP, bottom)], axis=1)
+    vertices = np.concatenate([lift(ends, 0.0), lift(ends + [0, 0.12], 0.0)])
+    first = np.arange(STRIP - 1)
+    above = first + STRIP
+    triangles = np.concatenate(
+        [np.stack([first, first + 1, above + 1], axis=1), np.stack([first, above + 1, above], axis=1)]
+    )
+    mesh = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=np.tile(colours, (2, 1)))
+    stream.log(path, mesh, static=True)
+    share = np.array(list(labels))
+    points = lift(np.stack([left + share * width, np.full(len(share), bottom - 0.08)], axis=1), 0.0)
+    at = colours[np.rint(share * (STRIP - 1)).astype(int)]
+    ticks = rr.Points3D(points, radii=0.015, colors=at, labels=list(labels.values()), show_labels=True)
+    stream.log(f"{path}/ticks", ticks, static=True)
+
+
+def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = (), root: str = "world") -> None:
+    """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude; thin where places are dense."""
+    path, colours = f"{root}/error_field/{name}", colours_of(field.error)
+    thin = find_thinness(field.truth)
     arrows = rr.Arrows3D(
         origins=lift(field.truth, LAYER_M),
         vectors=lift(field.predicted - field.truth, 0.0),
         colors=colours,
-        radii=0.007,
+        radii=0.007 * thin,
     )
-    stream.log(path, arrows, static=True)
-    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018, colors=colours, point_shading="Flat")
-    stream.log(f"{path}/places", dots, static=True)
+    put(stream, path, arrows, at)
+    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
+    put(stream, f"{path}/places", dots, at)
+
+
+def find_thinness(places: np.ndarray) -> float:
+    """How thin arrows at places (N, 2) [m] are: one where there is room for them."""
+    area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
+    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
+
+
+def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Places = ()) -> None:
+    """Log a thing from these places on; without any, for ever. No wall-clock time is written either way."""
+    if not at:
+        stream.log(path, thing, static=True)
+        return
+    batches = thing.as_component_batches()
+    columns = [
+        rr.ComponentColumn(one.component_descriptor(), one, lengths=[len(one.as_arrow_array())]) for one in batches
+    ]
+    stream.send_columns(path, at, columns)
 
 
 def lift(points: np.ndarray, z: float) -> np.ndarray:

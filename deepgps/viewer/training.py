@@ -15,21 +15,51 @@ Data = Mapping[str, np.ndarray]
 
 
 def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np.ndarray) -> None:
-    last = max(int(history["step"][-1]), 1)
+    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
     step, loss = history["step"], np.log10(np.maximum(np.asarray(history["loss"], float), 1e-9))
     colour = tuple(int(255 * part) for part in to_rgb(figures.LINES.get(name, "#888888")))
     send_series(stream, f"training/{name}/loss", step_index(step, last), loss, "loss", (*colour, 90))
     send_series(stream, f"training/{name}/smooth", step_index(step, last), figures.smooth(loss), "median", colour)
     place = truth[history["snapshot_index"]]
     snapshot = [fit_alignment(points, place, "E2").apply(points) for points in history["snapshot"].astype(float)]
-    count = len(place)
+    indexes = step_index(history["snapshot_step"], last)
+    log_snapshots(stream, name, place, snapshot, indexes)
+    log_snapshot_errors(stream, name, place, snapshot, indexes)
+
+
+def log_snapshots(
+    stream: rr.RecordingStream, name: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
+) -> None:
+    """How the map unfolds: each snapshot's points (n, 2) [m], each in the colour of its true place (n, 2)."""
     path = f"world/training/{name}"
     stream.log(path, rr.Points3D.from_fields(radii=0.025), static=True)
     stream.send_columns(
         path,
-        step_index(history["snapshot_step"], last),
+        indexes,
         rr.Points3D.columns(
             positions=lift(np.concatenate(snapshot), LAYER_M),
             colors=np.tile(playback.colours_of_places(place), (len(snapshot), 1)),
-        ).partition([count] * len(snapshot)),
+        ).partition([len(place)] * len(snapshot)),
+    )
+
+
+def log_snapshot_errors(
+    stream: rr.RecordingStream, name: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
+) -> None:
+    """The error field of each snapshot: arrows from true places (n, 2) to predicted ones (n, 2) [m]."""
+    vectors = np.stack(snapshot) - place
+    path, lengths = f"world/training_error/{name}", [len(place)] * len(snapshot)
+    origins = lift(np.tile(place, (len(snapshot), 1)), LAYER_M)
+    colours = figures.colours_of(np.linalg.norm(vectors, axis=2).reshape(-1))
+    stream.log(path, rr.Arrows3D.from_fields(radii=0.008), static=True)
+    stream.send_columns(
+        path,
+        indexes,
+        rr.Arrows3D.columns(
+            origins=origins, vectors=lift(np.concatenate(list(vectors)), 0.0), colors=colours
+        ).partition(lengths),
+    )
+    stream.log(f"{path}/places", rr.Points3D.from_fields(radii=0.018, point_shading="Flat"), static=True)
+    stream.send_columns(
+        f"{path}/places", indexes, rr.Points3D.columns(positions=origins, colors=colours).partition(lengths)
     )

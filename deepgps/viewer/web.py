@@ -11,24 +11,23 @@ from tempfile import TemporaryFile
 from urllib.parse import quote
 
 from deepgps.viewer.connect import HOST, find_free_port, wait_for_port
-from deepgps.viewer.recording import find_recording
-from deepgps.viewer.show import find_viewer
+from deepgps.viewer.show import find_shown, find_viewer
 from sim.errors import InputError, WorkError
 
 
 def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
-    """Serve runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
+    """Serve a run, a study or two runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
 
     Args:
-        paths: Run folders; a run without a recording gets one first.
+        paths: As of ``find_shown``.
         ports: Of the page, and of its data.
         say: Told the address once it can be opened.
 
     Raises:
-        InputError: A folder is no run, or its recording is cut off.
+        InputError: As of ``find_shown``.
         WorkError: The viewer is missing, or ended.
     """
-    recordings = [str(find_recording(path)) for path in paths]
+    recording = find_shown(paths)
     page, data = ports
     command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(page), "--port", str(data)]
     for ending in (signal.SIGTERM, signal.SIGHUP):  # else the server would outlive this process
@@ -36,7 +35,9 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
     with TemporaryFile("w+") as told:
         # Its own words, of which an error is the last line, are few enough for a file.
         quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
-        server = subprocess.Popen([*command, *recordings], stdout=told, stderr=told, env=quiet, start_new_session=True)
+        server = subprocess.Popen(
+            [*command, str(recording)], stdout=told, stderr=told, env=quiet, start_new_session=True
+        )
         try:
             wait_for_port(data, server)
             wait_for_port(page, server)

@@ -1,0 +1,40 @@
+"""Saving a recording: whole or not at all, and equal contents for equal runs."""
+
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from sim.files import write_atomic
+
+
+def save_recording(
+    path: Path, number: str, title: str, blueprint: rrb.Blueprint, log: Callable[[rr.RecordingStream], None]
+) -> None:
+    """Write a recording atomically.
+
+    Args:
+        path: The ``.rrd`` file.
+        number: The recording's id; the same for the same contents.
+        title: Its name in the viewer.
+        blueprint: How the viewer shows it.
+        log: Logs what it holds.
+    """
+
+    def write(part: Path) -> None:
+        # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
+        by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+        # The viewer keeps one layout for an application: each recording's is its own.
+        stream = rr.RecordingStream(
+            f"deepgps-{number}", recording_id=number, send_properties=False, batcher_config=by_size
+        )
+        with stream:
+            stream.save(part, default_blueprint=blueprint)
+            stream.send_recording_name(title)
+            log(stream)
+            stream.flush()
+            stream.disconnect()
+
+    write_atomic(path, write)
