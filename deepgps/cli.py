@@ -97,13 +97,15 @@ def study_command(words: Sequence[str]) -> None:
 
 
 def view_command(words: Sequence[str]) -> None:
-    """Open a run or a study in the Rerun viewer, or two runs side by side; or serve them to a browser."""
+    """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
     from deepgps.run import open_run
 
     arguments = _parse(ViewArguments, "view", words)
     folders = arguments.runs
     if len(folders) not in {1, 2}:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    if arguments.port is not None and not arguments.web:
+        raise InputError("--port needs --web")
     from deepgps.viewer.show import view
     from deepgps.viewer.study_read import is_study
     from deepgps.viewer.web import choose_ports, serve
@@ -113,8 +115,6 @@ def view_command(words: Sequence[str]) -> None:
             open_run(folder)
     if arguments.web:
         serve(folders, choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
-    elif arguments.port is not None:
-        raise InputError("--port needs --web")
     else:
         view(folders)
 

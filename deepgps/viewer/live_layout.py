@@ -6,8 +6,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.report import method_title
-from deepgps.viewer.layout import CAMERAS
-from deepgps.viewer.layout import _eye as aim_eye
+from deepgps.viewer.layout import CAMERAS, aim_eye
 from sim.records import FreeSpace
 
 RUN_TIME = "run_time"

@@ -1,4 +1,4 @@
-"""A recording in a browser: the viewer's page and its data, served to this machine alone."""
+"""A run's recording in a browser: the viewer's page and its data, served to this machine alone."""
 
 import os
 import signal
@@ -16,7 +16,7 @@ from sim.errors import InputError, WorkError
 
 
 def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
-    """Serve a run, a study or two runs side by side to a browser until Ctrl-C or SIGTERM ends this process.
+    """Serve a run, a study or two runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
 
     Args:
         paths: As of ``find_shown``.
