@@ -26,7 +26,6 @@ from deepgps.viewer.connect import find_url, open_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.live import show_live
 from deepgps.viewer.live_layout import RUN_TIME
-from deepgps.viewer.read import FIELDS
 from sim.errors import InputError, WorkError
 from sim.files import write_arrays
 from sim.records import chunk_files, work_folder
@@ -87,7 +86,7 @@ def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> No
     run, got = watched
     static = {chunk.entity_path: chunk for chunk in RrdReader(got).stream() if not chunk.timeline_names}
     for name, field in read_fields(run).items():
-        batch = static[FIELDS + name].to_record_batch()
+        batch = static[f"/world/error_field/{name}"].to_record_batch()
         arrows = batch.column("Arrows3D:vectors").flatten().flatten().to_numpy().reshape(-1, 3)[:, :2]
         np.testing.assert_allclose(arrows, field.predicted - field.truth, atol=1e-6)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= set(static)
