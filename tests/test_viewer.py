@@ -16,10 +16,11 @@ from synthetic_run import METHODS, write_synthetic_run
 
 from deepgps.figures import read_fields
 from deepgps.viewer import drive
+from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.recording import RECORDING, find_recording, write_recording
-from deepgps.viewer.show import find_viewer, view
+from deepgps.viewer.show import view
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, STEP
 from sim.errors import InputError, WorkError
 

@@ -15,9 +15,10 @@ from rerun.chunk import RrdReader
 from synthetic_run import METHODS, write_synthetic_run
 
 from deepgps.viewer.compare import colours_of_change, describe_pair, measure_change, open_pair, scale_change
+from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.pair import write_pair
 from deepgps.viewer.read import read_entity, read_error_table
-from deepgps.viewer.show import find_viewer, view
+from deepgps.viewer.show import view
 from sim.errors import InputError, WorkError
 from sim.files import write_text
 from sim.records import sha256

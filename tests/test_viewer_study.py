@@ -21,7 +21,8 @@ from deepgps import figures
 from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
-from deepgps.viewer.show import find_viewer, view
+from deepgps.viewer.connect import find_viewer
+from deepgps.viewer.show import view
 from deepgps.viewer.sliders import find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
 from deepgps.viewer.study import find_study

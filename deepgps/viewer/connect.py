@@ -1,12 +1,15 @@
 """Where a viewer listens: its address, a free port, a viewer of our own."""
 
+import os
+import shutil
 import socket
 import subprocess
+import sys
 import time
 from contextlib import suppress
+from pathlib import Path
 from urllib.parse import urlsplit
 
-from deepgps.viewer.show import find_viewer
 from sim.errors import InputError, WorkError
 
 HOST = "127.0.0.1"  # what is served here, and what listens here, is for this machine alone
@@ -30,6 +33,15 @@ def find_url(address: str) -> str:
         reason = error.strerror or str(error) or type(error).__name__
         raise InputError(f"--live {address}: no viewer answers there ({reason}); one listens after: rerun") from None
     return url
+
+
+def find_viewer() -> str:
+    """Path of the viewer that came with rerun-sdk, whether or not its environment is active; raises WorkError."""
+    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    viewer = shutil.which("rerun", path=places)
+    if viewer is None:
+        raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk brings it")
+    return viewer
 
 
 def open_viewer() -> str:

@@ -1,12 +1,10 @@
 """Opening recordings in the viewer that came with rerun-sdk."""
 
-import os
-import shutil
 import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from deepgps.viewer.connect import HOST, find_free_port, find_viewer
 from deepgps.viewer.pair import write_pair
 from deepgps.viewer.recording import find_recording
 from deepgps.viewer.study import find_study
@@ -25,8 +23,9 @@ def view(paths: Sequence[Path]) -> None:
         WorkError: The viewer is missing or cannot open a window.
     """
     recording = find_shown(paths)
-    # the viewer also listens for data; only this machine may send it any
-    command = [find_viewer(), "--bind", "127.0.0.1", str(recording)]
+    # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would hand
+    # the recording over, open nothing, and wait for ever where that one hangs.
+    command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
     ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
     if ended.returncode != 0:
         lines = [line for line in ended.stderr.splitlines() if line.strip()] or ["no reason given"]
@@ -48,12 +47,3 @@ def find_shown(paths: Sequence[Path]) -> Path:
     if len(paths) != 1:
         return write_pair(paths)
     return find_study(paths[0]) if is_study(paths[0]) else find_recording(paths[0])
-
-
-def find_viewer() -> str:
-    """Path of the viewer that came with rerun-sdk, whether or not its environment is active; raises WorkError."""
-    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    viewer = shutil.which("rerun", path=places)
-    if viewer is None:
-        raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk brings it")
-    return viewer

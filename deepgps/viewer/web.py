@@ -10,8 +10,8 @@ from pathlib import Path
 from tempfile import TemporaryFile
 from urllib.parse import quote
 
-from deepgps.viewer.connect import HOST, find_free_port, wait_for_port
-from deepgps.viewer.show import find_shown, find_viewer
+from deepgps.viewer.connect import HOST, find_free_port, find_viewer, wait_for_port
+from deepgps.viewer.show import find_shown
 from sim.errors import InputError, WorkError
 
 
