@@ -23,8 +23,8 @@ def view(paths: Sequence[Path]) -> None:
         WorkError: The viewer is missing or cannot open a window.
     """
     recording = find_shown(paths)
-    # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would hand
-    # the recording over, open nothing, and wait for ever where that one hangs.
+    # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would
+    # hand the recording over, open nothing, and wait for ever where that one hangs.
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
     ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
     if ended.returncode != 0:
