@@ -16,7 +16,7 @@ from deepgps.alignment import AlignmentKind, fit_alignment
 from deepgps.data import dead_reckon
 from deepgps.positioner import load_positioner
 from deepgps.scenario import MethodName, Scenario
-from deepgps.segment_errors import measure_distances
+from deepgps.segment_errors import judge_encoders
 from sim.files import read_json, write_arrays
 from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
@@ -99,7 +99,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         "distance_driven_m": recording.manifest["distance_driven_m"],
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
-        "distances": measure_distances(recording, truth),
+        "distances": judge_encoders(recording, truth),
         "methods": methods,
     }
 

@@ -5,12 +5,13 @@ from typing import Any
 import numpy as np
 
 from deepgps.data import read_segments
+from deepgps.encoder_errors import measure_segments
 from deepgps.noise import expect_errors, find_wrong, predict_rms
 from sim.records import Recording, Truth
 from sim.settings import EncoderSettings
 
 
-def measure_distances(recording: Recording, truth: Truth) -> dict[str, Any]:
+def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
     """Errors of whole segments' distances.
 
     Returns:
@@ -20,10 +21,7 @@ def measure_distances(recording: Recording, truth: Truth) -> dict[str, Any]:
     """
     segments = expect_errors(recording, read_segments(recording))
     encoder = EncoderSettings.model_validate(recording.manifest["settings"].get("encoder", {}))
-    rows, last = np.arange(len(segments.count)), segments.count.numpy() - 1
-    index, distance = segments.index.numpy(), segments.distance.numpy()
-    way = np.linalg.norm(truth.pose[index[rows, last], :2] - truth.pose[index[:, 0], :2], axis=1)
-    error = distance[rows, last] - way
+    _, error = measure_segments(recording, truth.pose)
     assert segments.weight is not None
     wrong, doubted = find_wrong(segments, error), segments.weight.numpy() < 0.5
     return {

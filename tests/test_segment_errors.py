@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.segment_errors import measure_distances
+from deepgps.segment_errors import judge_encoders
 from sim.encoder import read_encoders
 from sim.records import open_recording, open_truth
 from sim.settings import EncoderSettings
@@ -21,7 +21,7 @@ def measure(folder: Path, encoder: EncoderSettings) -> dict[str, float]:
     odometry = {**ODOMETRY, "ticks_per_rev": encoder.ticks_per_rev, "gap_noise": encoder.gap_noise}
     recording.manifest.update(odometry=odometry, settings={"encoder": encoder.model_dump(mode="json")})
     reading = np.column_stack([recording.reading[:, :2], ticks])[arrived]
-    return measure_distances(type(recording)(**{**vars(recording), "reading": reading}), truth)
+    return judge_encoders(type(recording)(**{**vars(recording), "reading": reading}), truth)
 
 
 def test_no_fault_gives_no_error(folder: Path):
