@@ -7,6 +7,7 @@ then by lifting.
 """
 
 import shutil
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -55,35 +56,41 @@ def fit(
     recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
 ) -> Positioner:
     """Train DeepGPS into ``folder``; done work is loaded, cut-off work continued."""
-    if not is_finished(folder):
-        learn(prepare(recording, settings, seed, folder.parent), settings, seed, folder, progress)
-    return load_positioner(folder)
+    return _fit(recording, settings, seed, folder, progress, lambda material: material)
 
 
 def fit_aware(
     recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
 ) -> Positioner:
     """The same, with residuals divided by what encoders are expected to be wrong by, and doubtful segments found."""
-    if not is_finished(folder):
-        material = prepare(recording, settings, seed, folder.parent)
-        expected = replace(material, segments=expect_errors(recording, material.segments))
-        learn(expected, settings, seed, folder, progress)
-    return load_positioner(folder)
+
+    def expect(material: Material) -> Material:
+        return replace(material, segments=expect_errors(recording, material.segments))
+
+    return _fit(recording, settings, seed, folder, progress, expect)
 
 
 def fit_turns(
     recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
 ) -> Positioner:
     """The same from the path that the wheels reckon, with left and right as they turned: no mirrored map."""
-    if not is_finished(folder):
-        material = replace(prepare(recording, settings, seed, folder.parent), turns=read_turns(recording))
-        learn(material, settings, seed, folder, progress)
-    return load_positioner(folder)
+
+    def add_turns(material: Material) -> Material:
+        return replace(material, turns=read_turns(recording))
+
+    return _fit(recording, settings, seed, folder, progress, add_turns)
 
 
-def learn(material: Material, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> None:
-    """Train on this material into ``folder``."""
+def _fit(
+    recording: Recording,
+    settings: LearnSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+    extend: Callable[[Material], Material],
+) -> Positioner:
     if not is_finished(folder):
+        material = extend(prepare(recording, settings, seed, folder.parent))
         attempts = run_attempts(material, settings, seed, folder, progress)
         best = min(range(len(attempts)), key=lambda number: attempts[number].signs.worst(settings.fold))
         chosen = attempts[best]
@@ -100,6 +107,7 @@ def learn(material: Material, settings: LearnSettings, seed: int, folder: Path, 
         save_positioner(folder, chosen.positioner, training)
     for left in folder.glob("attempt*"):
         shutil.rmtree(left)
+    return load_positioner(folder)
 
 
 def run_attempts(

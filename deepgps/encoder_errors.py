@@ -6,7 +6,8 @@ from matplotlib.figure import Figure
 
 from deepgps.alignment import fit_alignment
 from deepgps.figures import SCREEN
-from deepgps.playback import find_starts, measure_distances
+from deepgps.playback import find_lasts, find_starts, measure_distances
+from sim.encoder import ticks_to_distance
 from sim.records import Recording
 from sim.settings import EncoderSettings, RobotSettings
 
@@ -23,7 +24,7 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
     """
     encoder, true, _ = measure_distances(recording, pose)
     start = find_starts(recording.reading[:, 0])
-    last = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+    last = find_lasts(start)
     last = last[last > start[last]]
     return true[last], (encoder - true)[last]
 
@@ -54,7 +55,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     """
     length, error = measure_segments(recording, pose)
     odometry = recording.manifest["odometry"]
-    tick_mm = 2000 * np.pi * odometry["wheel_radius_m"] / odometry["ticks_per_rev"]
+    tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
     measured = {
         "one tick": f"{tick_mm:.3g} mm",
         "segments": f"{len(length)}, {length.sum():.0f} m in all",

@@ -87,6 +87,11 @@ def find_starts(segment: np.ndarray) -> np.ndarray:
     return np.repeat(first, np.diff(np.r_[first, len(segment)]))
 
 
+def find_lasts(start: np.ndarray) -> np.ndarray:
+    """Index of the last reading of each segment (S,), from that of the first at each reading (R,)."""
+    return np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+
+
 def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distance since the start of its segment at each reading, by encoder and true, and their difference so far.
 

@@ -47,6 +47,12 @@ def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
     assert training["steps"] == 300 and training["attempts"] == 1 and not training["fold"]["found"]
 
 
+def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: Recording, trained: Path):
+    (trained / "attempt0").mkdir()
+    fit(toy, SETTINGS, 0, trained)
+    assert not (trained / "attempt0").exists()
+
+
 def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path):
     shutil.copytree(toy.folder, tmp_path / "blind")
     shutil.rmtree(tmp_path / "blind" / "truth")

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
@@ -13,7 +13,7 @@ from deepgps.report import method_title
 from deepgps.scenario import Scenario
 from deepgps.studies.compare import choices
 from deepgps.studies.seeds import is_folded
-from deepgps.studies.table import ERRORS, Row, mean, split_by
+from deepgps.studies.table import ERRORS, Row, mean, read_setting, split_by
 from deepgps.targets import Figure
 
 CLEAN = "no fault"
@@ -125,7 +125,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, Sequence[Row]]:
     """Rows by what differs from the settings by default; those in use alone come last."""
-    usual = {name: _look_up(Scenario(), name) for name in choices(varied)}
+    usual = {name: read_setting(Scenario(), name) for name in choices(varied)}
     groups: dict[Fault, list[Row]] = {}
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]
@@ -138,10 +138,3 @@ def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, S
 def _write(name: str, rows: Sequence[Row], clean: Sequence[Row]) -> str:
     value = f"{100 * mean(rows, name):.1f}"
     return f"{value} ({mean(rows, name) / mean(clean, name):.2f})" if clean else value
-
-
-def _look_up(scenario: Scenario, dotted: str) -> Any:
-    value: Any = scenario
-    for part in dotted.split("."):
-        value = getattr(value, part)
-    return value

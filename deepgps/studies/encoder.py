@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, count_by_decades, read_fields
+from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title, read_metrics
 from deepgps.studies.table import Row, mean, split_by, varied_in
@@ -99,10 +99,8 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_distances(run: Path, row: Row) -> Row:
-    """Errors of whole segments, how many were doubted, and how far test positions lie from their middle (RMS) [m]."""
-    places = next(iter(read_fields(run).values())).truth
-    spread_m = float(np.sqrt(((places - places.mean(axis=0)) ** 2).sum(axis=1).mean()))
-    return {**read_metrics(run)["distances"], "spread_m": spread_m}
+    """Errors of whole segments, measured and expected, and how many segments were wrong and doubted."""
+    return read_metrics(run)["distances"]
 
 
 def find_sweeps(rows: Sequence[Row]) -> list[Sweep]:

@@ -25,9 +25,7 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
     stream.send_columns(
         ROBOT,
         drive_index(recording.time[first], recording),
-        rr.Transform3D.columns(
-            translation=lift(truth.pose[seen, :2], 0.0), quaternion=_quaternions(truth.pose[seen, 2])
-        ),
+        rr.Transform3D.columns(translation=lift(truth.pose[seen, :2], 0.0), quaternion=turn_up(truth.pose[seen, 2])),
     )
     log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
     _log_distances(stream, recording, truth)
@@ -51,7 +49,7 @@ def log_path(
     """
     segment, place = recording.reading[:, 0], lift(place, LAYER_M)
     start = playback.find_starts(segment)
-    end = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+    end = playback.find_lasts(start)
     stream.log(f"{root}/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[*colours[0], 150]), static=True)
     stream.send_columns(
         f"{root}/path",
@@ -141,7 +139,7 @@ def _camera(recording: Recording) -> CameraSettings:
     return CameraSettings.model_validate(recording.manifest["settings"]["camera"])
 
 
-def _quaternions(yaw: np.ndarray) -> np.ndarray:
+def turn_up(yaw: np.ndarray) -> np.ndarray:
     """Quaternions (N, 4), x y z w as Rerun has them, of headings (N,) [rad]."""
     zero = np.zeros_like(yaw)
     return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from deepgps import playback
-from deepgps.viewer.drive import ROBOT, ROUND_PX
+from deepgps.viewer.drive import ROBOT, ROUND_PX, turn_up
 from deepgps.viewer.scene import LAYER_M, lift
 from sim.records import Recording, Truth, chunk_files, work_folder
 from sim.settings import CameraSettings
@@ -63,13 +63,12 @@ class LiveDrive:
         place = np.concatenate([self.last, pose[:, :2]])
         index = observation - (self.observations - len(self.last))
         start = playback.find_starts(segment)
-        end = np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+        end = playback.find_lasts(start)
         ends = [lift(place[index[rows]], LAYER_M) for rows in (start[end], end)]
         self.stream.send_columns(
             "world/drive/path", at(len(end)), rr.LineStrips3D.columns(strips=np.stack(ends, axis=1))
         )
-        turn = np.column_stack([np.zeros((len(pose), 2)), np.sin(pose[:, 2] / 2), np.cos(pose[:, 2] / 2)])
-        moved = rr.Transform3D.columns(translation=lift(pose[:, :2], 0.0), quaternion=turn)
+        moved = rr.Transform3D.columns(translation=lift(pose[:, :2], 0.0), quaternion=turn_up(pose[:, 2]))
         self.stream.send_columns(ROBOT, at(len(pose)), moved)
         self.observations += len(pose)
         self.last = pose[-1:, :2]

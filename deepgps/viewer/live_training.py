@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from matplotlib.colors import to_rgb
 
-from deepgps import figures, playback
+from deepgps import playback
 from deepgps.alignment import fit_alignment
 from deepgps.report import method_title
 from deepgps.viewer.live_drive import Spread
 from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.training import colour_of_method, take_log
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -48,7 +48,7 @@ class LiveTraining:
             self.trained.append(method)
             self._log_styles(method)
         points, snapshots = self.sent.get(label, (0, 0))
-        loss = np.log10(np.maximum(np.asarray(history["loss"][points:], float), 1e-9))
+        loss = take_log(history["loss"][points:])
         if len(loss):
             self.stream.send_columns(f"training/{method}/loss", at(len(loss)), rr.Scalars.columns(scalars=loss))
         place = self.truth[history["snapshot_index"]]
@@ -63,7 +63,6 @@ class LiveTraining:
         self.sent[label] = (points + len(loss), snapshots + len(maps))
 
     def _log_styles(self, method: str) -> None:
-        colour = [int(255 * part) for part in to_rgb(figures.LINES.get(method, "#888888"))]
-        style = rr.SeriesLines(colors=[colour], names=method_title(method), widths=1.5)
+        style = rr.SeriesLines(colors=[colour_of_method(method)], names=method_title(method), widths=1.5)
         self.stream.log(f"training/{method}/loss", style, static=True)
         self.stream.log(f"world/training/{method}", rr.Points3D.from_fields(radii=0.025), static=True)
