@@ -183,7 +183,7 @@ HELP = {
     "train": "... and train the methods",
     "evaluate": "... and measure them",
     "study": "run a study: many scenarios, one table",
-    "view": "open a run or a study in the Rerun viewer, or two runs with their difference",
+    "view": "open a run or a study in Rerun, or two runs with their difference",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency, memory and steadiness beside the naive ways",
     "doctor": "check this machine and name the cure for what is missing",
