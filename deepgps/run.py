@@ -127,10 +127,15 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     from sim.records import open_recording
 
     recording = open_recording(folder / "recording")
-    seed = scenario.seed if scenario.learn.seed is None else scenario.learn.seed
+    seed = training_seed(scenario)
     for method in scenario.methods:
         with timed(folder, f"train {method}", done=is_finished(folder / method)):
             METHODS[method](recording, scenario.learn, seed, folder / method, progress)
+
+
+def training_seed(scenario: Scenario) -> int:
+    """The seed of weights and shuffling: the scenario's, unless learning has one of its own."""
+    return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
 
 
 def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:

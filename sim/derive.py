@@ -5,7 +5,6 @@ from its wheel angles. Where they differ in faults of finished images, these are
 drive depends on how long it will be: a shorter one is the beginning of a longer one.
 """
 
-import os
 import shutil
 import time
 from pathlib import Path
@@ -16,14 +15,15 @@ import numpy as np
 from sim.camera_faults import Develop, make_develop, spawn_streams
 from sim.encoder import describe_odometry, read_encoders
 from sim.errors import InputError
-from sim.files import write_array, write_atomic
+from sim.files import link_file, write_array, write_atomic
 from sim.records import Recording, Truth, finish_recording, open_recording, open_truth
 from sim.settings import EncoderSettings, ImageSettings, SimSettings
 from sim.streams import stream
 
 PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
-NEW = ("reading.npy", "time.npy")
+READ_AGAIN = ("reading.npy", "time.npy")
+"""What other encoders change."""
 AT_ONCE = 256
 """Images that are given their faults at a time."""
 
@@ -73,8 +73,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         elif name in PER_SAMPLE + PER_READING and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
             write_array(folder / name, array[: samples if name in PER_SAMPLE else kept])
-        elif name not in NEW:
-            _link(base / name, folder / name)
+        elif name not in READ_AGAIN:
+            link_file(base / name, folder / name)
     manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
     if not whole:
         manifest.pop("samples_dropped", None)  # known of the whole drive only
@@ -132,11 +132,3 @@ def _develop_again(source: Path, target: Path, fault: Develop, count: int | None
         whole.flush()
 
     write_atomic(target, write)
-
-
-def _link(source: Path, target: Path) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        os.link(source, target)
-    except OSError:  # a file system without hard links
-        shutil.copyfile(source, target)

@@ -1,0 +1,59 @@
+"""Trainings that runs of a study share: PoseNet learns from images and places alone, whatever the encoders read.
+
+A finished training is left where the study's other runs find it, named by a hash of all that it has read. They take it
+as hard links, or as copies where there can be none: each run is whole without the others.
+"""
+
+import hashlib
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from deepgps.positioner import is_finished
+from deepgps.run import training_seed
+from deepgps.scenario import Scenario
+from sim.derive import READ_AGAIN
+from sim.files import link_file
+from sim.records import Recording, open_recording
+
+WITHOUT_TICKS = ("posenet", "posenet_noisy")
+
+
+def take_trainings(scenario: Scenario, run: Path) -> None:
+    """Give a run what others of its study have learned from the same."""
+    for method, shared in _find(scenario, run):
+        if is_finished(shared) and not is_finished(run / method):
+            shutil.rmtree(run / method, ignore_errors=True)  # a training that was cut off
+            _link_folder(shared, run / method)
+
+
+def leave_trainings(scenario: Scenario, run: Path) -> None:
+    """Leave what a run has learned for others of its study."""
+    for method, shared in _find(scenario, run):
+        if not is_finished(shared):
+            _link_folder(run / method, shared)
+
+
+def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
+    """Eight hexadecimal digits of all that decides a training without ticks: settings, seed, images, places, and which
+    images follow one another, from which features are chosen."""
+    sums = {name: value for name, value in recording.manifest["sha256"].items() if name not in READ_AGAIN}
+    read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
+    return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
+
+
+def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
+    home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
+    shared = [method for method in scenario.methods if method in WITHOUT_TICKS]
+    return [(method, home / digest_training(scenario, method, recording)) for method in shared]
+
+
+def _link_folder(source: Path, target: Path) -> None:
+    aside = target.with_name(f"{target.name}.{os.getpid()}")
+    shutil.rmtree(aside, ignore_errors=True)  # what a killed process of the same number left
+    for path in source.iterdir():
+        link_file(path, aside / path.name)
+    with suppress(OSError):  # another run was first, with the same bytes
+        aside.rename(target)
+    shutil.rmtree(aside, ignore_errors=True)
