@@ -51,6 +51,8 @@ STALL_S = 0.2
 SLIP_M = 0.10
 """The wheels turned by this while what is ahead came no nearer: they slip [m]."""
 TRIES = 500
+WEDGED = 20
+"""Between two legs the wheels slip, so that a whole turn hardly is one: this often the robot rolls back and turns on."""
 
 
 class Course(NamedTuple):
@@ -121,8 +123,13 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     Raises:
         WorkError: the robot is stuck.
     """
+    wedged = 0
     for _ in range(TRIES):
-        stop_m = _turn_to_clear(robot, settings, rng, course)
+        while (stop_m := _turn_to_clear(robot, settings, rng, course)) is None:
+            if (wedged := wedged + 1) > WEDGED:
+                raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
+            back_off(robot, settings)
+            course = course._replace(continues=False)
         segment = _go_straight(robot, settings, rng, stop_m, course)
         if segment.ended in TOUCHED:
             back_off(robot, settings)
@@ -132,11 +139,12 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
 
-def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> float:
+def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> float | None:
     """Turn where the course says, and on until enough is clear ahead.
 
     Returns:
-        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear.
+        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear; None where
+        it found nothing at all.
     """
     angle, sense, further_rad = _aim(rng, course)
     turn(robot, settings, angle)
@@ -149,7 +157,7 @@ def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generat
             further = sense * rng.uniform(0.0, further_rad) * caution
             if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
                 break
-    raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
+    return None
 
 
 def _aim(rng: np.random.Generator, course: Course) -> tuple[float, float, float]:

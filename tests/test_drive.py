@@ -208,6 +208,16 @@ def test_robot_walled_in_is_stuck():
         take(make_world(room), 1)
 
 
+@pytest.mark.parametrize("pinch_m", [0.001, 0.002, 0.004])
+def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
+    room = walls()
+    for name, side in (("left", 1), ("right", -1)):
+        add_box(room, name, (0.0, side * (RADIUS_M - pinch_m + 0.02), 0.3), (0.02, 0.02, 0.3))
+    segments = take(make_world(room, (0.0, 0.0, 1.5)), 3)
+    assert not segments[0].continues  # rolled away from where the last segment would have ended
+    assert np.hypot(*segments[2].pose[-1, :2]) > 0.5
+
+
 def test_leaves_a_narrow_pocket():
     room = walls()
     # A bay 0.28 m wide and closed behind: less room than the stopping distance asks for on three sides.
