@@ -52,7 +52,7 @@ SLIP_M = 0.10
 """The wheels turned by this while what is ahead came no nearer: they slip [m]."""
 TRIES = 500
 WEDGED = 20
-"""Between two legs the wheels slip, so that a whole turn hardly is one: this often the robot rolls back and turns on."""
+"""Between two legs wheels slip, and a whole turn hardly is one: the robot rolls back and turns on, at most so often."""
 
 
 class Course(NamedTuple):
@@ -143,8 +143,8 @@ def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     """Turn where the course says, and on until enough is clear ahead.
 
     Returns:
-        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear; None where
-        it found nothing at all.
+        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear; None: it
+        found nothing at all.
     """
     angle, sense, further_rad = _aim(rng, course)
     turn(robot, settings, angle)
