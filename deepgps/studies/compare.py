@@ -29,7 +29,8 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         also: More columns [m], written in centimetres, with their headings.
     """
     more = {"heading_spread_m": "headings [cm]", **(also or {})}
-    kinds = shorten(choices(varied))
+    names = choices(rows, varied)
+    kinds = shorten(names)
     ours = [
         "runs",
         "images",
@@ -42,7 +43,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         "train [s]",
     ]
     cells = []
-    for key, group in group_rows(rows, varied).items():
+    for key, group in group_rows(rows, names).items():
         *kind, method = key
         means = {name: mean(group, name) for name in ("samples", "distance_m", *ERRORS, "train_s")}
         worst = f"{100 * max(row['rms_m'] for row in group):.1f}"
@@ -60,16 +61,17 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """RMS (filled) and median (open) of every run, a line for each group."""
-    groups = group_rows(rows, varied)
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
     picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
     axes = picture.add_subplot()
     for place, (key, group) in enumerate(groups.items()):
         colour = LINES.get(key[-1], "#555555")
         for name, inside in (("rms_m", colour), ("median_m", "none")):
             axes.plot([100 * row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
-    axes.set_yticks(range(len(groups)), [describe(key, varied) for key in groups])
+    axes.set_yticks(range(len(groups)), [describe(key, names) for key in groups])
     axes.set(xscale="log", ylim=(len(groups) - 0.5, -0.5))
-    axes.set_xlabel("error of the worst heading [cm]; filled: RMS, open: median")
+    axes.set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
     count_by_decades(axes.xaxis)
     axes.grid(alpha=0.25, which="both")
     return picture
@@ -77,7 +79,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """The error field of each group's run whose RMS is the middle one."""
-    groups = group_rows(rows, varied)
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
     columns = min(3, len(groups))
     lines = -(-len(groups) // columns)
     picture = Picture(figsize=(4.6 * columns + 0.8, 3.3 * lines + 0.3), layout="constrained")
@@ -85,30 +88,35 @@ def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     for axes, (key, group) in zip(panels, groups.items(), strict=False):
         row = sorted(group, key=lambda row: row["rms_m"])[(len(group) - 1) // 2]
         print_error_field(axes, folder / "runs" / row["run"], row["method"])
-        axes.set_title(f"{describe(key, varied)}: RMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+        axes.set_title(f"{describe(key, names)}\nRMS {100 * row['rms_m']:.1f} cm", fontsize=9)
     for axes in panels[len(groups) :]:
         axes.set_axis_off()
     add_scale(picture, panels)
     return picture
 
 
-def choices(varied: Sequence[str]) -> list[str]:
-    """Names that vary by choice: those of seeds vary only to repeat."""
-    return [name for name in varied if name.rpartition(".")[2] != "seed"]
+def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """Names that vary by choice: seeds vary only to repeat, and what follows from names before it is no choice."""
+    found: list[str] = []
+    for name in varied:
+        before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (found, [*found, name]))
+        if name.rpartition(".")[2] != "seed" and after > before:
+            found.append(name)
+    return found
 
 
-def group_rows(rows: Sequence[Row], varied: Sequence[str]) -> Groups:
-    """Rows by the values of what varies by choice, and the method at the end."""
+def group_rows(rows: Sequence[Row], names: Sequence[str]) -> Groups:
+    """Rows by the values of these names, and the method at the end."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault((*(str(row[name]) for name in choices(varied)), row["method"]), []).append(row)
+        groups.setdefault((*(str(row[name]) for name in names), row["method"]), []).append(row)
     return groups
 
 
-def describe(key: tuple[str, ...], varied: Sequence[str]) -> str:
+def describe(key: tuple[str, ...], names: Sequence[str]) -> str:
     """A group in words; numbers and flags are told with their names."""
-    names = shorten(choices(varied))
-    words = [value if value[:1].islower() else f"{name} {value}" for name, value in zip(names, key, strict=False)]
+    pairs = zip(shorten(names), key, strict=False)
+    words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
     return ", ".join([*words, method_title(key[-1])])
 
 

@@ -21,7 +21,7 @@ from scipy.spatial.distance import pdist, squareform
 from deepgps.alignment import fit_alignment
 from deepgps.markdown import tabulate
 from deepgps.positioner import NetworkPositioner, load_positioner
-from deepgps.studies.compare import describe, group_rows, mean
+from deepgps.studies.compare import choices, describe, group_rows, mean
 from deepgps.studies.seeds import is_folded
 from deepgps.studies.table import Row
 from deepgps.targets import Figure
@@ -76,12 +76,12 @@ class Distances:
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each way of learning, and how to read it."""
     headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
-    cells = []
-    for key, group in group_rows(rows, varied).items():
+    names, cells = choices(rows, varied), []
+    for key, group in group_rows(rows, names).items():
         figures = [f"{100 * mean(group, name):.3g}" for name in (*MAPS, "mds_own_m", *PAIRS)]
         outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
         folded = str(sum(is_folded(row) for row in group))
-        cells.append([describe(key, varied), str(len(group)), outputs, planar, *figures, folded])
+        cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, folded])
     return [tabulate(headings, cells), NOTE]
 
 
@@ -179,9 +179,10 @@ def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.nd
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Eigenvalues, errors of distances, and the maps of the first run of each way of learning."""
-    groups = group_rows(rows, varied)
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
     found = {
-        describe(key, varied): find_distances(folder / "runs" / group[0]["run"], key[-1])
+        describe(key, names): find_distances(folder / "runs" / group[0]["run"], key[-1])
         for key, group in groups.items()
     }
     picture = Picture(figsize=(max(9.6, 3.4 * len(found)), 7.2), layout="constrained")
