@@ -5,8 +5,8 @@ from matplotlib import style
 from matplotlib.figure import Figure
 
 from deepgps.alignment import fit_alignment
-from deepgps.figures import SCREEN
 from deepgps.playback import find_lasts, find_starts, measure_distances
+from deepgps.style import SCREEN
 from sim.encoder import ticks_to_distance
 from sim.records import Recording
 from sim.settings import EncoderSettings, RobotSettings

@@ -1,69 +1,23 @@
-"""A run's figures as PNG: error fields, comparison, training, error distribution, drive.
-
-Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
-"""
+"""A run's figures as PNG: error fields, comparison, training, error distribution, drive."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from deepgps.error_field import WorstField, add_scale, draw_field, draw_room, limits, read_arrays, read_fields
 from deepgps.report import method_title, read_metrics
-from sim.errors import InputError
+from deepgps.style import LINES, smooth, to_png
 from sim.files import write_bytes
 from sim.records import FreeSpace, Truth, open_recording, open_truth
 
-# Logarithmic, since errors of one centimetre and of one metre stand in one picture.
-SCALE_M = (0.01, 1.0)
-TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-COLOURS = LinearSegmentedColormap.from_list(
-    "error", ["#2b5fd9", "#22a7d6", "#3fd0a5", "#c9e265", "#ffc13b", "#ff7a33", "#e8254f"]
-)
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
-LINES = {
-    "deepgps": "#0b62d6",
-    "deepgps_aware": "#00a3b4",
-    "deepgps_turns": "#7048e8",
-    "posenet": "#e07b00",
-    "posenet_noisy": "#b8860b",
-    "explicit": "#7a4fbf",
-    "explicit_mds": "#4b5563",
-    "knn": "#1a936f",
-    "pca_knn": "#6b8e23",
-    "odometry": "#c2255c",
-}
-# Where the robot can reach, where it would fit but cannot come to, where it does not fit.
-Floor = tuple[str, str, str]
-SCREEN: Floor = ("#161a22", "#2c323e", "#4a5261")
-PAPER: Floor = ("#ffffff", "#dde1e7", "#b3bac4")
-DOTS_PER_INCH = 130
-
-
-@dataclass(frozen=True)
-class WorstField:
-    """One method's error field, of each test position the heading that did worst.
-
-    Attributes:
-        truth: Test positions (C, 2) [m].
-        predicted: Aligned prediction of the heading that did worst at each position (C, 2) [m].
-        error: Its distance from the truth (C,) [m].
-    """
-
-    truth: np.ndarray
-    predicted: np.ndarray
-    error: np.ndarray
 
 
 def draw_figures(run: Path) -> list[Path]:
@@ -89,68 +43,20 @@ def make_figures(run: Path) -> dict[str, Figure]:
     return figures
 
 
-def read_fields(run: Path) -> dict[str, WorstField]:
-    """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
-    path = run / "error_field.npz"
-    if not path.is_file():
-        raise InputError(f"{run} is no whole run: error_field.npz is missing")
-    data = _read_arrays(path)
-    missing = {"truth", "heading"} - set(data)
-    if missing:
-        raise InputError(f"{path} cannot be read: it has no {' and no '.join(sorted(missing))}")
-    methods = (name for name in data if name not in {"truth", "heading"})
-    return {name: worst_heading(data["truth"], data[name]) for name in methods}
-
-
-def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
-    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m]: per position the largest error."""
-    error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
-    worst = error.argmax(axis=1)
-    cells = np.arange(len(truth))
-    return WorstField(truth, predicted[cells, worst], error[cells, worst])
-
-
 def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     """Read each method's history.npz; methods that were not trained step by step have none."""
-    histories = {path.parent.name: _read_arrays(path) for path in run.glob("*/history.npz")}
+    histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
     return {name: histories[name] for name in sorted(histories, key=_rank)}
-
-
-def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.ndarray:
-    """Colours (..., 4) uint8 RGBA of errors (...,) [m] on a logarithmic scale."""
-    return (COLOURS(LogNorm(*scale_m, clip=True)(np.maximum(error, scale_m[0]))) * 255).round().astype(np.uint8)
 
 
 def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
     """One method's error field over the room."""
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
-    _draw_field(axes, space, field)
+    draw_field(axes, space, field)
     axes.set_title(f"{method_title(name)}: {_summary(field)}", fontsize=13)
     add_scale(figure, [axes])
     return figure
-
-
-def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
-    """Draw one method's error field of a run into these axes, on paper white; ``add_scale`` says what colours mean.
-
-    Args:
-        axes: Where; their title is left to the caller.
-        run: The run's folder.
-        name: The method.
-        scale_m: Errors at the ends of the colour scale [m].
-
-    Returns:
-        What was drawn.
-    """
-    field = read_fields(run)[name]
-    _draw_field(axes, open_truth(run / "recording").free_space, field, PAPER, scale_m)
-    return field
-
-
-def print_floor(axes: Axes, run: Path) -> None:
-    """Draw the floor of a run's room on paper white: grey is where the robot cannot be."""
-    _draw_room(axes, open_truth(run / "recording").free_space, PAPER)
 
 
 def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics: Mapping[str, Any]) -> Figure:
@@ -161,7 +67,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
     figure = Figure(figsize=(width + 0.9, rows * (5.75 * aspect + 0.45) + 0.85), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (name, field) in zip(grid.flat, fields.items(), strict=False):
-        _draw_field(axes, space, field)
+        draw_field(axes, space, field)
         axes.set_title(method_title(name), fontsize=13, fontweight="bold", loc="left")
         axes.set_title(_summary(field), fontsize=10.5, loc="right", color="#444444")
         axes.label_outer()
@@ -218,7 +124,7 @@ def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     space = truth.free_space
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
-    _draw_room(axes, space)
+    draw_room(axes, space)
     segment, observation = reading[:, 0], reading[:, 1]
     joined = segment[1:] == segment[:-1]
     place = truth.pose[:, :2][observation]
@@ -235,104 +141,6 @@ def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     bar = figure.colorbar(lines, ax=axes, shrink=0.8, pad=0.02, ticks=[0, max(len(pieces) - 1, 1)])
     bar.ax.set_yticklabels(["start", "end"])
     return figure
-
-
-def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = SCALE_M) -> None:
-    """The colour bar of error fields, beside these axes."""
-    bar = figure.colorbar(
-        ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
-    )
-    bar.set_label("error of the worst heading [m]", fontsize=10)
-    bar.ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    bar.ax.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
-
-
-def count_by_decades(axis: Axis) -> None:
-    """Write 1, 2, 5, 10 and so on, as they are, at an axis that grows by decades."""
-    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    axis.set_minor_formatter(ticker.NullFormatter())
-
-
-def to_png(figure: Figure) -> bytes:
-    """A figure as PNG; equal figures give equal bytes, since no date is written."""
-    FigureCanvasAgg(figure)
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def smooth(values: np.ndarray) -> np.ndarray:
-    """Running median of values (N,) over about a fortieth of them; the ends use what there is."""
-    half = max(len(values) // 80, 1)
-    return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))])
-
-
-def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    """South-west and north-east corner (2,) [m] of the reachable area with a margin around it."""
-    row, column = np.nonzero(space.reachable)
-    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
-    low, high = space.origin + corner * space.cell_m
-    return low - margin_m, high + margin_m
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except (ValueError, OSError, BadZipFile) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None
-
-
-def _draw_field(
-    axes: Axes,
-    space: FreeSpace,
-    field: WorstField,
-    floor: Floor = SCREEN,
-    scale_m: tuple[float, float] = SCALE_M,
-) -> None:
-    """Dots at the truth, lines to the predictions with a head's share drawn by width, colour by magnitude."""
-    _draw_room(axes, space, floor)
-    order = np.argsort(field.error)  # the worst lie on top
-    truth, predicted = field.truth[order], field.predicted[order]
-    colours = colours_of(field.error[order], scale_m) / 255
-    axes.scatter(*truth.T, s=7, c=colours, linewidths=0)
-    axes.quiver(
-        *truth.T,
-        *(predicted - truth).T,
-        color=colours,
-        angles="xy",
-        scale_units="xy",
-        scale=1,
-        width=0.0022,
-        headwidth=4,
-        headlength=5,
-        headaxislength=4.5,
-        minlength=0,
-    )
-
-
-def _draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
-    rows, columns = space.free.shape
-    kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
-    half = space.cell_m / 2
-    x, y = space.origin
-    extent = (x - half, x + (columns - 0.5) * space.cell_m, y - half, y + (rows - 0.5) * space.cell_m)
-    axes.imshow(
-        kind,
-        origin="lower",
-        extent=extent,
-        cmap=ListedColormap(floor),
-        vmin=0,
-        vmax=2,
-        interpolation="nearest",
-    )
-    low, high = limits(space)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
-    axes.tick_params(labelsize=9)
-    for spine in axes.spines.values():
-        spine.set_color("#888888")
 
 
 def _aspect(space: FreeSpace) -> float:

@@ -7,7 +7,8 @@ import numpy as np
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.figures import SCREEN, limits
+from deepgps.error_field import limits
+from deepgps.style import SCREEN
 from sim.encoder import ticks_to_distance
 from sim.errors import InputError
 from sim.lens import make_lens, project_polar, round_rays

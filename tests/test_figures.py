@@ -9,18 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from synthetic_run import METHODS, make_free_space, write_synthetic_run
 
-from deepgps.figures import (
-    SCALE_M,
-    colours_of,
-    draw_error_field,
-    draw_figures,
-    limits,
-    make_figures,
-    read_fields,
-    smooth,
-    to_png,
-    worst_heading,
-)
+from deepgps.error_field import SCALE_M, colours_of, limits, read_fields, worst_heading
+from deepgps.figures import draw_error_field, draw_figures, make_figures
+from deepgps.style import smooth, to_png
 from sim.errors import InputError
 
 POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))

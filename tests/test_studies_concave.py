@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.figures import read_fields
+from deepgps.error_field import read_fields
 from deepgps.progress import ignore
 from deepgps.studies.concave import EDGES, add_reach, measure, pool
 from deepgps.studies.engine import carry_out

@@ -7,10 +7,10 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from deepgps.figures import to_png
 from deepgps.studies.encoder import choose_encoders, draw, find_pairs, find_sweeps, measure, report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
+from deepgps.style import to_png
 from sim.settings import EncoderSettings
 
 NAMES = ("ticks_per_rev", "gap_noise", "radius_error_left", "radius_error_right")

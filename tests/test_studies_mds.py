@@ -8,12 +8,12 @@ from scipy.spatial.distance import pdist, squareform
 from toy import QUICK, make_toy
 
 from deepgps.alignment import fit_alignment
-from deepgps.figures import to_png
 from deepgps.methods import METHODS
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from deepgps.studies.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_classically
 from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.style import to_png
 from sim.errors import InputError
 from sim.records import FreeSpace
 

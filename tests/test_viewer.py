@@ -14,7 +14,7 @@ from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 from synthetic_run import METHODS, write_synthetic_run
 
-from deepgps.figures import read_fields
+from deepgps.error_field import read_fields
 from deepgps.viewer import drive
 from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.drive import ROBOT

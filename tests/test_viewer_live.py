@@ -19,7 +19,7 @@ from live_server import serve_grpc
 from rerun.chunk import RrdReader
 from test_cli import MINI, arrays, assert_one_clear_line, deepgps
 
-from deepgps.figures import read_fields
+from deepgps.error_field import read_fields
 from deepgps.progress import Look
 from deepgps.scenario import Scenario
 from deepgps.viewer.connect import find_url, open_viewer

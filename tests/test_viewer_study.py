@@ -17,7 +17,7 @@ from rerun.chunk import RrdReader
 from small_study import finish, start, wait_until, write_study
 from synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
 
-from deepgps import figures
+from deepgps import error_field
 from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
@@ -129,7 +129,7 @@ def test_every_room_fills_the_same_rectangle(study):
     corners = []
     for index, room in enumerate(ROOMS):
         scale, move = scales["case", index][0], np.array(moves["case", index][:2])
-        corners.append(np.stack(figures.limits(make_room(room))) * scale + move)
+        corners.append(np.stack(error_field.limits(make_room(room))) * scale + move)
     for corner in corners:
         np.testing.assert_allclose(corner[0], -corner[1], atol=1e-5)
     np.testing.assert_allclose(np.ptp(corners[0], axis=0)[0], np.ptp(corners[1], axis=0)[0], rtol=0.05)

@@ -22,7 +22,7 @@ from PIL import Image
 from synthetic_run import write_synthetic_run
 
 from deepgps.cli import main
-from deepgps.figures import colours_of, read_fields
+from deepgps.error_field import colours_of, read_fields
 from deepgps.viewer.connect import HOST, find_free_port
 from deepgps.viewer.recording import RECORDING, write_recording
 from deepgps.viewer.web import choose_ports

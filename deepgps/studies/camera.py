@@ -7,12 +7,12 @@ from typing import NamedTuple
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
-from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.scenario import Scenario
 from deepgps.studies.seeds import is_folded
 from deepgps.studies.table import ERRORS, Row, mean, read_setting, split_by
+from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
 CLEAN = "no fault"

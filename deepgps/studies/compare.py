@@ -5,11 +5,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, add_scale, count_by_decades, print_error_field
+from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.seeds import is_folded
 from deepgps.studies.table import ERRORS, Row, mean, write_errors
+from deepgps.style import LINES, count_by_decades
 
 NOTE = (
     "Means over runs that differ in seeds alone. Errors on the test grid, the worst heading of each position; aligned "

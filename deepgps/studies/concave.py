@@ -8,12 +8,13 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, add_scale, count_by_decades, print_error_field, read_fields
+from deepgps.error_field import add_scale, print_error_field, read_fields
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.compare import group_rows
 from deepgps.studies.compare import report as compare_choices
 from deepgps.studies.table import Row
+from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure, write
 from deepgps.visibility import measure_visible
 from sim.records import open_truth

@@ -8,10 +8,10 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import Row, mean, split_by, varied_in
+from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
 SHOWN = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title, read_metrics
 from deepgps.studies.table import Row, mean, split_by, varied_in
+from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 from sim.settings import EncoderSettings
 

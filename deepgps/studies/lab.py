@@ -7,10 +7,11 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, print_floor, read_fields
+from deepgps.error_field import print_floor, read_fields
 from deepgps.markdown import tabulate
 from deepgps.report import method_title, read_metrics
 from deepgps.studies.table import Row, split_by
+from deepgps.style import LINES
 from deepgps.targets import Figure
 
 ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}

@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import Row
+from deepgps.style import LINES
 from deepgps.targets import Figure
 
 REACH = "landmarks.reach_m"

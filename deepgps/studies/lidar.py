@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 from safetensors import safe_open
 
-from deepgps.figures import add_scale, print_error_field
+from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import Row

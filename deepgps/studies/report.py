@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import to_png
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies import (
@@ -26,6 +25,7 @@ from deepgps.studies import (
 )
 from deepgps.studies.study import Plan, ReportName, Study
 from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
+from deepgps.style import to_png
 from deepgps.targets import Figure, tabulate_targets
 from sim.files import write_bytes, write_text
 

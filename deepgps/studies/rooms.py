@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures import LINES, count_by_decades
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import ERRORS, Row, split_by, write_errors
+from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure, write
 
 SHARES = ("relative_rms", "seen", "flipped")

@@ -10,9 +10,10 @@ from matplotlib import style, ticker
 from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from deepgps.figures import LINES, SCALE_M, SCREEN, WorstField, read_fields
+from deepgps.error_field import SCALE_M, WorstField, read_fields
 from deepgps.report import COLUMNS, Column, method_title, read_metrics
 from deepgps.scenario import read_yaml
+from deepgps.style import LINES, SCREEN
 from sim.errors import InputError
 from sim.records import FreeSpace, open_truth
 

@@ -5,7 +5,7 @@ from io import BytesIO
 import numpy as np
 import rerun as rr
 
-from deepgps import figures
+from deepgps import style
 from deepgps.encoder_errors import describe_encoders, draw_segments, measure_segments, reckon_path
 from deepgps.viewer.drive import Colour, log_path
 from deepgps.viewer.scene import LAYER_M, lift
@@ -30,6 +30,6 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     send_series(stream, "encoders/drift", indexes, drift, "reckoned path off by", WRONG)
     text = describe_encoders(recording, truth.pose, drift)
     stream.log("encoders/faults", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    picture = figures.to_png(draw_segments(*measure_segments(recording, truth.pose)))
+    picture = style.to_png(draw_segments(*measure_segments(recording, truth.pose)))
     image = rr.EncodedImage(contents=BytesIO(picture), media_type="image/png")
     stream.log("encoders/segments", image, static=True)

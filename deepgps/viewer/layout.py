@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps import figures
+from deepgps import error_field
 from deepgps.report import method_title
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
 from sim.records import FreeSpace
@@ -202,7 +202,7 @@ def aim_eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0, before: flo
         reach: How far away it is, as a multiple of what shows the plan.
         before: How far south of the room's middle it looks [m].
     """
-    low, high = figures.limits(space)
+    low, high = error_field.limits(space)
     middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
     distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
     away = distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)])

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps import figures
+from deepgps import error_field
 from deepgps.report import OVERVIEW, markdown_table, method_title, read_metrics
 from deepgps.scenario import Scenario
 from deepgps.viewer.live_drive import LiveDrive, Spread, log_drive_styles
@@ -80,7 +80,7 @@ class LiveView:
 
     def _send_results(self, space: FreeSpace) -> list[str]:
         """Send the error fields and the figures; returns the methods measured."""
-        fields, metrics = figures.read_fields(self._folder), read_metrics(self._folder)
+        fields, metrics = error_field.read_fields(self._folder), read_metrics(self._folder)
         for name, field in fields.items():
             log_field(self._stream, name, field)
         log_scale(self._stream, space)

@@ -9,8 +9,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures import limits, to_png
+from deepgps.error_field import limits
 from deepgps.report import method_title
+from deepgps.style import to_png
 from deepgps.viewer.compare import (
     Pair,
     Side,

@@ -12,8 +12,8 @@ from typing import Any
 
 import rerun as rr
 
-from deepgps import figures
-from deepgps.figures import WorstField
+from deepgps import error_field, figures, style
+from deepgps.error_field import WorstField
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.drive import find_cameras, log_drive
 from deepgps.viewer.encoders import log_encoders
@@ -32,7 +32,7 @@ def write_recording(run: Path) -> Path:
 
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """
-    metrics, fields, histories = read_metrics(run), figures.read_fields(run), figures.read_histories(run)
+    metrics, fields, histories = read_metrics(run), error_field.read_fields(run), figures.read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording))
 
@@ -93,7 +93,7 @@ def _log_report(
     if histories:
         pictures["training"] = figures.draw_training(histories)
     for name, figure in pictures.items():
-        image = rr.EncodedImage(contents=BytesIO(figures.to_png(figure)), media_type="image/png")
+        image = rr.EncodedImage(contents=BytesIO(style.to_png(figure)), media_type="image/png")
         stream.log(f"report/{name}", image, static=True)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps import figures, playback
-from deepgps.figures import WorstField, colours_of
+from deepgps import playback
+from deepgps.error_field import SCALE_M, TICKS_M, WorstField, colours_of, limits
 from sim.records import FreeSpace
 
 LAYER_M = 0.01  # height of one drawn layer above the next
@@ -49,18 +49,16 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), roo
 
 def log_scale(stream: rr.RecordingStream, space: FreeSpace, root: str = "world") -> None:
     """The colour scale of errors as a strip on the floor before the room."""
-    log_scale_below(stream, f"{root}/scale", *figures.limits(space))
+    log_scale_below(stream, f"{root}/scale", *limits(space))
 
 
 def log_scale_below(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
     """The colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
-    decades = np.log(figures.SCALE_M[1] / figures.SCALE_M[0])
-    ticks = np.array(figures.TICKS_M)
-    colours = colours_of(figures.SCALE_M[0] * np.exp(np.linspace(0, 1, STRIP) * decades))
+    decades = np.log(SCALE_M[1] / SCALE_M[0])
+    ticks = np.array(TICKS_M)
+    colours = colours_of(SCALE_M[0] * np.exp(np.linspace(0, 1, STRIP) * decades))
     labels = [f"{100 * ticks[0]:g} cm", *(f"{100 * tick:g}" for tick in ticks[1:-1]), f"{ticks[-1]:g} m"]
-    log_strip(
-        stream, path, low, high, colours, dict(zip(np.log(ticks / figures.SCALE_M[0]) / decades, labels, strict=True))
-    )
+    log_strip(stream, path, low, high, colours, dict(zip(np.log(ticks / SCALE_M[0]) / decades, labels, strict=True)))
 
 
 def log_strip(

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures import WorstField
+from deepgps.error_field import WorstField
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, varied_in
 from deepgps.viewer import study_text

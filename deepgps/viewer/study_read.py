@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from deepgps.figures import WorstField, read_fields
+from deepgps.error_field import WorstField, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_setting

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from matplotlib.colors import to_rgb
 
-from deepgps import figures
+from deepgps import error_field, style
 from deepgps.report import method_title
 from deepgps.studies.table import Row, mean
 from deepgps.viewer.scene import Places, lift, log_floor, put
@@ -22,7 +22,7 @@ Take = Callable[[Sequence[Row], str], float]
 
 def find_frame(spaces: Spaces) -> Frame:
     """Corners (2,) [m] of a rectangle around the origin in the proportions of the widest and the deepest room."""
-    size = np.max([high - low for low, high in map(figures.limits, spaces.values())], axis=0)
+    size = np.max([high - low for low, high in map(error_field.limits, spaces.values())], axis=0)
     size *= FRAME_M / max(size[1], 0.62 * size[0])
     return -size / 2, size / 2
 
@@ -35,7 +35,7 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         if space is None or (shown is not None and _is_same(space, shown)):
             continue
         shown, at = space, [rr.TimeColumn(slider.name, sequence=[index])]
-        low, high = figures.limits(space)
+        low, high = error_field.limits(space)
         scale = float(np.min((frame[1] - frame[0]) / (high - low)))
         middle = -scale * (low + high) / 2
         put(stream, "world", rr.Transform3D(translation=[*middle, 0.0], scale=scale), at)
@@ -113,4 +113,4 @@ def _most(rows: Sequence[Row], name: str) -> float:
 
 def _colour(method: str) -> tuple[int, ...]:
     """The method's colour in figures, paler, since the viewer is dark."""
-    return tuple(int(255 * (0.7 * part + 0.3)) for part in to_rgb(figures.LINES.get(method, "#888888")))
+    return tuple(int(255 * (0.7 * part + 0.3)) for part in to_rgb(style.LINES.get(method, "#888888")))

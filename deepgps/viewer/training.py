@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from matplotlib.colors import to_rgb
 
-from deepgps import figures, playback
+from deepgps import error_field, playback, style
 from deepgps.alignment import fit_alignment
 from deepgps.viewer.drive import Colour
 from deepgps.viewer.scene import LAYER_M, lift
@@ -19,7 +19,7 @@ def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np
     last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
     step, loss, colour = history["step"], take_log(history["loss"]), colour_of_method(name)
     send_series(stream, f"training/{name}/loss", step_index(step, last), loss, "loss", (*colour, 90))
-    send_series(stream, f"training/{name}/smooth", step_index(step, last), figures.smooth(loss), "median", colour)
+    send_series(stream, f"training/{name}/smooth", step_index(step, last), style.smooth(loss), "median", colour)
     place = truth[history["snapshot_index"]]
     snapshot = [fit_alignment(points, place, "E2").apply(points) for points in history["snapshot"].astype(float)]
     indexes = step_index(history["snapshot_step"], last)
@@ -34,7 +34,7 @@ def take_log(loss: np.ndarray) -> np.ndarray:
 
 def colour_of_method(name: str) -> Colour:
     """A method's colour in plots."""
-    red, green, blue = (int(255 * part) for part in to_rgb(figures.LINES.get(name, "#888888")))
+    red, green, blue = (int(255 * part) for part in to_rgb(style.LINES.get(name, "#888888")))
     return red, green, blue
 
 
@@ -61,7 +61,7 @@ def log_snapshot_errors(
     vectors = np.stack(snapshot) - place
     path, lengths = f"world/training_error/{name}", [len(place)] * len(snapshot)
     origins = lift(np.tile(place, (len(snapshot), 1)), LAYER_M)
-    colours = figures.colours_of(np.linalg.norm(vectors, axis=2).reshape(-1))
+    colours = error_field.colours_of(np.linalg.norm(vectors, axis=2).reshape(-1))
     stream.log(path, rr.Arrows3D.from_fields(radii=0.008), static=True)
     stream.send_columns(
         path,

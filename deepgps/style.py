@@ -1,0 +1,48 @@
+"""How every picture looks: a colour for each method, floors for screen and paper, axes by decades, PNG bytes."""
+
+from io import BytesIO
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+LINES = {
+    "deepgps": "#0b62d6",
+    "deepgps_aware": "#00a3b4",
+    "deepgps_turns": "#7048e8",
+    "posenet": "#e07b00",
+    "posenet_noisy": "#b8860b",
+    "explicit": "#7a4fbf",
+    "explicit_mds": "#4b5563",
+    "knn": "#1a936f",
+    "pca_knn": "#6b8e23",
+    "odometry": "#c2255c",
+}
+# Where the robot can reach, where it would fit but cannot come to, where it does not fit.
+Floor = tuple[str, str, str]
+SCREEN: Floor = ("#161a22", "#2c323e", "#4a5261")
+PAPER: Floor = ("#ffffff", "#dde1e7", "#b3bac4")
+DOTS_PER_INCH = 130
+
+
+def count_by_decades(axis: Axis) -> None:
+    """Write 1, 2, 5, 10 and so on, as they are, at an axis that grows by decades."""
+    axis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
+    axis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axis.set_minor_formatter(ticker.NullFormatter())
+
+
+def to_png(figure: Figure) -> bytes:
+    """A figure as PNG; equal figures give equal bytes, since no date is written."""
+    FigureCanvasAgg(figure)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def smooth(values: np.ndarray) -> np.ndarray:
+    """Running median of values (N,) over about a fortieth of them; the ends use what there is."""
+    half = max(len(values) // 80, 1)
+    return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))])
