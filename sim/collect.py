@@ -15,26 +15,22 @@ from concurrent.futures.process import BrokenProcessPool
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from sim.camera_faults import make_develop, spawn_streams
+from sim.assemble import Drive, make_senses, take_held_out, write_drive, write_horizontal, write_images
+from sim.camera_faults import spawn_streams
 from sim.drive import Course, Segment, next_segment
-from sim.encoder import describe_odometry, read_encoders, ticks_to_distance
+from sim.encoder import describe_odometry
 from sim.errors import WorkError
-from sim.files import write_array, write_arrays, write_atomic
-from sim.horizontal import camera_matrix, mounting
-from sim.labels import write_labels
+from sim.files import write_array, write_arrays
 from sim.mount import draw_leans
 from sim.processes import end_with_parent
 from sim.records import chunk_files, finish_recording, save_free_space, work_folder
-from sim.robot import TRACK_M, WHEEL_RADIUS_M, planar_pose
-from sim.scan import measure
-from sim.sensing import HORIZONTAL, SIGHTINGS, sense_states
+from sim.robot import TRACK_M, WHEEL_RADIUS_M
+from sim.sensing import sense_states
 from sim.settings import SimSettings, UseSettings
 from sim.streams import stream
-from sim.tags import Sightings
 from sim.world import RoomWorld
 
 CHUNK = 256
@@ -43,19 +39,6 @@ DEATHS = 3
 """How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
-Sense = Callable[[np.ndarray], np.ndarray]
-"""What a sensor makes of what there is to see."""
-
-
-class Drive(NamedTuple):
-    """What has been driven: chunks in order, and beside them the file that each chunk's images go to.
-
-    A chunk holds ``state`` (n, nq) of its new observations, and of its readings ``segment`` (r,), ``observation`` (r,),
-    both counted over the whole drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
-    """
-
-    chunks: list[dict[str, np.ndarray]]
-    images: list[Path]
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
@@ -100,13 +83,13 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
                 raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
         finally:
             pool.shutdown(cancel_futures=True)
-    sense, sense_test = _make_senses(settings, seed)
+    sense, sense_test = make_senses(settings, seed)
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
     if held_out:
         test_pose = take_held_out(settings, drive)
         tests = drive.images
     first = settings.drive.samples if held_out else 0
-    _write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
+    write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
     if settings.horizontal.mounted:
         counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
@@ -126,19 +109,6 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     shutil.rmtree(work)
 
 
-def _make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense | None]:
-    """What the sensor makes of what there is to see: on the drive, and at the tests."""
-    if settings.sensor == "lidar":
-        noise = stream(seed, "lidar")
-
-        def scan(scans: np.ndarray) -> np.ndarray:
-            return measure(scans, settings.lidar, noise)
-
-        return scan, scan
-    chance = spawn_streams(seed)
-    return make_develop(settings.image, chance.noise), make_develop(settings.image, chance.test_noise)
-
-
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     """Poses (C, H, 3) of the test grid: every reachable position, the headings spread evenly from +x."""
     spacing, headings = settings.grid.spacing_m, settings.grid.headings
@@ -148,43 +118,6 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     points = points[world.free_space.is_reachable(points[:, 0])]
     yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
     return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
-
-
-def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
-    """Poses (C, 1, 3) of the samples that were driven to test with, after those to learn from."""
-    samples = settings.drive.samples
-    state = np.concatenate([chunk["state"] for chunk in drive.chunks])[samples : samples + settings.grid.held_out]
-    return planar_pose(state)[:, None]
-
-
-def write_horizontal(
-    folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
-) -> dict[str, int]:
-    """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
-
-    ``sense_states`` has left both beside ``images`` and ``tests``.
-    """
-    samples, held_out = settings.drive.samples, settings.grid.held_out
-    seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
-    seen, first = seen.of(seen.view < samples), samples if held_out else 0
-    test_seen = Sightings(test_seen.view - first, test_seen.tag, test_seen.corner)
-    inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
-    camera, mount = camera_matrix(settings.horizontal), mounting(settings.horizontal)
-    if settings.horizontal.kept:
-        ahead = [[path.with_suffix(HORIZONTAL) for path in parts] for parts in (images, tests)]
-        _write_images(folder / "horizontal.npy", ahead[0], (samples,))
-        _write_images(folder / "test" / "horizontal.npy", ahead[1], test_shape, first)
-    return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
-
-
-def _join_sightings(parts: Sequence[Path]) -> Sightings:
-    """Sightings of image files, their views numbered over all of them."""
-    found, before = [], 0
-    for path in parts:
-        with np.load(path.with_suffix(SIGHTINGS), allow_pickle=False) as stored:
-            found.append((stored["view"] + before, stored["tag"], stored["corner"]))
-        before += len(np.load(path, mmap_mode="r"))
-    return Sightings(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
 
 
 def drive_chunk(
@@ -219,41 +152,6 @@ def drive_chunk(
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }
-
-
-def write_drive(
-    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, sense: Sense | None = None
-) -> dict[str, float]:
-    """Write what was driven, cut to the samples wanted, and return what the manifest says of it."""
-    samples = settings.drive.samples
-    joined = {
-        name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
-    }
-    kept = joined["observation"] < samples
-    segment, angle = joined["segment"][kept], joined["wheel_angle"][kept]
-    ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
-    reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
-    state = joined["state"][:samples]
-    _write_images(folder / "observation.npy", drive.images, (samples,), sense=sense)
-    write_array(folder / "reading.npy", reading[arrived])
-    write_array(folder / "time.npy", joined["time"][kept][arrived])
-    write_array(folder / "truth" / "reading.npy", reading[:, :2])
-    write_array(folder / "truth" / "wheel_angle.npy", angle)
-    write_array(folder / "truth" / "state.npy", state)
-    write_array(folder / "truth" / "pose.npy", planar_pose(state))
-    way_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
-    driven = np.diff(way_m)[np.diff(segment) == 0]
-    return {
-        "samples": samples,
-        "segments": int(segment[-1]) + 1,
-        "readings": len(reading),
-        "readings_lost": int((~arrived).sum()),
-        "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
-        "distance_driven_m": round(float(np.abs(driven).sum()), 3),
-    }
-
-
-JOINED = ("state", "segment", "observation", "wheel_angle", "time")
 
 
 def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
@@ -321,22 +219,3 @@ def _watch(jobs: Sequence[Future], progress: Report) -> str:
         renderer = job.result() or renderer
         progress("render", done * CHUNK, len(jobs) * CHUNK)
     return renderer
-
-
-def _write_images(
-    path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, sense: Sense | None = None
-) -> None:
-    """Join image files, from image ``first`` on, into one array of this leading shape; what goes beyond is left out."""
-
-    def write(part: Path) -> None:
-        count, written, skipped = int(np.prod(shape)), 0, first
-        some = np.load(parts[0], mmap_mode="r")
-        whole = np.lib.format.open_memmap(part, mode="w+", dtype=some.dtype, shape=(*shape, *some.shape[1:]))
-        flat = whole.reshape(count, *some.shape[1:])
-        for images in map(np.load, parts):
-            kept = images[skipped:][: count - written]
-            flat[written : written + len(kept)] = sense(kept) if sense else kept
-            written, skipped = written + len(kept), max(skipped - len(images), 0)
-        whole.flush()
-
-    write_atomic(path, write)
