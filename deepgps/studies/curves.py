@@ -77,7 +77,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """RMS (line, and a band from the best to the worst seed) and median (dashed) of every method along the axis."""
     axis, panels = find_axis(rows), _panels(rows)
-    picture = Picture(figsize=(4.6 * len(panels) + 0.4, 4.2), layout="constrained")
+    picture = Picture(figsize=(5.4 * len(panels) + 0.4, 4.2), layout="constrained")
     for place, ((title, panel), axes) in enumerate(
         zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
     ):
@@ -141,7 +141,7 @@ def _scale(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
     values, errors = [row[axis] for row in panel], [row[name] for row in panel for name in ("rms_m", "median_m")]
     if _span(values) >= DECADES:
         axes.set_xscale("log")
-        axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))], fontsize=8)
+        axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))], fontsize=7.5)
         axes.xaxis.set_minor_locator(ticker.NullLocator())
     if _span(errors) >= DECADES:
         axes.set_yscale("log")
