@@ -12,7 +12,7 @@ another; so at last each place moves to where it lies among those that it resemb
 import numpy as np
 import torch
 from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, vstack
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import cg
 
 from deepgps.data import Segments, find_owners
 from deepgps.isomap import Links, find_steps, map_by_paths
@@ -33,6 +33,8 @@ MIXED, SMOOTH = 10, 0.05
 """How many make up each place, and how much their weights are damped."""
 MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
 """Rounds, scales believed in the first and the last [m], and how exactly a place lies among those it resembles [m]."""
+EXACT, MOST_STEPS = 1e-8, 2000
+"""Remainder at which conjugate gradients stop, as a share of the right side, and their steps, at most."""
 WRONG_M = 0.05
 """A bar or look-alike wrong by twice this and more counts as just wrong when maps are compared [m]."""
 
@@ -92,7 +94,7 @@ def straighten(places: np.ndarray, segments: Segments, mixture: csr_array) -> np
         slope = vstack([_slope(a, b, bar / length[:, None], none, none, len(place)), off_mixture]).tocsc()
         weighted = slope.multiply(weight[:, None]).tocsc()
         normal = (slope.T @ weighted + eye_array(2 * len(place))).tocsc()
-        step = -splu(normal).solve(weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
+        step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
         place = place + step.clip(-LARGEST_M, LARGEST_M)
     return np.where(known[:, None], place, np.nan)
 
@@ -155,7 +157,7 @@ def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np
         slope = _slope(a, b, bar / length[:, None], c, e, len(place))
         weighted = slope.multiply(weight[:, None]).tocsc()
         normal = (slope.T @ weighted + diags_array(np.full(2 * len(place), ANCHOR_M**-2))).tocsc()
-        step = -splu(normal).solve(weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
+        step = -_solve(normal, weighted.T @ np.concatenate([off, apart.ravel()])).reshape(-1, 2)
         place += step * np.minimum(1.0, LARGEST_M / np.linalg.norm(step, axis=1).clip(1e-9))[:, None]
     off, apart = np.linalg.norm(place[a] - place[b], axis=1) - way, np.linalg.norm(place[c] - place[e], axis=1)
     cost = np.minimum((off / WRONG_M) ** 2, 4.0).mean() + np.minimum((apart / np.hypot(near, WRONG_M)) ** 2, 4.0).mean()
@@ -171,6 +173,12 @@ def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, flo
     if not short.any():
         raise InputError(f"learn.start 'ends': no segment is shorter than {SHORT_M} m, so none tells what is near")
     return float((-way / torch.log(1.0 - (unlike / far) ** 2))[short].median()), far
+
+
+def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
+    """Solve a symmetric positive system by conjugate gradients: long bars cross the room, so that factors fill up."""
+    found, _ = cg(normal, right, rtol=EXACT, maxiter=MOST_STEPS, M=diags_array(np.reciprocal(normal.diagonal())))
+    return found
 
 
 def _among(known: np.ndarray, number: np.ndarray, pairs: Links) -> Links:
