@@ -1,16 +1,11 @@
 """The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong."""
 
-import contextlib
-import io
 import os
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
 
-import tyro
 from rich.console import Console
 
 from deepgps.cli_arguments import (
@@ -20,11 +15,15 @@ from deepgps.cli_arguments import (
     RunArguments,
     StudyArguments,
     ViewArguments,
+    parse,
+    parse_kinds,
+    parse_scenario,
+    parse_seeds,
 )
 from deepgps.progress import Report, show_progress
-from deepgps.scenario import Scenario, load_scenario, names_in
+from deepgps.scenario import Scenario, names_in
 from sim.errors import InputError, WorkError
-from sim.paths import SCENARIOS, STUDIES
+from sim.paths import STUDIES
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False, soft_wrap=True)
@@ -35,7 +34,7 @@ def run_command(words: Sequence[str]) -> None:
     from deepgps.report import print_report
     from deepgps.run import default_folder, run
 
-    arguments, scenario = _parse_scenario("run", words)
+    arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
     _choose_renderer_for([scenario])
     with show_progress() as progress, _watch(arguments, scenario, folder, progress) as report:
@@ -50,7 +49,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     def command(words: Sequence[str]) -> None:
         from deepgps.run import STAGES, claim, default_folder
 
-        arguments, scenario = _parse_scenario(stage, words)
+        arguments, scenario = parse_scenario(stage, words, COMMANDS[stage].__doc__)
         folder = arguments.out or default_folder(scenario)
         _choose_renderer_for([scenario])
         with (
@@ -75,7 +74,7 @@ def study_command(words: Sequence[str]) -> None:
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
-    arguments = _parse(StudyArguments, "study", words)
+    arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     study = load_study(arguments.study, arguments.tiny, arguments.full)
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
@@ -100,7 +99,7 @@ def view_command(words: Sequence[str]) -> None:
     """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
     from deepgps.run import open_run
 
-    arguments = _parse(ViewArguments, "view", words)
+    arguments = parse(ViewArguments, "view", words, view_command.__doc__)
     folders = arguments.runs
     if len(folders) not in {1, 2}:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
@@ -121,8 +120,8 @@ def view_command(words: Sequence[str]) -> None:
 
 def rooms_command(words: Sequence[str]) -> None:
     """Draw a contact sheet of generated rooms."""
-    arguments = _parse(RoomsArguments, "rooms", words)
-    kinds, seeds = _parse_kinds(arguments.kinds), _parse_seeds(arguments.seeds)
+    arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
+    kinds, seeds = parse_kinds(arguments.kinds), parse_seeds(arguments.seeds)
     _choose_renderer()
     from sim.gallery import draw_gallery
 
@@ -133,7 +132,7 @@ def rooms_command(words: Sequence[str]) -> None:
 
 def bench_command(words: Sequence[str]) -> None:
     """Measure speed, latency, memory and steadiness beside the naive ways and their targets; up to fifteen minutes."""
-    arguments = _parse(BenchArguments, "bench", words)
+    arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
     _choose_renderer()
     from deepgps.bench import choose_size, run_bench
     from deepgps.bench_rows import find_before, list_notes, tabulate
@@ -150,7 +149,7 @@ def bench_command(words: Sequence[str]) -> None:
 
 def doctor_command(words: Sequence[str]) -> None:
     """Check this machine: renderer, packages, processor, device, and the cure for what is missing."""
-    _parse(NoArguments, "doctor", words)
+    parse(NoArguments, "doctor", words, doctor_command.__doc__)
     from deepgps.train import describe_device
     from sim.doctor import diagnose
 
@@ -222,38 +221,6 @@ def _dispatch(words: Sequence[str]) -> None:
         raise InputError(f"command {words[0]!r} does not exist; there are {', '.join(COMMANDS)}")
 
 
-def _parse_scenario(command: str, words: Sequence[str]) -> tuple[RunArguments, Scenario]:
-    if {"-h", "--help"} & set(words):
-        _show_settings(command)
-    own, overrides = _split(words, {"--out", "--fresh", "--live"})
-    if not own or own[0].startswith("-"):
-        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
-    arguments = _parse(RunArguments, command, own)
-    return arguments, load_scenario(arguments.scenario, overrides)
-
-
-def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[str, Any]]:
-    """Part the command's own words from overrides such as ``--room.seed 3``, which the scenario checks itself."""
-    own, overrides = [], {}
-    flag, values = None, []
-    for word in [*words, "--"]:
-        if not word.startswith("--"):
-            values.append(word)
-            continue
-        if flag is None or flag in own_flags:
-            own += [*([flag] if flag else []), *values]
-        elif not values:
-            raise InputError(f"{flag} needs a value")
-        else:
-            plain = [None if value.lower() in {"none", "null"} else value for value in values]
-            overrides[flag[2:].replace("-", "_")] = plain if flag == "--methods" else plain[0]
-            if len(plain) > 1 and flag != "--methods":
-                raise InputError(f"{flag} takes one value, not {' '.join(values)}")
-        flag, _, value = word.partition("=")
-        values = [value] if value else []
-    return own, overrides
-
-
 def _watch(
     arguments: RunArguments, scenario: Scenario, folder: Path, progress: Report
 ) -> AbstractContextManager[Report]:
@@ -269,56 +236,6 @@ def _watch(
 
 def _warn(text: str) -> None:
     errors.print(f"[yellow]warning:[/yellow] {_plain(text)}")
-
-
-def _show_settings(command: str) -> None:
-    @dataclass(frozen=True)
-    class Everything(RunArguments):
-        settings: Annotated[Scenario, tyro.conf.arg(name="")] = Scenario()  # noqa: RUF009 (frozen)
-
-    tyro.cli(Everything, args=["--help"], prog=f"deepgps {command}", description=COMMANDS[command].__doc__)
-
-
-def _parse(kind: Any, command: str, words: Sequence[str]) -> Any:
-    if {"-h", "--help"} & set(words):
-        tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=COMMANDS[command].__doc__)
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            return tyro.cli(kind, args=list(words), prog=f"deepgps {command}")
-    except SystemExit:
-        raise InputError(f"deepgps {command}: {_first_sentence(said.getvalue())}") from None
-
-
-def _first_sentence(box: str) -> str:
-    """The message of the frame that tyro draws around it."""
-    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    message = [line for line in lines if line]
-    end = next((index for index, line in enumerate(message) if set(line) == {"─"}), len(message))
-    return " ".join(message[:end]) or box.strip()
-
-
-def _parse_kinds(text: str) -> list[Any]:
-    from typing import get_args
-
-    from sim.settings import RoomKind
-
-    kinds = list(get_args(RoomKind)) if text == "all" else text.split(",")
-    for kind in kinds:
-        if kind not in get_args(RoomKind):
-            raise InputError(f"--kinds {kind!r} does not exist; there are all, {', '.join(get_args(RoomKind))}")
-    return kinds
-
-
-def _parse_seeds(text: str) -> list[int]:
-    try:
-        first, dash, last = text.partition("-")
-        seeds = list(range(int(first), int(last) + 1)) if dash else [int(part) for part in text.split(",")]
-    except ValueError:
-        seeds = []
-    if not seeds or min(seeds) < 0 or len(seeds) > 100:
-        raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
-    return seeds
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:

@@ -1,10 +1,18 @@
-"""The arguments of each command but the scenario's settings."""
+"""The arguments of each command but the scenario's settings, and how words become both."""
 
+import contextlib
+import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import tyro
+
+from deepgps.scenario import Scenario, load_scenario, names_in
+from sim.errors import InputError
+from sim.paths import SCENARIOS
+from sim.settings import RoomKind
 
 
 @dataclass(frozen=True)
@@ -75,3 +83,85 @@ class BenchArguments:
 @dataclass(frozen=True)
 class NoArguments:
     pass
+
+
+def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Scenario]:
+    """A command's own arguments and the scenario with its overrides; ``--help`` shows every setting, and exits."""
+    if {"-h", "--help"} & set(words):
+        _show_settings(command, about)
+    own, overrides = _split(words, {"--out", "--fresh", "--live"})
+    if not own or own[0].startswith("-"):
+        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
+    arguments = parse(RunArguments, command, own, about)
+    return arguments, load_scenario(arguments.scenario, overrides)
+
+
+def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> Any:
+    """A command's arguments; ``--help`` shows them beneath what the command is about, and exits."""
+    if {"-h", "--help"} & set(words):
+        tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about)
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            return tyro.cli(kind, args=list(words), prog=f"deepgps {command}")
+    except SystemExit:
+        raise InputError(f"deepgps {command}: {_first_sentence(said.getvalue())}") from None
+
+
+def parse_kinds(text: str) -> list[Any]:
+    """Kinds of room from ``all`` or ``office,kitchen``."""
+    kinds = list(get_args(RoomKind)) if text == "all" else text.split(",")
+    for kind in kinds:
+        if kind not in get_args(RoomKind):
+            raise InputError(f"--kinds {kind!r} does not exist; there are all, {', '.join(get_args(RoomKind))}")
+    return kinds
+
+
+def parse_seeds(text: str) -> list[int]:
+    """Seeds from ``0-3`` or ``0,2,5``."""
+    try:
+        first, dash, last = text.partition("-")
+        seeds = list(range(int(first), int(last) + 1)) if dash else [int(part) for part in text.split(",")]
+    except ValueError:
+        seeds = []
+    if not seeds or min(seeds) < 0 or len(seeds) > 100:
+        raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
+    return seeds
+
+
+def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[str, Any]]:
+    """Part the command's own words from overrides such as ``--room.seed 3``, which the scenario checks itself."""
+    own, overrides = [], {}
+    flag, values = None, []
+    for word in [*words, "--"]:
+        if not word.startswith("--"):
+            values.append(word)
+            continue
+        if flag is None or flag in own_flags:
+            own += [*([flag] if flag else []), *values]
+        elif not values:
+            raise InputError(f"{flag} needs a value")
+        else:
+            plain = [None if value.lower() in {"none", "null"} else value for value in values]
+            overrides[flag[2:].replace("-", "_")] = plain if flag == "--methods" else plain[0]
+            if len(plain) > 1 and flag != "--methods":
+                raise InputError(f"{flag} takes one value, not {' '.join(values)}")
+        flag, _, value = word.partition("=")
+        values = [value] if value else []
+    return own, overrides
+
+
+def _show_settings(command: str, about: str | None) -> None:
+    @dataclass(frozen=True)
+    class Everything(RunArguments):
+        settings: Annotated[Scenario, tyro.conf.arg(name="")] = Scenario()  # noqa: RUF009 (frozen)
+
+    tyro.cli(Everything, args=["--help"], prog=f"deepgps {command}", description=about)
+
+
+def _first_sentence(box: str) -> str:
+    """The message of the frame that tyro draws around it."""
+    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
+    message = [line for line in lines if line]
+    end = next((index for index, line in enumerate(message) if set(line) == {"─"}), len(message))
+    return " ".join(message[:end]) or box.strip()
