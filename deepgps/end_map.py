@@ -176,7 +176,10 @@ def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, flo
 
 
 def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
-    """Solve a symmetric positive system by conjugate gradients: long bars cross the room, so that factors fill up."""
+    """Solve a symmetric positive system by conjugate gradients: long bars cross the room, so that factors fill up.
+
+    A solution that is cut off still leads downhill, and the next round goes on from there.
+    """
     found, _ = cg(normal, right, rtol=EXACT, maxiter=MOST_STEPS, M=diags_array(np.reciprocal(normal.diagonal())))
     return found
 

@@ -14,7 +14,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from deepgps.style import PAPER, SCREEN, Floor
+from deepgps.style import PAPER, SCREEN, Floor, count_by_decades
 from sim.errors import InputError
 from sim.records import FreeSpace, open_truth
 
@@ -118,6 +118,7 @@ def draw_field(
 
 
 def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
+    """The floor: where the robot can come to, where it would fit but cannot come to, where it does not fit."""
     rows, columns = space.free.shape
     kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
     half = space.cell_m / 2
@@ -145,8 +146,7 @@ def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = S
         ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
     )
     bar.set_label("error of the worst heading [m]", fontsize=10)
-    bar.ax.yaxis.set_major_locator(ticker.LogLocator(subs=(1, 2, 5)))
-    bar.ax.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    count_by_decades(bar.ax.yaxis)
     bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
 
 
@@ -159,6 +159,7 @@ def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndar
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of an ``.npz`` file; raises InputError where it cannot be read."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}

@@ -68,8 +68,10 @@ def link_file(source: Path, target: Path) -> None:
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)
+    except FileExistsError:
+        raise
     except OSError:  # a file system without hard links
-        shutil.copyfile(source, target)
+        write_atomic(target, lambda part: shutil.copyfile(source, part))
 
 
 def sweep(folder: Path) -> None:

@@ -3,10 +3,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.sparse import csc_array
 
 from deepgps.alignment import fit_alignment
 from deepgps.data import Segments, read_segments
-from deepgps.end_map import find_end_map, find_look_alikes, find_mixture, relax_ends, straighten
+from deepgps.end_map import _solve, find_end_map, find_look_alikes, find_mixture, relax_ends, straighten
 from deepgps.features import normalise
 from deepgps.train import make_generator
 from sim.errors import InputError
@@ -94,3 +95,10 @@ def test_long_segments_alone_tell_nothing_of_what_is_near():
     far = Segments(segments.index, segments.distance + torch.tensor([0.0, 5.0]), segments.count, 0)
     with pytest.raises(InputError, match=r"learn\.start 'ends': no segment is shorter than 0\.5 m"):
         find_look_alikes(torch.from_numpy(place).float(), far, (5,))
+
+
+def test_steps_are_those_of_a_direct_solver():
+    rng = np.random.default_rng(0)
+    slope = rng.normal(size=(90, 40)) * (rng.uniform(size=(90, 40)) < 0.1)
+    normal, right = slope.T @ slope + 0.01 * np.eye(40), rng.normal(size=40)
+    np.testing.assert_allclose(_solve(csc_array(normal), right), np.linalg.solve(normal, right), rtol=1e-4)

@@ -68,6 +68,12 @@ def test_what_follows_from_another_choice_is_not_named():
     assert compare.choices(STRATEGIES, ["learn.start", *VARIED]) == ["learn.start", "drive.samples"]
 
 
+def test_what_follows_is_told_below_the_table():
+    text = "\n".join(compare.report(STRATEGIES, VARIED))
+    assert "learn.start paths (dense), ends (endpoint); learn.train.segments 16 (dense), 128 (endpoint)" in text
+    assert "What goes with these" not in "\n".join(compare.report(STRATEGIES, ["drive.strategy", "drive.samples"]))
+
+
 def test_names_are_short_but_never_the_same():
     assert compare.shorten(["drive.samples", "learn.train.samples", "learn.start"]) == [
         *("drive.samples", "train.samples", "start")

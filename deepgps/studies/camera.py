@@ -11,7 +11,7 @@ from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.scenario import Scenario
 from deepgps.studies.seeds import is_folded
-from deepgps.studies.table import ERRORS, Row, mean, read_setting, split_by
+from deepgps.studies.table import ERRORS, Row, is_seed, mean, read_setting, split_by
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
@@ -124,7 +124,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, Sequence[Row]]:
     """Rows by what differs from the settings by default; those in use alone come last."""
-    usual = {name: read_setting(Scenario(), name) for name in varied if name.rpartition(".")[2] != "seed"}
+    usual = {name: read_setting(Scenario(), name) for name in varied if not is_seed(name)}
     groups: dict[Fault, list[Row]] = {}
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]

@@ -9,7 +9,7 @@ from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.seeds import is_folded
-from deepgps.studies.table import ERRORS, Row, mean, write_errors
+from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
 from deepgps.style import LINES, count_by_decades
 
 NOTE = (
@@ -57,7 +57,9 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
         figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
         cells.append([*kind, method_title(method), str(len(group)), *figures])
-    return [tabulate([*kinds, "method", *ours], cells), NOTE]
+    follow = [name for name in varied if names and name not in names and not is_seed(name)]
+    told = [f"What goes with these: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
+    return [tabulate([*kinds, "method", *ours], cells), *told, NOTE]
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
@@ -101,7 +103,7 @@ def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     found: list[str] = []
     for name in varied:
         before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (found, [*found, name]))
-        if name.rpartition(".")[2] != "seed" and after > before:
+        if not is_seed(name) and after > before:
             found.append(name)
     return found
 
@@ -128,3 +130,14 @@ def shorten(names: Sequence[str]) -> list[str]:
         short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
         for name, short in zip(names, last, strict=True)
     ]
+
+
+def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:
+    """With which choices a setting that follows from them is what: ``learn.start paths (dense), ends (endpoint)``."""
+    # few choices say it as well as all
+    few = next(names[: k + 1] for k in range(len(names)) if choices(rows, [*names[: k + 1], follows])[-1] != follows)
+    with_value: dict[str, dict[str, None]] = {}
+    for row in rows:
+        key = " ".join(str(row[name]) for name in few)
+        with_value.setdefault(str(row[follows]), {})[key] = None
+    return f"{follows} " + ", ".join(f"{value} ({'; '.join(keys)})" for value, keys in with_value.items())

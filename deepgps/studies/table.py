@@ -56,6 +56,11 @@ def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
     return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
 
 
+def is_seed(name: str) -> bool:
+    """Whether what varies is a seed, of a run or of a room, which varies only to repeat."""
+    return name.rpartition(".")[2] == "seed"
+
+
 def mean(rows: Sequence[Row], name: str) -> float:
     """Mean of one column."""
     return float(np.mean([row[name] for row in rows]))

@@ -1,13 +1,14 @@
 """Trainings that runs of a study share: PoseNet learns from images and places alone, whatever the encoders read.
 
-A finished training is left where the study's other runs find it, named by a hash of all that it has read. They take it
-as hard links, or as copies where there can be none: each run is whole without the others.
+A finished training is left where the study's later runs find it, named by a hash of all that it has read. They take it
+as hard links, or as copies where there can be none: each run is whole without the others. Runs that are at work
+together may train the same, with the same bytes on the same machine.
 """
 
+import errno
 import hashlib
-import os
 import shutil
-from contextlib import suppress
+import tempfile
 from pathlib import Path
 
 from deepgps.positioner import is_finished
@@ -25,14 +26,14 @@ def take_trainings(scenario: Scenario, run: Path) -> None:
     for method, shared in _find(scenario, run):
         if is_finished(shared) and not is_finished(run / method):
             shutil.rmtree(run / method, ignore_errors=True)  # a training that was cut off
-            _link_folder(shared, run / method)
+            _link_folder(shared, run / method, shared.parent)
 
 
 def leave_trainings(scenario: Scenario, run: Path) -> None:
     """Leave what a run has learned for others of its study."""
     for method, shared in _find(scenario, run):
         if not is_finished(shared):
-            _link_folder(run / method, shared)
+            _link_folder(run / method, shared, shared.parent)
 
 
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
@@ -49,11 +50,14 @@ def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
     return [(method, home / digest_training(scenario, method, recording)) for method in shared]
 
 
-def _link_folder(source: Path, target: Path) -> None:
-    aside = target.with_name(f"{target.name}.{os.getpid()}")
-    shutil.rmtree(aside, ignore_errors=True)  # what a killed process of the same number left
+def _link_folder(source: Path, target: Path, aside: Path) -> None:
+    aside.mkdir(parents=True, exist_ok=True)
+    whole = Path(tempfile.mkdtemp(dir=aside)) / target.name
     for path in source.iterdir():
-        link_file(path, aside / path.name)
-    with suppress(OSError):  # another run was first, with the same bytes
-        aside.rename(target)
-    shutil.rmtree(aside, ignore_errors=True)
+        link_file(path, whole / path.name)
+    try:
+        whole.rename(target)
+    except OSError as error:
+        if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another run was first
+            raise
+    shutil.rmtree(whole.parent)

@@ -32,9 +32,9 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
     # Read when torch is imported, which is not yet. The cores are shared out already.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
-    from deepgps.studies.trainings import leave_trainings, take_trainings
-
     try:
+        from deepgps.studies.trainings import leave_trainings, take_trainings
+
         with claim(scenario, folder, fresh=False):
             link = folder / "recording"
             if not link.is_symlink():
