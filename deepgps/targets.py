@@ -65,6 +65,11 @@ def judge(figure: Figure, target: float | None) -> str:
 
 
 def write(value: float | None, unit: str) -> str:
-    """A value in its unit, or a dash."""
+    """A value in its unit, or a dash; what is too small for its digits is not written as nothing."""
+    if value is None:
+        return "-"
     factor, digits, after = FORMS[unit]
-    return "-" if value is None else f"{factor * value:.{digits}f}{after}"
+    least = 10**-digits
+    if 0 < abs(factor * value) < least / 2:
+        return f"< {least:g}{after}"
+    return f"{factor * value:.{digits}f}{after}"
