@@ -121,14 +121,14 @@ def dead_reckon(recording: Recording) -> np.ndarray:
     """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
 
     Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
-    between segments the robot turns in place first, and then drives.
+    between segments the robot backs off what it touched first, and then turns in place.
     """
     way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
     turn = (way[:, 1] - way[:, 0]) / read_odometry(recording.manifest)["track_m"]
     yaw = np.concatenate([[0.0], np.cumsum(turn)])
     heading = yaw[:-1] + turn / 2.0
     between = np.diff(recording.reading[:, 0]) != 0
-    heading = np.where(between, yaw[1:], heading)
+    heading = np.where(between, yaw[:-1], heading)
     step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
     place = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
     return np.concatenate([place, yaw[:, None]], axis=1)

@@ -3,7 +3,8 @@
 The distance between two readings of a straight segment is the mean of two wheels' ways. Expected squared errors of it:
 
 - quantisation: each wheel's is the difference of two errors, uniform over a tick ``t``: t^2 / 6, their mean's t^2 / 12;
-- gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A);
+- gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A); where readings were lost, a gap is
+  the sum of ``k`` and has (w g)^2 / k;
 - slip: each wheel's grows with the way ``c`` as s^2 c, their mean's as s^2 c / 2.
 """
 
@@ -31,7 +32,8 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     """
     odometry = read_odometry(recording.manifest)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
-    grown = (odometry.get("gap_noise", 0.0) * gap).square() + odometry.get("slip_per_m", 0.0) ** 2 * gap / 2.0
+    made_of = segments.index.diff(dim=1).clamp_min(1)
+    grown = (odometry.get("gap_noise", 0.0) * gap).square() / made_of + odometry.get("slip_per_m", 0.0) ** 2 * gap / 2.0
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
     tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
     doubt = torch.from_numpy(measure_doubt(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()

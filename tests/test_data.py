@@ -75,6 +75,13 @@ def test_a_left_turn_is_positive():
     assert np.allclose(path[-1], [0.1 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0), 1.0])
 
 
+def test_way_between_segments_lies_before_the_turn():
+    # 50 mm back from what was touched, then a radian to the left, then 100 mm on
+    path = dead_reckon(recording_of([[0, 0, 0, 0], [0, 1, 100, 100], [1, 2, -50, 150], [1, 3, 50, 250]]))
+    assert np.allclose(path[2], [0.05, 0.0, 1.0])
+    assert np.allclose(path[-1], [0.05 + 0.1 * np.cos(1.0), 0.1 * np.sin(1.0), 1.0])
+
+
 def test_draws_are_different_readings_of_one_segment(tmp_path: Path):
     segments = read_segments(make_toy(tmp_path / "toy"))
     batch = draw(segments, 50, 8, torch.Generator().manual_seed(0))

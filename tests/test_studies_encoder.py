@@ -8,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from deepgps.studies.encoder import choose_encoders, draw, find_pairs, find_sweeps, measure, report
+from deepgps.studies.recordings import find_drives
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.studies.table import Row
 from deepgps.style import to_png
@@ -56,6 +57,11 @@ def test_faults_are_told_apart_from_pairs_of_them():
     assert find_pairs(ROWS) == [("gap_noise", "ticks_per_rev")]
 
 
+def test_faults_of_either_sign_grow_from_none():
+    sweep = find_sweeps(make_rows({(("radius_error_left", error),): 0.01 for error in (-0.1, 0.0, 0.02)}))[0]
+    assert list(sweep.by_value("deepgps")) == [0.0, 0.02, -0.1]
+
+
 def test_the_page_says_which_encoder_is_enough():
     heads, lines = choose_encoders(find_sweeps(ROWS), ["deepgps", "deepgps_aware"])
     assert heads == ["fault", "DeepGPS", "DeepGPS, noise-aware"]
@@ -102,6 +108,7 @@ def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives():
     asked = {name for plan in plans for name in EncoderSettings.model_fields if name in str(dict(plan.varied))}
     assert asked == set(EncoderSettings.model_fields) - {"rounding"}
     assert len({plan.scenario.seed for plan in plans}) == 5
+    assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5
     assert {tuple(plan.scenario.methods) for plan in plans} == {
         ("deepgps", "deepgps_aware", "deepgps_turns", "odometry", "posenet")
     }

@@ -11,20 +11,22 @@ from deepgps.run import open_run, training_seed
 from sim.records import open_recording
 
 FIRST = [{}, {"encoder.lost": 0.3}]
-LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.gap_noise": 0.1}]
+LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.gap_noise": 0.1}, {"use.light": 0.5}]
 
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> dict[str, Path]:
-    """Runs of a study that has grown, by what its encoders suffer from."""
+    """Runs of a study that has grown, by what their encoders suffer from, or what has changed since they learned."""
     home = tmp_path_factory.mktemp("shared")
     for cases in (FIRST, [*FIRST, *LATER]):
         study = write_study(home, cases=cases, methods=["posenet", "odometry"], report="plain", target={})
         finish(start(study, home / "out"))
     found = {}
     for folder in (home / "out" / "runs").iterdir():
-        encoder = open_run(folder).encoder
+        scenario = open_run(folder)
+        encoder = scenario.encoder
         kinds = {"lost": encoder.lost, "ticks": encoder.ticks_per_rev == 64, "noise": encoder.gap_noise}
+        kinds["use"] = scenario.use.light < 1.0
         found[next((kind for kind, is_there in kinds.items() if is_there), "none")] = folder
     return found
 
@@ -34,18 +36,19 @@ def weights(run: Path, method: str) -> Path:
 
 
 @pytest.mark.slow
-def test_posenet_is_trained_once_for_all_encoders_that_lose_no_image(runs):
-    assert set(runs) == {"none", "lost", "ticks", "noise"}
-    assert weights(runs["ticks"], "posenet").samefile(weights(runs["none"], "posenet"))
-    assert weights(runs["noise"], "posenet").samefile(weights(runs["none"], "posenet"))
+def test_posenet_is_trained_once_for_all_encoders_that_lose_no_image_and_for_all_uses(runs):
+    assert set(runs) == {"none", "lost", "ticks", "noise", "use"}
+    for kind in ("ticks", "noise", "use"):
+        assert weights(runs[kind], "posenet").samefile(weights(runs["none"], "posenet"))
     assert not weights(runs["lost"], "posenet").samefile(weights(runs["none"], "posenet"))
     assert len(list((runs["none"].parent.parent / "trainings").iterdir())) == 2
 
 
 @pytest.mark.slow
 def test_a_method_that_reads_ticks_is_trained_for_each(runs):
-    learned = {weights(run, "odometry").read_bytes() for run in runs.values()}
-    assert len(learned) == 4
+    learned = {kind: weights(run, "odometry").read_bytes() for kind, run in runs.items()}
+    assert learned.pop("use") == learned["none"]
+    assert len(set(learned.values())) == 4
 
 
 @pytest.mark.slow

@@ -65,7 +65,8 @@ class Sweep(NamedTuple):
     def by_value(self, method: str) -> dict[float, list[Row]]:
         """Rows of a method by the value of the fault, the least fault first."""
         rows = split_by([row for row in self.rows if row["method"] == method], f"encoder.{self.names[0]}")
-        return dict(sorted(rows.items(), reverse=self.names[0] == FEWER_IS_WORSE))
+        sign = -1 if self.names[0] == FEWER_IS_WORSE else 1
+        return dict(sorted(rows.items(), key=lambda one: sign * abs(one[0])))
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
@@ -145,14 +146,15 @@ def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], lis
         doubted = " / ".join(f"{mean(group, name):.0f}" for name in ("wrong_doubted", "segments_wrong"))
         lines.append([f"{value:g}", *segment, *errors, f"{mean(group, 'scale'):.4f}", doubted])
     heads = [f"{method_title(method)} (of seeds), times" for method in methods]
-    return [sweep.names[0], "segment [cm]", "expected [cm]", *heads, "scale", "found / wrong"], lines
+    scale = f"scale of {method_title(methods[0])}"
+    return [sweep.names[0], "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """A panel for each fault: RMS of every method with a band of the seeds, and errors of segments beside theory's."""
     sweeps, methods = find_sweeps(rows), _methods(rows)
     columns = min(4, max(1, len(sweeps)))
-    lines = -(-len(sweeps) // columns)
+    lines = max(1, -(-len(sweeps) // columns))
     picture = Picture(figsize=(3.3 * columns + 0.3, 2.9 * lines + 0.8), layout="constrained")
     panels = list(picture.subplots(lines, columns, squeeze=False, sharey=True).flat)
     for axes, sweep in zip(panels, sweeps, strict=False):
@@ -190,7 +192,7 @@ def _draw_sweep(axes: Axes, sweep: Sweep, methods: Sequence[str]) -> None:
 
 
 def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[list[str]]]:
-    """RMS [cm] of DeepGPS and of the noise-aware one where both faults are there, each alone, and none."""
+    """RMS [cm] of every method where both faults are there, each alone, and none."""
     some = [row for row in rows if set(_changed(row)) <= set(pair)]
     lines = []
     for values, group in sorted(_by_values(some, pair).items()):

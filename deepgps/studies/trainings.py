@@ -19,6 +19,8 @@ from sim.files import link_file
 from sim.records import Recording, open_recording
 
 WITHOUT_TICKS = ("posenet", "posenet_noisy")
+NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
+"""What the names of files begin with that change nothing in a training without ticks."""
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
@@ -39,7 +41,7 @@ def leave_trainings(scenario: Scenario, run: Path) -> None:
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
     """Eight hexadecimal digits of all that decides a training without ticks: settings, seed, images, places, and which
     images follow one another, from which features are chosen."""
-    sums = {name: value for name, value in recording.manifest["sha256"].items() if name not in READ_AGAIN}
+    sums = {name: value for name, value in recording.manifest["sha256"].items() if not name.startswith(NOT_LEARNED)}
     read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
     return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
 
