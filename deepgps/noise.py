@@ -3,8 +3,8 @@
 The distance between two readings of a straight segment is the mean of two wheels' ways. Expected squared errors of it:
 
 - quantisation: each wheel's is the difference of two errors, uniform over a tick ``t``: t^2 / 6, their mean's t^2 / 12;
-- gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A); where readings were lost, a gap is
-  the sum of ``k`` and has (w g)^2 / k;
+- gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A); where readings were lost, a gap
+  is the sum of ``k`` and has (w g)^2 / k;
 - slip: each wheel's grows with the way ``c`` as s^2 c, their mean's as s^2 c / 2.
 """
 
