@@ -24,6 +24,8 @@ PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy")
 """What other encoders change."""
+NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
+"""What the names of files begin with that change nothing in a training without ticks."""
 AT_ONCE = 256
 """Images that are given their faults at a time."""
 

@@ -14,13 +14,11 @@ from pathlib import Path
 from deepgps.positioner import is_finished
 from deepgps.run import training_seed
 from deepgps.scenario import Scenario
-from sim.derive import READ_AGAIN
+from sim.derive import NOT_LEARNED
 from sim.files import link_file
 from sim.records import Recording, open_recording
 
 WITHOUT_TICKS = ("posenet", "posenet_noisy")
-NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
-"""What the names of files begin with that change nothing in a training without ticks."""
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
