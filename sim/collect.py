@@ -133,7 +133,7 @@ def drive_chunk(
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
         course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
-    first, driven, dropped = observations, list[dict[str, np.ndarray]](), 0
+    first, driven, dropped, carried = observations, list[dict[str, np.ndarray]](), 0, 0
     wanted = settings.drive.samples + settings.grid.held_out
     while observations - first < CHUNK and observations < wanted:
         segment = next_segment(world, settings.drive, rng, course)
@@ -141,9 +141,11 @@ def drive_chunk(
         observations += len(driven[-1]["state"])
         segments, course = segments + 1, segment.course
         dropped += segment.dropped
+        carried += segment.carried
     return {
         **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
         "dropped": np.array(dropped),
+        "carried": np.array(carried),
         "segments": np.array(segments),
         "observations": np.array(observations),
         "continues": np.array(course.continues),

@@ -79,7 +79,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             link_file(base / name, folder / name)
     manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
     if not whole:
-        manifest.pop("samples_dropped", None)  # known of the whole drive only
+        for name in ("samples_dropped", "times_carried"):  # known of the whole drive only
+            manifest.pop(name, None)
     manifest |= _read_again(recording, truth, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
     manifest |= {"derived_from": base.name, "collect_s": round(time.perf_counter() - start, 2)}

@@ -9,7 +9,7 @@ robot at rest and keeps only a `Course`, so that a drive can be cut off and cont
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -52,7 +52,8 @@ SLIP_M = 0.10
 """The wheels turned by this while what is ahead came no nearer: they slip [m]."""
 TRIES = 500
 WEDGED = 20
-"""Between two legs wheels slip, and a whole turn hardly is one: the robot rolls back and turns on, at most so often."""
+"""Between two legs wheels slip, and a whole turn hardly is one: the robot rolls back and turns on, at most so often
+before a person has to carry it back to where it started."""
 
 
 class Course(NamedTuple):
@@ -86,6 +87,7 @@ class Segment:
         ended: What ended it.
         dropped: How many samples were dropped as doubtful.
         course: How to go on.
+        carried: How often the robot had to be carried out of a place before it.
     """
 
     state: np.ndarray
@@ -95,6 +97,7 @@ class Segment:
     ended: Ended
     dropped: int
     course: Course
+    carried: int = 0
 
     @property
     def pose(self) -> np.ndarray:
@@ -117,24 +120,29 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     Args:
         robot: Stands still.
         settings: How to drive and when to look.
-        rng: Decides headings, and when to enter or search.
+        rng: Decides headings, when to enter or search, and how a robot that was carried stands.
         course: The last segment's, or a new one.
 
     Raises:
         WorkError: the robot is stuck.
     """
-    wedged = 0
+    wedged = carried = 0
     for _ in range(TRIES):
         while (stop_m := _turn_to_clear(robot, settings, rng, course)) is None:
-            if (wedged := wedged + 1) > WEDGED:
-                raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
-            back_off(robot, settings)
             course = course._replace(continues=False)
+            wedged += 1
+            if wedged <= WEDGED:
+                back_off(robot, settings)
+            elif not carried:
+                robot.carry(rng)
+                wedged, carried = 0, 1
+            else:
+                raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
         segment = _go_straight(robot, settings, rng, stop_m, course)
         if segment.ended in TOUCHED:
             back_off(robot, settings)
         if len(segment.time) >= 2:
-            return segment
+            return replace(segment, carried=carried)
         course = segment.course._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 

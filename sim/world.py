@@ -77,6 +77,13 @@ class RoomWorld:
         """Stand the robot at the room's start with a random heading."""
         self.place(np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi))))
 
+    def carry(self, rng: np.random.Generator) -> None:
+        """Set the robot down at rest at the room's start, with a random heading: neither wheels nor clock notice."""
+        pose = np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi)))
+        self.data.qpos[:7] = self.rest_states(pose[None])[0, :7]
+        self.data.qvel[:] = self.data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
     def rest_states(self, poses: np.ndarray) -> np.ndarray:
         """Full positions (n, nq) of the robot standing at rest at poses (n, 3), wheel angles zero."""
         poses = np.asarray(poses, float)

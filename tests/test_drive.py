@@ -221,6 +221,31 @@ def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
     assert np.hypot(*last.pose[-1, :2]) > 0.5
 
 
+def test_robot_wedged_for_good_is_carried_to_the_start():
+    room = walls()
+    for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
+        add_box(room, name, (1.2 + 0.158 * x, -0.6 + 0.158 * y, 0.5), (0.05 + 0.1 * abs(y), 0.05 + 0.1 * abs(x), 0.5))
+    world, rng = make_world(room, (1.2, -0.6, 0.0)), np.random.default_rng(SEED)
+    segment = next_segment(world, world.settings.drive, rng, Course(continues=True))
+    assert (segment.carried, segment.continues) == (1, False)
+    assert np.hypot(*(segment.pose[0, :2] - world.free_space.start)) < 0.01
+    assert next_segment(world, world.settings.drive, rng, segment.course).carried == 0
+
+
+def test_neither_wheels_nor_clock_notice_that_the_robot_is_carried():
+    world = make_world(walls(), (1.0, 0.5, 0.3))
+    for _ in range(50):
+        world.step(np.array((3.0, 4.0)))
+    angle, time = world.wheel_angle(), world.time()
+    world.carry(np.random.default_rng(0))
+    assert np.array_equal(world.wheel_angle(), angle) and world.time() == time
+    assert np.allclose(world.pose()[:2], world.free_space.start)
+    for _ in range(50):
+        world.step(np.zeros(2))
+    assert np.allclose(world.wheel_angle(), angle, atol=1e-3)
+    assert np.allclose(world.pose()[:2], world.free_space.start, atol=1e-3)
+
+
 def test_leaves_a_narrow_pocket():
     room = walls()
     # A bay 0.28 m wide and closed behind: less room than the stopping distance asks for on three sides.
