@@ -47,7 +47,7 @@ class Blind:
 
     def __init__(self, world: RoomWorld) -> None:
         self.step, self.wheel_angle, self.ranges = world.step, world.wheel_angle, world.ranges
-        self.bumped, self.time = world.bumped, world.time
+        self.bumped, self.time, self.carry = world.bumped, world.time, world.carry
 
     def snapshot(self) -> np.ndarray:
         return np.full(9, np.nan)
@@ -178,6 +178,9 @@ class Toy:
 
     def time(self):
         return self.now
+
+    def carry(self, rng):
+        raise AssertionError("nothing wedges it")
 
     def snapshot(self):
         return np.array([self.way_m])
