@@ -47,7 +47,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and what it needs."""
 
     def command(words: Sequence[str]) -> None:
-        from deepgps.run import STAGES, claim, default_folder
+        from deepgps.run import STAGES, ask_for_device, claim, default_folder
 
         arguments, scenario = parse_scenario(stage, words, COMMANDS[stage].__doc__)
         folder = arguments.out or default_folder(scenario)
@@ -57,6 +57,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             _watch(arguments, scenario, folder, progress) as report,
             claim(scenario, folder, arguments.fresh),
         ):
+            if stage != "collect":  # who only collects may train on another machine
+                ask_for_device(scenario, folder)
             for name, work in STAGES.items():
                 work(scenario, folder, report)
                 if name == stage:

@@ -16,7 +16,7 @@ from deepgps.progress import Report
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import InputError
 from sim.files import read_json, sweep, write_json, write_text
-from sim.records import read_manifest
+from sim.records import is_whole, read_manifest
 from sim.settings import WorldName
 
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
@@ -35,6 +35,7 @@ def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict
         The contents of ``metrics.json``.
     """
     with claim(scenario, folder, fresh):
+        ask_for_device(scenario, folder)
         collect(scenario, folder, progress)
         train(scenario, folder, progress)
         metrics = evaluate(scenario, folder, progress)
@@ -72,7 +73,8 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
         try:
             yield
         except InputError:
-            if not begun:  # wrong input leaves nothing behind
+            # Wrong input leaves nothing behind, unless it shows so late that there is work to lose.
+            if not begun and not is_whole(folder / "recording"):
                 shutil.rmtree(folder)
                 for parent in new:
                     with suppress(OSError):  # another run may have begun in it
@@ -107,6 +109,14 @@ def clear(folder: Path, mark: str) -> None:
             shutil.rmtree(path)
         else:
             path.unlink()
+
+
+def ask_for_device(scenario: Scenario, folder: Path) -> None:
+    """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
+    if scenario.learn.train.device != "cpu" and not is_whole(folder / "recording"):
+        from deepgps.train import choose_device
+
+        choose_device(scenario.learn.train.device)
 
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -149,6 +149,11 @@ def work_folder(folder: Path) -> Path:
     return folder.with_name(f"{folder.name}.collecting")
 
 
+def is_whole(folder: Path) -> bool:
+    """Whether a recording is finished, and nothing is left of its making."""
+    return (folder / "manifest.json").is_file() and not work_folder(folder).exists()
+
+
 def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
     """States and readings of one chunk of a drive that is being recorded, and its images."""
     return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npy"
