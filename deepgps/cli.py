@@ -32,11 +32,11 @@ errors = Console(stderr=True, highlight=False, soft_wrap=True)
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive, see, learn, measure, show."""
     from deepgps.report import print_report
-    from deepgps.run import default_folder, run
+    from deepgps.run import default_folder, list_undriven, run
 
     arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
-    _choose_renderer_for([scenario])
+    _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     with show_progress() as progress, _watch(arguments, scenario, folder, progress) as report:
         run(scenario, folder, arguments.fresh, report)
     print_report(folder, console)
@@ -47,11 +47,11 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and what it needs."""
 
     def command(words: Sequence[str]) -> None:
-        from deepgps.run import STAGES, ask_for_device, claim, default_folder
+        from deepgps.run import STAGES, ask_for_device, claim, default_folder, list_undriven
 
         arguments, scenario = parse_scenario(stage, words, COMMANDS[stage].__doc__)
         folder = arguments.out or default_folder(scenario)
-        _choose_renderer_for([scenario])
+        _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         with (
             show_progress() as progress,
             _watch(arguments, scenario, folder, progress) as report,
@@ -70,7 +70,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.studies.engine import carry_out, default_folder, open_engine
+    from deepgps.studies.engine import carry_out, default_folder, list_undriven, open_engine
     from deepgps.studies.report import publish, report_study
     from deepgps.studies.study import load_study, plan_runs
 
@@ -80,7 +80,7 @@ def study_command(words: Sequence[str]) -> None:
     study = load_study(arguments.study, arguments.tiny, arguments.full)
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
-    _choose_renderer_for([plan.scenario for plan in plans])
+    _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
     with open_engine(arguments.engine, arguments.address) as run_all, show_progress() as progress:
         failures = carry_out(study, plans, folder, arguments.fresh, run_all, progress)
     console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
@@ -241,6 +241,7 @@ def _warn(text: str) -> None:
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
+    """Choose by what these scenarios, which are still to be driven, look at."""
     rooms = [scenario for scenario in scenarios if scenario.world == "room"]
     if any(scenario.sensor == "fisheye" or scenario.horizontal.mounted for scenario in rooms):
         _choose_renderer()

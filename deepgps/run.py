@@ -111,6 +111,11 @@ def clear(folder: Path, mark: str) -> None:
             path.unlink()
 
 
+def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
+    """The scenario, if a run of it must still drive and look; what stands needs neither MuJoCo nor a renderer."""
+    return [] if is_whole(folder / "recording") and not fresh else [scenario]
+
+
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
     """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
     if scenario.learn.train.device != "cpu" and not is_whole(folder / "recording"):
@@ -121,8 +126,9 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and look: write the recording, if it does not stand yet."""
-    with timed(folder, "collect", done=(folder / "recording" / "manifest.json").is_file()):
-        make_recording(scenario, folder / "recording", progress)
+    if not is_whole(folder / "recording"):
+        with timed(folder, "collect"):
+            make_recording(scenario, folder / "recording", progress)
 
 
 def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:

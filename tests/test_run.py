@@ -1,5 +1,9 @@
 """The run folder: what is kept and what is thrown away when a run ends early."""
 
+import os
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -7,12 +11,14 @@ import pytest
 from deepgps import run as running
 from deepgps.progress import ignore
 from deepgps.run import claim, open_run, run
-from deepgps.scenario import Scenario
+from deepgps.scenario import Scenario, write_out
 from sim.errors import InputError
 from sim.files import write_json
 from sim.records import work_folder
+from sim.settings import SimSettings
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
+WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.cli import main; main(sys.argv[1:])"
 
 
 def begin(folder: Path, scenario: Scenario = SCENARIO) -> None:
@@ -64,3 +70,24 @@ def test_what_stands_needs_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     record(tmp_path)
     running.ask_for_device(on_device("cuda"), tmp_path)
+
+
+@pytest.mark.slow
+def test_where_the_recording_stands_a_run_needs_neither_mujoco_nor_a_renderer(
+    small_settings: SimSettings, small_recording: Path, tmp_path: Path
+):
+    scenario = Scenario.model_validate({**small_settings.model_dump(), "methods": ("knn",)})
+    begin(tmp_path / "run", scenario)
+    shutil.copytree(small_recording, tmp_path / "run" / "recording")
+    (tmp_path / "mine.yaml").write_text(write_out(scenario))
+
+    def start(*more: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", WITHOUT_MUJOCO, "run", "mine.yaml", "--out", "run", *more]
+        environment = {**os.environ, "MUJOCO_GL": "nothing"}
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    done = start()
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "recording.rrd").is_file()
+    assert "MUJOCO_GL" in start("--fresh").stderr
+    assert (tmp_path / "run" / "recording.rrd").is_file()

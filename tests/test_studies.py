@@ -10,13 +10,14 @@ import yaml
 from small_study import STUDY, finish, start, wait_until, write_study
 
 from deepgps.scenario import digest_recording, names_in
+from deepgps.studies.engine import list_undriven
 from deepgps.studies.recordings import find_drives
 from deepgps.studies.report import write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.recording import find_recording
 from sim.errors import InputError
-from sim.files import read_json
+from sim.files import read_json, write_json
 from sim.paths import STUDIES
 from sim.records import check_recording
 
@@ -159,6 +160,25 @@ def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
     for plan in plans:
         drive = drives[plan.recording]
         assert (drive.seed, drive.drive.samples, drive.encoder.gap_noise) == (plan.scenario.seed, 60, 0.0)
+
+
+def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
+    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5], target={})), tiny=False)
+    plans = plan_runs(study)
+
+    def list_seeds(fresh: bool = False) -> list[int]:
+        return [scenario.seed for scenario in list_undriven(study, plans, tmp_path, fresh)]
+
+    assert list_seeds() == [0, 5]
+    drive = next(plan for plan in plans if plan.scenario.seed == 0 and plan.scenario.encoder.gap_noise == 0.0)
+    write_json(tmp_path / "recordings" / drive.recording / "manifest.json", {})
+    assert list_seeds() == [5], "that with noise is derived"
+    for plan in plans:
+        if plan.scenario.seed == 5:
+            write_json(tmp_path / "runs" / plan.run / "metrics.json", {})
+    assert list_seeds() == []
+    assert set(list_seeds(fresh=True)) == {0, 5}
 
 
 @pytest.mark.slow

@@ -12,8 +12,9 @@ from typing import Literal
 
 from deepgps.progress import Report
 from deepgps.run import clear, lock
+from deepgps.scenario import Scenario
 from deepgps.studies import engine_local, engine_ray
-from deepgps.studies.recordings import record_all
+from deepgps.studies.recordings import find_undriven, record_all
 from deepgps.studies.study import Plan, Study, write_out
 from deepgps.studies.worker import Failures
 from sim.errors import InputError
@@ -66,13 +67,21 @@ def carry_out(
             clear(folder, MARK)
         sweep(folder)
         write_text(folder / MARK, write_out(study))
-        missing = [plan for plan in plans if not is_done(folder, plan, study.record)]
+        missing = find_missing(study, plans, folder)
         unrecorded = record_all(plans, missing, folder, progress)
         ready = [plan for plan in missing if plan.recording not in unrecorded]
         failed = {plan.run: unrecorded[plan.recording] for plan in missing if plan.recording in unrecorded}
         return {**failed, **run_all(ready, folder, study.record, progress)}
 
 
-def is_done(folder: Path, plan: Plan, record: bool) -> bool:
-    """Whether a run's last file stands."""
-    return (folder / "runs" / plan.run / ("recording.rrd" if record else "metrics.json")).is_file()
+def find_missing(study: Study, plans: Sequence[Plan], folder: Path) -> list[Plan]:
+    """Runs whose last file does not stand."""
+    last = "recording.rrd" if study.record else "metrics.json"
+    return [plan for plan in plans if not (folder / "runs" / plan.run / last).is_file()]
+
+
+def list_undriven(study: Study, plans: Sequence[Plan], folder: Path, fresh: bool) -> list[Scenario]:
+    """What ``carry_out`` would drive and look at."""
+    if fresh:
+        return [plan.scenario for plan in plans]
+    return list(find_undriven(plans, find_missing(study, plans, folder), folder).values())

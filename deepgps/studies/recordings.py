@@ -15,7 +15,7 @@ from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, one_line
 from sim.derive import can_be_cut, choose_drive, derive
 from sim.errors import InputError, WorkError
-from sim.records import work_folder
+from sim.records import is_whole
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -31,9 +31,8 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
         Why recordings failed, by their hash.
     """
     drives, home = find_drives(plans), folder / "recordings"
-    wanted = {plan.recording: plan.scenario for plan in missing if not _stands(home / plan.recording)}
-    needed = {digest_recording(drives[key]): drives[key] for key in wanted}
-    unmade = _collect_all(needed, home, progress)
+    wanted = _find_wanted(missing, home)
+    unmade = _collect_all(find_undriven(plans, missing, folder), home, progress)
     failed: Failures = {}
     for done, (key, scenario) in enumerate(wanted.items(), start=1):
         drive = digest_recording(drives[key])
@@ -43,6 +42,13 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
             failed |= _try_to_derive(home / drive, scenario, home / key)
         progress("derived", done, len(wanted))
     return failed
+
+
+def find_undriven(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path) -> dict[str, Scenario]:
+    """What must still be driven, by its hash, for the runs that are missing; the arguments are those of record_all."""
+    drives, home = find_drives(plans), folder / "recordings"
+    needed = {digest_recording(drives[key]): drives[key] for key in _find_wanted(missing, home)}
+    return {key: scenario for key, scenario in needed.items() if not is_whole(home / key)}
 
 
 def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
@@ -64,9 +70,8 @@ def _name_drive(scenario: Scenario) -> str:
     return digest_recording(_choose(scenario, 0 if can_be_cut(scenario.sim) else scenario.drive.samples))
 
 
-def _stands(recording: Path) -> bool:
-    """Whether a recording is finished, and nothing is left of its making."""
-    return (recording / "manifest.json").is_file() and not work_folder(recording).exists()
+def _find_wanted(missing: Sequence[Plan], home: Path) -> dict[str, Scenario]:
+    return {plan.recording: plan.scenario for plan in missing if not is_whole(home / plan.recording)}
 
 
 def _collect_all(scenarios: dict[str, Scenario], home: Path, progress: Report) -> Failures:
