@@ -15,7 +15,7 @@ from typing import Any
 from deepgps.progress import Report
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import InputError
-from sim.files import read_json, sweep, write_json, write_text
+from sim.files import PART, read_json, sweep, write_json, write_text
 from sim.records import is_whole, read_manifest
 from sim.settings import WorldName
 
@@ -100,11 +100,13 @@ def lock(folder: Path) -> Iterator[None]:
 
 def clear(folder: Path, mark: str) -> None:
     """Empty a folder that the file ``mark`` tells to be ours; raises InputError for one that holds something else."""
+    for part in folder.glob(f"{mark}.*{PART}"):  # killed while it wrote its first file
+        part.unlink()
     others = [path for path in folder.iterdir() if path.name != ".lock"]
     if others and not (folder / mark).is_file():
         kind = mark.removesuffix(".yaml").replace("scenario", "run")
         raise InputError(f"--out {folder} is neither empty nor a {kind} folder")
-    for path in others:
+    for path in sorted(others, key=lambda path: path.name == mark):  # killed meanwhile, the folder is still ours
         if path.is_dir() and not path.is_symlink():  # the runs of a study share recordings by links
             shutil.rmtree(path)
         else:
