@@ -96,14 +96,14 @@ def run_bench(
         draw_poses, measure_rendering: As for ``measure``.
         progress: Told how far it is.
     """
-    started = time.strftime("%Y-%m-%dT%H%M")
+    started, load = time.strftime("%Y-%m-%dT%H%M"), os.getloadavg()[0]  # before its own
     KEPT.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
     with tempfile.TemporaryDirectory(dir=KEPT, prefix="work-") as work:  # not in /tmp, which may lie in memory
         rows, environment = measure(size, Path(work), draw_poses, measure_rendering, progress)
     if not keep:  # so small a bench meets no target and misses none
         rows = [replace(row, target=None) for row in rows]
-    head = {"date": started, "took_s": round(time.perf_counter() - begun, 1), "load": os.getloadavg()[0], **environment}
+    head = {"date": started, "took_s": round(time.perf_counter() - begun, 1), "load": load, **environment}
     write_bench(out, rows, head)
     if keep:
         write_bench(KEPT / f"{started}-{environment['git']}.json", rows, head)

@@ -189,23 +189,21 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
 
 @contextmanager
 def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
-    """Add the seconds of a stage to the run's ``timing.json``, and a line to its log, unless it was done before."""
+    """Add the seconds of a stage, or of the part of it before it was cut off, to the run's ``timing.json`` and its log,
+    unless it was done before."""
     start = time.perf_counter()
-    yield
-    seconds = time.perf_counter() - start
-    path = folder / "timing.json"
-    times = read_json(path) if path.is_file() else {}
-    if not done or stage not in times:
-        write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
-        with (folder / "log.txt").open("a", encoding="utf-8") as log:
-            log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
+    try:
+        yield
+    finally:
+        if not done:
+            _add_time(folder, stage, time.perf_counter() - start)
 
 
 def stage_times(folder: Path) -> dict[str, float]:
-    """Seconds of collecting, training and evaluating."""
+    """Seconds of collecting, training and evaluating, without what was done elsewhere, as a study's recordings are."""
     times = read_json(folder / "timing.json")
-    train_s = sum(seconds for stage, seconds in times.items() if stage.startswith("train "))
-    return {"collect": times.get("collect", 0.0), "train": round(train_s, 2), "evaluate": times.get("evaluate", 0.0)}
+    parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in STAGES}
+    return {name: round(sum(seconds), 2) for name, seconds in parts.items() if seconds}
 
 
 def describe_environment(folder: Path) -> dict[str, Any]:
@@ -218,6 +216,14 @@ def describe_environment(folder: Path) -> dict[str, Any]:
         "git": _git_revision(),
         "cpu": f"{os.cpu_count()} x {_cpu_name()}",
     }
+
+
+def _add_time(folder: Path, stage: str, seconds: float) -> None:
+    path = folder / "timing.json"
+    times = read_json(path) if path.is_file() else {}
+    write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
+    with (folder / "log.txt").open("a", encoding="utf-8") as log:
+        log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
 
 
 def _git_revision() -> str:

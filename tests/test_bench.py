@@ -12,6 +12,7 @@ import pytest
 import torch
 from rich.console import Console
 
+from deepgps import bench as benching
 from deepgps import bench_rows, bench_studies
 from deepgps.bench_memory import Training, measure_peak, read_anonymous, repeat_recording
 from deepgps.bench_rows import Row, find_before, list_notes, read_bench, tabulate, write_bench, write_value
@@ -20,7 +21,9 @@ from deepgps.data import read_segments
 from deepgps.features import Features, describe
 from deepgps.network import make_network
 from deepgps.positioner import NetworkPositioner
+from deepgps.progress import ignore
 from deepgps.settings import LearnSettings, NetworkSettings
+from sim.bench import draw_poses, measure_rendering
 from sim.errors import InputError, WorkError
 from sim.records import open_recording
 from tests.toy import QUICK, make_toy
@@ -66,6 +69,20 @@ def test_a_small_bench_measures_everything(tmp_path: Path):
     assert rows["precision.rms_m"]["value"] > 0, "the table of the study is committed"
     assert written["git"] and written["cpu"] and written["date"]
     assert list((tmp_path / "runs" / "bench").iterdir()) == [], "a small bench is not kept, nor what it worked with"
+
+
+def test_the_load_that_is_kept_is_that_before_the_bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    load = [0.5, 0.0, 0.0]
+
+    def measure(*_: object) -> tuple[list[Row], dict[str, str]]:
+        load[0] = 9.0
+        return [], {}
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "getloadavg", lambda: load)
+    monkeypatch.setattr(benching, "measure", measure)
+    benching.run_bench(benching.TINY, tmp_path / "bench.json", False, draw_poses, measure_rendering, ignore)
+    assert json.loads((tmp_path / "bench.json").read_text())["load"] == 0.5
 
 
 def test_a_study_that_was_never_made_is_not_measured_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

@@ -4,16 +4,17 @@ import os
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from deepgps import run as running
 from deepgps.progress import ignore
-from deepgps.run import claim, clear, open_run, run
+from deepgps.run import claim, clear, open_run, run, stage_times, timed
 from deepgps.scenario import Scenario, write_out
 from sim.errors import InputError
-from sim.files import write_json
+from sim.files import read_json, write_json
 from sim.records import work_folder
 from sim.settings import SimSettings
 
@@ -128,3 +129,23 @@ def test_where_the_recording_stands_a_run_needs_neither_mujoco_nor_a_renderer(
     assert (tmp_path / "run" / "recording.rrd").is_file()
     assert "MUJOCO_GL" in start("--fresh").stderr
     assert (tmp_path / "run" / "recording.rrd").is_file()
+
+
+def test_a_stage_that_was_cut_off_is_timed_as_the_sum_of_its_parts(tmp_path: Path):
+    with pytest.raises(KeyboardInterrupt), timed(tmp_path, "train knn"):
+        time.sleep(0.05)
+        raise KeyboardInterrupt
+    first_s = stage_times(tmp_path)["train"]
+    assert first_s >= 0.05
+    with timed(tmp_path, "train knn"):
+        time.sleep(0.05)
+    assert stage_times(tmp_path)["train"] >= first_s + 0.05
+    assert (tmp_path / "log.txt").read_text().count("train knn: ") == 2
+
+
+def test_only_what_was_done_here_is_timed(tmp_path: Path):
+    for stage, done in (("train posenet", True), ("train deepgps", False), ("evaluate", False)):
+        with timed(tmp_path, stage, done):
+            time.sleep(0.02)
+    assert set(read_json(tmp_path / "timing.json")) == {"train deepgps", "evaluate"}
+    assert list(stage_times(tmp_path)) == ["train", "evaluate"]
