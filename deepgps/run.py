@@ -1,7 +1,6 @@
 """A run: collect, train, evaluate, show. Each stage skips what is done and continues what was cut off."""
 
 import fcntl
-import os
 import platform
 import shutil
 import subprocess
@@ -16,6 +15,7 @@ from deepgps.progress import Report
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import InputError
 from sim.files import PART, read_json, sweep, write_json, write_text
+from sim.processes import usable_cores
 from sim.records import is_whole, read_manifest
 from sim.settings import WorldName
 
@@ -214,7 +214,7 @@ def describe_environment(folder: Path) -> dict[str, Any]:
         "packages": {name: version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "git": _git_revision(),
-        "cpu": f"{os.cpu_count()} x {_cpu_name()}",
+        "cpu": f"{usable_cores()} x {_cpu_name()}",
     }
 
 

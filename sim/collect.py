@@ -6,7 +6,6 @@ where it stopped, and ends with the same bytes under any number of workers.
 """
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Sequence
@@ -25,7 +24,7 @@ from sim.encoder import describe_odometry
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays
 from sim.mount import draw_leans
-from sim.processes import end_with_parent
+from sim.processes import end_with_parent, usable_cores
 from sim.records import chunk_files, finish_recording, save_free_space, work_folder
 from sim.robot import TRACK_M, WHEEL_RADIUS_M
 from sim.sensing import sense_states
@@ -49,7 +48,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         seed: Driving and encoder draw from streams of this number.
         folder: The recording's folder; finished once it holds ``manifest.json``.
         progress: Told how many samples are driven and how many images rendered.
-        workers: Rendering processes; none: one for each core.
+        workers: Rendering processes; none: one for each core that may be used.
 
     Raises:
         InputError: The room cannot be used.
@@ -70,7 +69,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     if settings.use.moved_m:
         test_pose = test_pose[RoomWorld(settings, drawn=False).is_free(test_pose[:, 0, :2])]
     for deaths in range(DEATHS + 1):
-        pool = ProcessPoolExecutor(workers or os.cpu_count(), get_context("spawn"), end_with_parent)
+        pool = ProcessPoolExecutor(workers or usable_cores(), get_context("spawn"), end_with_parent)
         try:
             chance = spawn_streams(seed)
             tests, jobs = _render_grid(pool, world, settings, test_pose, work, chance.test_lean)

@@ -13,6 +13,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from sim.gl import EGL_CURE
+from sim.processes import usable_cores
 
 NVIDIA_CURE = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
 LEAST_FREE_GB = 1.0  # the demo leaves some 0.3 GB behind
@@ -120,7 +121,7 @@ def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidia
 def check_machine() -> Finding:
     """Cores that this process may use, and memory."""
     memory_gb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
-    text = f"{len(os.sched_getaffinity(0))} cores, {memory_gb:.0f} GB of memory, {platform.platform(terse=True)}"
+    text = f"{usable_cores()} cores, {memory_gb:.0f} GB of memory, {platform.platform(terse=True)}"
     return Finding("machine", True, text)
 
 

@@ -1,8 +1,13 @@
-"""Worker processes that do not outlive the process that started them."""
+"""Worker processes: how many, and none that outlives the process that started it."""
 
 import os
 import threading
 from multiprocessing import parent_process
+
+
+def usable_cores() -> int:
+    """Cores that this process may use: of a machine's many, a container or a batch system may give it a few."""
+    return len(os.sched_getaffinity(0))
 
 
 def end_with_parent() -> None:

@@ -1,6 +1,5 @@
 """The local engine: each run a process of its own, as many at once as there are cores; no server."""
 
-import os
 import signal
 from collections.abc import Sequence
 from multiprocessing import get_context
@@ -12,7 +11,7 @@ from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
-from sim.processes import end_with_parent
+from sim.processes import end_with_parent, usable_cores
 
 
 def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
@@ -32,7 +31,7 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
     active: dict[Connection, tuple[Plan, BaseProcess]] = {}
     try:
         while waiting or active:
-            while waiting and len(active) < (os.cpu_count() or 1):
+            while waiting and len(active) < usable_cores():
                 pipe, process = _start(waiting[0], folder, record)
                 active[pipe] = waiting.pop(0), process
             for pipe in wait(list(active)):

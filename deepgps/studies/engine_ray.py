@@ -21,6 +21,7 @@ from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run, one_line
 from sim.errors import InputError
+from sim.processes import usable_cores
 
 RETRIES = 2
 """How often a run is taken up again whose process or machine was lost; it goes on from its last checkpoint."""
@@ -47,7 +48,7 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
         os.environ.setdefault(name, value)
     own = {}
     if not address:
-        own = {"num_cpus": os.cpu_count(), "include_dashboard": False}
+        own = {"num_cpus": usable_cores(), "include_dashboard": False}
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # else Ray leaves one in the user's home
     import ray
 
