@@ -151,6 +151,15 @@ def test_a_case_may_name_its_own_scenario(tmp_path):
     assert varied_in(rows[0])[-1] == "encoder.gap_noise"  # the axis
 
 
+@pytest.mark.parametrize("varied", [{"cases": [{"scenario": "other.yaml"}]}, {"axes": {"scenario": ["other.yaml"]}}])
+def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(varied, tmp_path):
+    (tmp_path / "other.yaml").write_text("drive: {samples: 50}")
+    whole = load_study(str(write_study(tmp_path, **{"cases": [{}], **varied})), tiny=False)
+    tiny = load_study(str(write_study(tmp_path, tiny={"cases": [{}], **varied})), tiny=True)
+    for (plan,) in (plan_runs(whole), plan_runs(tiny)):
+        assert (plan.scenario.name, plan.scenario.drive.samples) == ("other", 50)
+
+
 def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
     axes = {"encoder.gap_noise": [0.1, 0.0], "drive.samples": [40, 60]}
     plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))

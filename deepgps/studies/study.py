@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice, product
+from pathlib import Path
 from typing import Any, Literal
 
 import yaml
@@ -181,12 +182,11 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         study = Study.model_validate(values)
     except ValidationError as error:
         raise InputError(f"{path}: {describe_problems(error, Study)}") from None
-    beside = path.parent / study.scenario
-    if study.scenario.endswith((".yaml", ".yml")) and beside.is_file():
-        study = study.model_copy(update={"scenario": str(beside)})
     if full:
-        return _enlarge(study)
-    return _shrink(study) if tiny else study
+        study = _enlarge(study)
+    if tiny:
+        study = _shrink(study)
+    return _seek_scenarios(study, path.parent)
 
 
 def plan_runs(study: Study) -> list[Plan]:
@@ -245,6 +245,18 @@ def _replace(study: Study, other: Variation, kind: str) -> Study:
         return Study.model_validate({**study.model_dump(), **given})
     except ValidationError as error:
         raise InputError(f"study {study.name}, {kind}: {describe_problems(error, Study)}") from None
+
+
+def _seek_scenarios(study: Study, folder: Path) -> Study:
+    """The same study, scenarios' files that lie in its own folder named by their paths."""
+
+    def seek(source: str) -> str:
+        beside = folder / source
+        return str(beside) if beside.suffix in {".yaml", ".yml"} and beside.is_file() else source
+
+    cases = [{**case, "scenario": seek(case["scenario"])} if "scenario" in case else case for case in study.cases]
+    axes = {name: tuple(map(seek, values)) if name == "scenario" else values for name, values in study.axes.items()}
+    return study.model_copy(update={"scenario": seek(study.scenario), "cases": tuple(cases), "axes": axes})
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:
