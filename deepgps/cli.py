@@ -49,7 +49,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     def command(words: Sequence[str]) -> None:
         from deepgps.run import STAGES, ask_for_device, claim, default_folder, list_undriven
 
-        arguments, scenario = parse_scenario(stage, words, COMMANDS[stage].__doc__)
+        arguments, scenario = parse_scenario(stage, words, HELP[stage])
         folder = arguments.out or default_folder(scenario)
         _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         with (
@@ -181,8 +181,8 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
 HELP = {
     "run": "run a scenario: drive, see, learn, measure, show",
     "collect": "only drive and look: make the recording",
-    "train": "... and train the methods",
-    "evaluate": "... and measure them",
+    "train": "collect, and train the methods",
+    "evaluate": "collect, train, and measure the methods",
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
     "rooms": "draw a contact sheet of generated rooms",

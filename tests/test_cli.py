@@ -128,9 +128,13 @@ def test_a_renderer_of_no_kind_is_named(tmp_path):
     assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
 
 
-@pytest.mark.parametrize("command", ["run", "collect", "train", "evaluate"])
-def test_help_shows_every_setting_with_its_default(command, tmp_path):
+ABOUT = {"run": "Run a scenario", "collect": "only drive", "train": "collect, and train", "evaluate": "collect, train,"}
+
+
+@pytest.mark.parametrize("command", ABOUT)
+def test_help_says_what_a_command_does_and_shows_every_setting_with_its_default(command, tmp_path):
     said = deepgps(command, "--help", cwd=tmp_path).stdout
+    assert ABOUT[command] in said
     for text in ("--encoder.ticks-per-rev", "default: 4096", "--room.kind", "--learn.train.steps", "--out", "[m]"):
         assert text in said
 
