@@ -26,7 +26,7 @@ except ModuleNotFoundError:
         "and pip install dm-control"
     ) from None
 
-_DRAWN_FAULTS = ("slip_per_m", "gap_noise", "lost")
+_DRAWN_FAULTS = ("slip_per_m", "gap_noise", "lost", "stuck")
 
 
 class RoomEnvironment(dm_env.Environment):
@@ -41,8 +41,8 @@ class RoomEnvironment(dm_env.Environment):
         episode_s: Length of an episode [s]; it ends with discount 1, as it is cut off, not lost.
 
     Raises:
-        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings), or the
-            camera has any.
+        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings, one that
+            sticks), or the camera has any.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 

@@ -73,10 +73,14 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert roll() == roll()
 
 
-def test_faults_that_are_drawn_for_a_whole_drive_are_refused() -> None:
-    settings = SimSettings(encoder=EncoderSettings(slip_per_m=0.1))
-    with pytest.raises(InputError, match=r"encoder\.slip_per_m 0\.1 must be 0 in the environment"):
+@pytest.mark.parametrize("fault", ["slip_per_m", "gap_noise", "lost", "stuck"])
+def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None:
+    settings = SimSettings(encoder=EncoderSettings.model_validate({fault: 0.1}))
+    with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment"):
         RoomEnvironment(settings, np.random.default_rng(0))
+
+
+def test_faults_of_the_camera_are_refused() -> None:
     with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
         RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
