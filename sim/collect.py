@@ -21,7 +21,7 @@ from sim.assemble import Drive, make_senses, take_held_out, write_drive, write_h
 from sim.camera_faults import spawn_streams
 from sim.drive import Course, Segment, next_segment
 from sim.encoder import describe_odometry
-from sim.errors import WorkError
+from sim.errors import InputError, WorkError
 from sim.files import write_array, write_arrays
 from sim.mount import draw_leans
 from sim.processes import end_with_parent, usable_cores
@@ -51,7 +51,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         workers: Rendering processes; none: one for each core that may be used.
 
     Raises:
-        InputError: The room cannot be used.
+        InputError: The room cannot be used, or has no test position.
         WorkError: No renderer, or physics failed.
     """
     from sim.mesh import write_scene  # the workers, which import this file too, do without it
@@ -66,8 +66,6 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     world = RoomWorld(taught, drawn=False)
     held_out = settings.grid.held_out
     test_pose = np.empty((0, 1, 3)) if held_out else lay_grid(world, settings)
-    if settings.use.moved_m:
-        test_pose = test_pose[RoomWorld(settings, drawn=False).is_free(test_pose[:, 0, :2])]
     for deaths in range(DEATHS + 1):
         pool = ProcessPoolExecutor(workers or usable_cores(), get_context("spawn"), end_with_parent)
         try:
@@ -109,12 +107,17 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
-    """Poses (C, H, 3) of the test grid: every reachable position, the headings spread evenly from +x."""
+    """Poses (C, H, 3) of the test grid: every position within reach that nothing moved has blocked, the headings spread
+    evenly from +x; raises InputError where there is none."""
     spacing, headings = settings.grid.spacing_m, settings.grid.headings
     (low_x, low_y), (high_x, high_y) = world.bounds
     x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
     points = points[world.free_space.is_reachable(points[:, 0])]
+    if settings.use.moved_m:
+        points = points[RoomWorld(settings, drawn=False).is_free(points[:, 0])]
+    if not len(points):
+        raise InputError(f"grid.spacing_m {spacing} m must be smaller: it leaves no test position within reach")
     yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
     return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
 

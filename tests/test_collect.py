@@ -7,7 +7,7 @@ import pytest
 from sim import collect as collecting
 from sim.collect import collect
 from sim.encoder import ticks_to_distance
-from sim.errors import WorkError
+from sim.errors import InputError, WorkError
 from sim.records import check_recording, open_recording, open_truth, read_manifest
 from sim.render import Fisheye
 from sim.settings import GridSettings, Group, MountSettings, SimSettings, UseSettings
@@ -153,6 +153,17 @@ def test_without_faults_an_image_is_what_the_camera_draws(small_settings, small_
             world.data.qpos[:] = state[number]
             mujoco.mj_kinematics(world.model, world.data)
             np.testing.assert_array_equal(fisheye.polar(world.data), recording.observation[number])
+
+
+def test_a_grid_without_a_position_is_one_clear_line(small_settings):
+    world = RoomWorld(small_settings, drawn=False)
+    low = np.ceil(world.bounds[0] / 0.8) * 0.8
+    world.free_space.reachable[:] = False
+    row, column = np.rint((low + 0.2 - world.free_space.origin) / world.free_space.cell_m).astype(int)[::-1]
+    world.free_space.reachable[row, column] = True  # all that can be reached lies between two positions
+    grid = change(small_settings, 30, grid=GridSettings(spacing_m=0.8))
+    with pytest.raises(InputError, match=r"grid\.spacing_m 0\.8 m must be smaller: it leaves no test position"):
+        collecting.lay_grid(world, grid)
 
 
 @pytest.mark.slow
