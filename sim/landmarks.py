@@ -66,7 +66,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         settings: Landmarks, encoder, drive (speeds, spacing, samples at most) and test grid are used.
         seed: Landmarks, driving and encoder draw from streams of this number.
         folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Told how many segments are driven.
+        progress: Told how far it is, in samples of the most that there can be.
     """
     if (folder / "manifest.json").is_file():
         return

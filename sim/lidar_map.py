@@ -86,7 +86,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         settings: Map, lidar, encoder, drive (speeds, spacing, samples) and test grid are used.
         seed: Map, driving, encoder and noise draw from streams of this number.
         folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Told how many segments are driven.
+        progress: Told how far it is, in samples of the most that there can be.
 
     Raises:
         InputError: Nowhere is there room for the robot, or for a test position.

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from sim.encoder import describe_odometry, read_encoders
+from sim.errors import WorkError
 from sim.records import FreeSpace, save_free_space, write_recording
 from sim.settings import SimSettings
 from sim.streams import stream
@@ -23,6 +24,8 @@ WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
 """Wheels that the robot would have, by which a way becomes ticks; those of a TurtleBot3 Burger."""
 LEAST_STEPS = 3
 """A heading that leads to a wall in fewer steps than this is drawn again."""
+TRIES = 10_000
+"""So often: where no heading leads far enough, none ever will."""
 PACKAGES = ("numpy",)
 Report = Callable[[str, int, int], None]
 Observe = Callable[[np.ndarray], np.ndarray]
@@ -89,7 +92,7 @@ def record(
         settings: Encoder and drive (speeds, spacing, samples at most) are used.
         seed: Driving and encoder draw from streams of this number.
         folder: The recording's folder.
-        progress: Told how many segments are driven.
+        progress: Told how far it is, in samples of the most that there can be.
     """
     start = time.perf_counter()
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)
@@ -141,7 +144,8 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
         angles.append(angle + along[:, None] / WHEEL_RADIUS_M)
         times.append(clock + along / drive.speed_mps)
         place, yaw, angle, clock = points[-1], heading, angles[-1][-1], times[-1][-1]
-        progress("drive", segment + 1, wanted)
+        share = min(1.0, max((segment + 1) / wanted, len(pose) / drive.samples))
+        progress("drive", round(share * drive.samples), drive.samples)
         if len(pose) >= drive.samples:
             break
     numbers = np.concatenate(reading)
@@ -154,13 +158,22 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
 def choose_heading(
     world: PlaneWorld, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
 ) -> tuple[float, int]:
-    """A heading [rad], uniform among those that do not end at once, and how many spacings it leads ahead."""
-    while True:
+    """A heading [rad], uniform among those that do not end at once, and how many spacings it leads ahead.
+
+    Raises:
+        WorkError: None is found.
+    """
+    for _ in range(TRIES):
         heading = rng.uniform(-np.pi, np.pi)
         # A place at the wall may lie beyond it by a rounding error.
         steps = int(min(world.way_ahead(place, heading), longest_m) / spacing_m + 1e-9)
         if steps >= LEAST_STEPS:
             return heading, steps
+    x, y = place
+    raise WorkError(
+        f"drive.spacing_m {spacing_m} m must be smaller: from ({x:.2f}, {y:.2f}) m, where the robot came, "
+        f"no heading of {TRIES} leads {LEAST_STEPS} spacings ahead"
+    )
 
 
 def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment
 from deepgps.data import dead_reckon, read_segments
+from sim.errors import WorkError
 from sim.landmarks import LandmarkWorld, collect, lay_free_space, lay_grid
-from sim.plane import count_drive, drive_segments
+from sim.plane import choose_heading, count_drive, drive_segments
 from sim.records import Recording, Truth, check_recording, open_recording, open_truth
 from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
 from sim.streams import stream
@@ -141,6 +142,22 @@ def test_samples_may_end_the_drive_before_its_segments():
     assert len(drive.pose) == 100 == drive.reading[:, 1].max() + 1
     assert len(drive.reading) == len(drive.wheel_angle) == len(drive.time)
     assert count_drive(drive)["segments"] < 30
+
+
+def test_where_no_heading_leads_far_enough_the_drive_ends_with_one_clear_line():
+    wide = SETTINGS.model_copy(update={"drive": DriveSettings(spacing_m=0.5)})
+    world, rng = LandmarkWorld(wide, 0), np.random.default_rng(0)
+    with pytest.raises(WorkError, match=r"drive\.spacing_m 0\.5 m must be smaller: from \(0\.00, 0\.00\) m"):
+        choose_heading(world, np.zeros(2), 0.5, 5.0, rng)  # to a corner, which is farthest, it is 1.41 m
+    heading, steps = choose_heading(world, world.bounds[1], 0.5, 5.0, rng)
+    assert steps >= 3 and np.cos(heading) + np.sin(heading) < 0
+
+
+@pytest.mark.parametrize("samples", [100, 5000])
+def test_the_drive_tells_how_far_it_is_whether_segments_or_samples_end_it(samples: int):
+    told, some = list[int](), SETTINGS.model_copy(update={"drive": DriveSettings(spacing_m=0.05, samples=samples)})
+    drive_segments(LandmarkWorld(some, 0), some, stream(0, "drive"), lambda _, done, total: told.append(done))
+    assert told == sorted(told) and told[0] < samples / 2 and told[-1] == samples
 
 
 def test_the_papers_grid_has_128_positions_a_side_and_reaches_the_walls():
