@@ -74,7 +74,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
             yield
         except InputError:
             # Wrong input leaves nothing behind, unless it shows so late that there is work to lose.
-            if not begun and not is_whole(folder / "recording"):
+            if not begun and not _holds_work(folder):
                 shutil.rmtree(folder)
                 for parent in new:
                     with suppress(OSError):  # another run may have begun in it
@@ -224,6 +224,12 @@ def _add_time(folder: Path, stage: str, seconds: float) -> None:
     write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
     with (folder / "log.txt").open("a", encoding="utf-8") as log:
         log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
+
+
+def _holds_work(folder: Path) -> bool:
+    """Whether a training stands, or a recording that is the run's own and no link to a study's."""
+    recording = folder / "recording"
+    return any(folder.glob("*/positioner.json")) or (is_whole(recording) and not recording.is_symlink())
 
 
 def _git_revision() -> str:

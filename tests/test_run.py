@@ -48,6 +48,19 @@ def test_wrong_input_that_shows_late_costs_no_finished_work(tmp_path: Path):
     assert open_run(tmp_path / "run") == SCENARIO
 
 
+@pytest.mark.parametrize("trained", [False, True])
+def test_of_a_study_s_run_wrong_input_leaves_only_what_was_trained(trained: bool, tmp_path: Path):
+    record(tmp_path / "shared")
+    with pytest.raises(InputError), claim(SCENARIO, tmp_path / "runs" / "one", fresh=False):
+        (tmp_path / "runs" / "one" / "recording").symlink_to(tmp_path / "shared" / "recording")
+        if trained:
+            write_json(tmp_path / "runs" / "one" / "posenet" / "positioner.json", {})
+        raise InputError
+    assert (tmp_path / "runs" / "one" / "posenet" / "positioner.json").exists() == trained
+    assert (tmp_path / "runs").exists() == trained
+    assert (tmp_path / "shared" / "recording" / "manifest.json").is_file()
+
+
 def test_wrong_input_takes_nothing_from_a_run_that_was_begun_before(tmp_path: Path):
     begin(tmp_path)
     with pytest.raises(InputError), claim(SCENARIO, tmp_path, fresh=False):
