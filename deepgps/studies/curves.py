@@ -10,7 +10,7 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import Row, mean, split_by, varied_in
+from deepgps.studies.table import Row, mean, split_by, tell_apart, varied_in
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
@@ -30,7 +30,7 @@ Panels = Mapping[tuple[str, ...], Sequence[Row]]
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each case, method and value of the axis; where the knee is; how to read it."""
-    axis, names = find_axis(rows), _tell_apart(rows)
+    axis, names = find_axis(rows), _name_panels(rows)
     paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
     headings = [*names, "method", axis, "seeds", *SHOWN.values(), "worst RMS", "RMS / side", "train [s]", *paper]
     cells = []
@@ -155,17 +155,15 @@ def _span(values: Sequence[float]) -> float:
 
 
 def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
-    names, panels = _tell_apart(rows), {}
+    names, panels = _name_panels(rows), {}
     for row in rows:
         panels.setdefault(tuple(str(row[name]) for name in names), []).append(row)
     return panels
 
 
-def _tell_apart(rows: Sequence[Row]) -> list[str]:
-    """As many of the settings beside the axis as it takes to tell all cases apart."""
-    names = sorted(varied_in(rows[0])[:-1], key=lambda name: name != "scenario")  # it says most
-    cases = [len({tuple(str(row[name]) for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
-    return names[: cases.index(cases[-1])]
+def _name_panels(rows: Sequence[Row]) -> list[str]:
+    """The settings beside the axis that tell all cases apart."""
+    return tell_apart(rows, varied_in(rows[0])[:-1])
 
 
 def _write_paper(axis: str, value: float, row: Row) -> str:

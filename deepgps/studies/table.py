@@ -45,6 +45,13 @@ def varied_in(row: Row) -> list[str]:
     return names[names.index("seed") + 1 : names.index("samples")]
 
 
+def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
+    """As many of these settings as it takes to tell all cases apart; the scenario, which says most, comes first."""
+    names = sorted(names, key=lambda name: name != "scenario")
+    cases = [len({tuple(row[name] for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
+    return names[: cases.index(cases[-1])]
+
+
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as a Parquet file."""
     table = pa.table({name: [row[name] for row in rows] for name in rows[0]})

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deepgps.studies.compare import shorten
-from deepgps.studies.table import Row, split_by, varied_in
+from deepgps.studies.table import Row, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"
 Point = tuple[tuple[Any, ...], ...]  # values of each dimension: case, axes, seed
@@ -73,13 +73,6 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
         steps = [_make_step(dimensions, "", [group]) for group in runs]
         sliders.append(Slider(RUN, steps, ""))
     return sliders
-
-
-def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
-    """As many of these settings as it takes to tell all cases apart; the scenario, which says most, comes first."""
-    names = sorted(names, key=lambda name: name != "scenario")
-    cases = [len({tuple(row[name] for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
-    return names[: cases.index(cases[-1])]
 
 
 def describe(names: Sequence[str], values: Sequence[Any]) -> str:
