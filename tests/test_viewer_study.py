@@ -308,6 +308,22 @@ def test_cases_are_told_apart_by_as_little_as_it_takes(tmp_path):
     ]
 
 
+def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_change(tmp_path):
+    cases = [{}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3, "encoder.gap_noise": 0.1}]
+    rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
+    case, seed, run = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
+    assert [step.value for step in case.steps] == ["no change", "gap_noise 0.1", "gap_noise 0.1, lost 0.3"]
+    assert (case.others, seed.others) == ("seed 0", "")
+    assert [step.value for step in run.steps][::2] == [
+        "seed 0",
+        "gap_noise 0.1, seed 0",
+        "gap_noise 0.1, lost 0.3, seed 0",
+    ]
+    assert run.steps[0].words == "gap_noise 0, lost 0, seed 0"  # the text has all of it
+    elsewhere = find_sliders(rows, [], {"encoder.gap_noise": 0.2, "encoder.lost": 0.0})[0]
+    assert elsewhere.steps[0].value == "gap_noise 0, lost 0"
+
+
 def test_a_study_of_one_run_has_a_slider_with_one_place(tmp_path):
     (slider,) = find_sliders(rows_of(tmp_path, cases=[{}]), [], {})
     assert (slider.name, [step.value for step in slider.steps]) == ("run", ["seed 0"])

@@ -8,6 +8,7 @@ from deepgps.studies.compare import shorten
 from deepgps.studies.table import Row, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"
+NO_CHANGE = "no change"  # a case with the scenario's own settings
 Point = tuple[tuple[Any, ...], ...]  # values of each dimension: case, axes, seed
 
 
@@ -53,6 +54,7 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
 
     An axis has a slider of its own, and so have cases and seeds where there are several; all else keeps its base value:
     the scenario's own where the study has it, the first elsewhere. Where several things vary, ``run`` goes through all.
+    Where the scenario's own settings are one of many cases, the others are named by what they set otherwise.
 
     Args:
         rows: The study's table.
@@ -67,18 +69,24 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
     at = {_locate(group[0], dimensions): group for group in runs}
     values = {name: _order({point[place]: None for point in at}) for place, name in enumerate(dimensions)}
     base = {name: _choose(values[name], [own.get(column) for column in dimensions[name]]) for name in dimensions}
+    among = len(cases) > 1 and list(base[CASE]) == [own.get(column) for column in cases]
+    usual = dict(zip(cases, base[CASE], strict=True)) if among else {}
     moving = [name for name in _rank(dimensions) if len(values[name]) > 1]
-    sliders = [_make(name, values, base, dimensions, at) for name in moving]
+    sliders = [_make(name, values, base, dimensions, at, usual) for name in moving]
     if len(moving) != 1:
-        steps = [_make_step(dimensions, "", [group]) for group in runs]
+        steps = [_make_step(dimensions, "", [group], usual) for group in runs]
         sliders.append(Slider(RUN, steps, ""))
     return sliders
 
 
-def describe(names: Sequence[str], values: Sequence[Any]) -> str:
-    """Settings in words: text as it is, numbers and flags with their names."""
-    pairs = zip(shorten([*names, SEED]), values, strict=False)  # a room's seed is not the run's
-    return ", ".join(value if isinstance(value, str) else f"{name} {write(value)}" for name, value in pairs)
+def describe(names: Sequence[str], values: Sequence[Any], usual: Mapping[str, Any]) -> str:
+    """Settings in words: text as it is, numbers and flags with their names; what is as usual is left out."""
+    told = zip(names, shorten([*names, SEED]), values, strict=False)  # a room's seed is not the run's
+    return ", ".join(
+        value if isinstance(value, str) else f"{short} {write(value)}"
+        for name, short, value in told
+        if name not in usual or value != usual[name]
+    )
 
 
 def write(value: Any) -> str:
@@ -94,6 +102,7 @@ def _make(
     base: Mapping[str, tuple],
     dimensions: Mapping[str, Sequence[str]],
     at: Mapping[Point, Sequence[Row]],
+    usual: Mapping[str, Any],
 ) -> Slider:
     steps = []
     for value in values[name]:
@@ -101,19 +110,21 @@ def _make(
         seeds = [point[SEED], *(seed for seed in values[SEED] if seed != point[SEED])] if name != SEED else [value]
         there = [at[place] for seed in seeds if (place := tuple({**point, SEED: seed}.values())) in at]
         if there:
-            steps.append(
-                _make_step(dimensions, describe(dimensions[name], value) if name == CASE else write(value[0]), there)
-            )
-    others = [describe(dimensions[other], base[other]) for other in dimensions if other != name and dimensions[other]]
-    return Slider(name, steps, ", ".join(others))
+            text = describe(dimensions[CASE], value, usual) or NO_CHANGE if name == CASE else write(value[0])
+            steps.append(_make_step(dimensions, text, there, usual))
+    others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != name]
+    return Slider(name, steps, ", ".join(text for text in others if text))
 
 
-def _make_step(dimensions: Mapping[str, Sequence[str]], value: str, runs: Sequence[Sequence[Row]]) -> Step:
+def _make_step(
+    dimensions: Mapping[str, Sequence[str]], value: str, runs: Sequence[Sequence[Row]], usual: Mapping[str, Any]
+) -> Step:
     done = [group for group in runs if group[0]["failure"] is None]
     shown = (done or runs)[0]
     names = [name for names in dimensions.values() for name in names]
-    words = describe(names, [shown[0][name] for name in names])
-    return Step(value or words, words, shown, [row for group in done for row in group])
+    values = [shown[0][name] for name in names]
+    repeats = [row for group in done for row in group]
+    return Step(value or describe(names, values, usual), describe(names, values, {}), shown, repeats)
 
 
 def _locate(row: Row, dimensions: Mapping[str, Sequence[str]]) -> Point:
