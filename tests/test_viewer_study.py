@@ -22,6 +22,7 @@ from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer import study as viewer
 from deepgps.viewer.connect import find_viewer
+from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.show import view
 from deepgps.viewer.sliders import find_sliders
 from deepgps.viewer.study import STUDY as STUDY_RRD
@@ -107,6 +108,15 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
         worst = np.linalg.norm(error, axis=-1).argmax(axis=1)
         np.testing.assert_allclose(shown[key][0], truth, atol=1e-5)
         np.testing.assert_allclose(shown[key][1], error[np.arange(len(truth)), worst], atol=1e-5)
+
+
+def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
+    path = study[0] / STUDY_RRD
+    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
+        read_error_table(path)
+    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
+        read_error_field(path, "deepgps")
+    assert AXIS in read_entity(path, "world/error_field/deepgps").column_names
 
 
 def test_arrows_grow_with_the_noise_where_it_matters_and_nowhere_else(study):

@@ -42,7 +42,7 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
         off, and ``method`` by its name in metrics.json. Positions are rounded to single precision.
 
     Raises:
-        InputError: The file is missing, cut off, or has no error field below ``root``.
+        InputError: The file is missing, cut off, a study's, or has no error field below ``root``.
     """
     fields = _read_fields(path, root)
     if not fields:
@@ -62,7 +62,7 @@ def read_error_field(path: Path, method: str, root: str = "world") -> WorstField
         root: As for ``read_error_table``.
 
     Raises:
-        InputError: The file is broken, or has no such method; the names it has are told.
+        InputError: The file is broken, a study's, or has no such method; the names it has are told.
     """
     fields = _read_fields(path, root)
     if method not in fields:
@@ -78,8 +78,9 @@ def read_entity(path: Path, entity: str) -> pa.Table:
         entity: Its path, as ``drive/distance/encoder`` or ``world/training_error/deepgps``.
 
     Returns:
-        A row for each time: the timelines (``drive_time`` or ``step``, and ``progress``), and a column of lists for
-        each component, as ``Scalars:scalars`` or ``Arrows3D:vectors``; what does not change has no time.
+        A row for each time: the timelines (``drive_time`` or ``step``, and ``progress``; a study's sliders), and a
+        column of lists for each component, as ``Scalars:scalars`` or ``Arrows3D:vectors``; what does not change has no
+        time.
 
     Raises:
         InputError: The file is broken, or has no such entity; the names it has are told.
@@ -102,6 +103,8 @@ def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
     for chunk in open_rrd(path).stream():
         name = chunk.entity_path.removeprefix(below)
         if chunk.entity_path.startswith(below) and "/" not in name:
+            if chunk.timeline_names:
+                raise InputError(f"{path} has error fields of several runs; read_entity tells where each stands")
             batch = chunk.to_record_batch()
             for component in {"Arrows3D:origins", "Arrows3D:vectors"} & set(batch.schema.names):
                 flat = batch.column(component).flatten().flatten().to_numpy()
