@@ -23,8 +23,7 @@ def make_blueprint(
     space: FreeSpace,
     methods: Sequence[str],
     trained: Sequence[str],
-    cameras: Sequence[str] = ("fisheye", "polar"),
-    tab: int = 0,
+    cameras: Sequence[str],
 ) -> rrb.Blueprint:
     """How the viewer shows a run, with what its cameras saw: what matters first, without a click."""
     return rrb.Blueprint(
@@ -34,7 +33,7 @@ def make_blueprint(
             *([_training(space, trained)] if trained else []),
             _encoders(space),
             _report(),
-            active_tab=tab,
+            active_tab=0,
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

@@ -46,14 +46,14 @@ def write_pair(folders: Sequence[Path]) -> Path:
     return path
 
 
-def make_pair_blueprint(pair: Pair, tab: int = 0) -> rrb.Blueprint:
+def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
     """How the viewer shows a pair: what changed where, if that can be told, then both runs beside each other."""
     return rrb.Blueprint(
         rrb.Tabs(
             *([_change(pair)] if pair.same_floor else []),
             _sides(pair),
             rrb.Spatial2DView(name="Error distribution", origin="report/error_cdf"),
-            active_tab=tab,
+            active_tab=0,
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),

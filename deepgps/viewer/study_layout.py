@@ -13,9 +13,7 @@ STEPS_PER_SECOND = 1.5
 CURVES = {"rms": "RMS", "median": "Median"}
 
 
-def make_blueprint(
-    slider: str, methods: Sequence[str], figures: Sequence[str], frame: Frame, tab: int = 0
-) -> rrb.Blueprint:
+def make_blueprint(slider: str, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
     """How the viewer shows a study: first the error fields of all methods, side by side.
 
     Args:
@@ -23,7 +21,6 @@ def make_blueprint(
         methods: Names of the methods.
         figures: Names of the study's figures.
         frame: Where every room is drawn.
-        tab: The tab to open with.
     """
     return rrb.Blueprint(
         rrb.Tabs(
@@ -31,7 +28,7 @@ def make_blueprint(
             _curves(),
             *([_figures(figures)] if figures else []),
             rrb.TextDocumentView(name="Report", origin="report/table"),
-            active_tab=tab,
+            active_tab=0,
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
