@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 import rerun as rr
+from blueprints import find_missing
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 from synthetic_run import METHODS, write_synthetic_run
@@ -141,6 +142,13 @@ def test_the_timelines_hold_no_wall_clock(run: Path) -> None:
 
 def test_a_blueprint_is_embedded(run: Path) -> None:
     assert len(RrdReader(run / RECORDING).blueprints()) >= 1
+
+
+def test_every_view_shows_what_was_logged(run: Path, copied: Path) -> None:
+    assert find_missing(run / RECORDING) == []
+    for path in copied.glob("*/history.npz"):
+        path.unlink()
+    assert find_missing(write_recording(copied)) == []
 
 
 def test_equal_runs_give_equal_contents(run: Path, copied: Path) -> None:

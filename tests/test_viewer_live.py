@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from blueprints import find_missing
 from live_server import serve_grpc
 from rerun.chunk import RrdReader
 from test_cli import MINI, arrays, assert_one_clear_line, deepgps
@@ -90,6 +91,7 @@ def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> No
         arrows = batch.column("Arrows3D:vectors").flatten().flatten().to_numpy().reshape(-1, 3)[:, :2]
         np.testing.assert_allclose(arrows, field.predicted - field.truth, atol=1e-6)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= set(static)
+    assert find_missing(got) == []
 
 
 @pytest.mark.slow

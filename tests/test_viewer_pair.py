@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 import rerun as rr
+from blueprints import find_missing
 from rerun.chunk import RrdReader
 from synthetic_run import METHODS, write_synthetic_run
 
@@ -154,6 +155,11 @@ def test_the_runs_stay_as_they_are_and_the_same_pair_gives_the_same_contents(cop
     command = [find_viewer(), "rrd", "compare", "--unordered", str(kept), str(first)]
     assert subprocess.run(command, check=False, capture_output=True).returncode == 0
     kept.unlink()
+
+
+def test_every_view_shows_what_was_logged(runs: tuple[Path, Path], written: Path, tmp_path: Path) -> None:
+    assert find_missing(written) == []
+    assert find_missing(write_pair([runs[0], write_synthetic_run(tmp_path, samples=40, spacing_m=0.5)])) == []
 
 
 def test_the_file_verifies(written: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rerun as rr
+from blueprints import find_missing
 from rerun.chunk import RrdReader
 from small_study import finish, start, wait_until, write_study
 from synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
@@ -194,6 +195,10 @@ def test_no_wall_clock_is_written_and_the_file_verifies_and_is_small(study):
     assert len(RrdReader(path).blueprints()) >= 1
     assert path.stat().st_size < 2_000_000
     verify(path)
+
+
+def test_every_view_shows_what_was_logged(study):
+    assert find_missing(study[0] / STUDY_RRD) == []
 
 
 def verify(path: Path) -> None:

@@ -32,7 +32,7 @@ def make_blueprint(
             _drive(space, cameras),
             *([_training(space, trained)] if trained else []),
             _encoders(space),
-            _report(),
+            _report(trained),
             active_tab=0,
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -160,13 +160,13 @@ def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
     )
 
 
-def _report() -> rrb.Horizontal:
+def _report(trained: Sequence[str]) -> rrb.Horizontal:
     return rrb.Horizontal(
         rrb.TextDocumentView(name="Report", origin="report/text"),
         rrb.Tabs(
             rrb.Spatial2DView(name="Error fields", origin="report/error_fields"),
             rrb.Spatial2DView(name="Error distribution", origin="report/error_cdf"),
-            rrb.Spatial2DView(name="Training", origin="report/training"),
+            *([rrb.Spatial2DView(name="Training", origin="report/training")] if trained else []),
         ),
         column_shares=[2, 3],
         name="Report",

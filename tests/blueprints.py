@@ -1,0 +1,44 @@
+"""The layout in a recording, for tests of what its views show."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from rerun.chunk import RrdReader
+
+OVERRIDES = "/ViewContents/overrides/"
+
+
+def find_missing(path: Path) -> list[str]:
+    """What the views of a recording show that was not logged: paths, with all below them where they end in ``/**``."""
+    named = set(find_shown(path))
+    assert named
+    logged = {chunk.entity_path.strip("/") for chunk in RrdReader(path).stream()}
+    return sorted(shown for shown in named if not any(is_shown(entity, shown) for entity in logged))
+
+
+def find_shown(path: Path) -> Iterator[str]:
+    """Every path that a view of a recording names."""
+    for entity, origins in read_layout(path, "ViewBlueprint:space_origin"):
+        assert entity.startswith("/view/")
+        yield from (f"{origin.strip('/')}/**" for origin in origins)
+    for _, paths in read_layout(path, "ViewContents:query"):
+        yield from (shown for shown in paths if not shown.startswith("$origin"))
+    for entity, _ in read_layout(path, "VisibleTimeRanges:ranges"):
+        if OVERRIDES in entity:
+            yield entity.partition(OVERRIDES)[2].removesuffix("/visualizers")
+
+
+def read_layout(path: Path, component: str) -> Iterator[tuple[str, list]]:
+    """A component of the layout wherever it stands."""
+    reader = RrdReader(path)
+    for layout in reader.blueprints():
+        for chunk in reader.stream(store=layout):
+            batch = chunk.to_record_batch()
+            if component in batch.schema.names:
+                yield chunk.entity_path, [one for row in batch.column(component).to_pylist() for one in row]
+
+
+def is_shown(entity: str, shown: str) -> bool:
+    """Whether a path of a view takes in an entity."""
+    root = shown.removesuffix("/**")
+    return entity == shown or (shown.endswith("/**") and f"{entity}/".startswith(f"{root}/".lstrip("/")))
