@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 import rerun as rr
-from blueprints import find_missing
+from blueprints import find_missing, read_layout
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 from synthetic_run import METHODS, write_synthetic_run
@@ -22,7 +22,7 @@ from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.recording import RECORDING, find_recording, write_recording
 from deepgps.viewer.show import view
-from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, STEP
+from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END, STEP
 from sim.errors import InputError, WorkError
 
 SAMPLES = 60
@@ -149,6 +149,20 @@ def test_every_view_shows_what_was_logged(run: Path, copied: Path) -> None:
     for path in copied.glob("*/history.npz"):
         path.unlink()
     assert find_missing(write_recording(copied)) == []
+
+
+def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> None:
+    path = copied / "recording" / "time.npy"
+    np.save(path, 1000 * np.load(path))
+    drive_s = np.ptp(np.load(path))
+    assert drive_s > 3600
+    starts = set()
+    for _, ranges in read_layout(write_recording(copied), "VisibleTimeRanges:ranges"):
+        begins = {one["timeline"]: one["range"]["start"] for one in ranges}
+        if begins[DRIVE_TIME] is not None:
+            starts.add(begins[DRIVE_TIME] / 1e9)
+            assert begins[PROGRESS] / PROGRESS_END * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
+    assert starts == {-60, -120}
 
 
 def test_equal_runs_give_equal_contents(run: Path, copied: Path) -> None:

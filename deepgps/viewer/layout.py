@@ -24,14 +24,23 @@ def make_blueprint(
     methods: Sequence[str],
     trained: Sequence[str],
     cameras: Sequence[str],
+    drive_s: float,
 ) -> rrb.Blueprint:
-    """How the viewer shows a run, with what its cameras saw: what matters first, without a click."""
+    """How the viewer shows a run: what matters first, without a click.
+
+    Args:
+        space: The room's floor.
+        methods: Those measured.
+        trained: Those with a history.
+        cameras: Whose pictures there are.
+        drive_s: How long the drive took [s].
+    """
     return rrb.Blueprint(
         rrb.Tabs(
             _error_fields(space, methods),
-            _drive(space, cameras),
+            _drive(space, cameras, drive_s),
             *([_training(space, trained)] if trained else []),
-            _encoders(space),
+            _encoders(space, drive_s),
             _report(trained),
             active_tab=0,
         ),
@@ -71,7 +80,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | 
     return rrb.Vertical(above, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
 
 
-def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
+def _drive(space: FreeSpace, cameras: Sequence[str], drive_s: float) -> rrb.Horizontal:
     room = rrb.Spatial3DView(
         name="Robot and path so far",
         origin="world",
@@ -86,15 +95,20 @@ def _drive(space: FreeSpace, cameras: Sequence[str]) -> rrb.Horizontal:
     )
     return rrb.Horizontal(
         room,
-        rrb.Vertical(*([pictures] if cameras else []), _distances(), _ticks(), row_shares=[1] * (3 if cameras else 2)),
+        rrb.Vertical(
+            *([pictures] if cameras else []),
+            _distances(drive_s),
+            _ticks(drive_s),
+            row_shares=[1] * (3 if cameras else 2),
+        ),
         column_shares=[5, 4],
         name="Drive",
     )
 
 
-def _encoders(space: FreeSpace) -> rrb.Horizontal:
+def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
     """What the encoders told: in words, on the floor, along the drive, and of each segment."""
-    lately = rrb.VisibleTimeRanges(_until_now(TRAIL_S))
+    lately = rrb.VisibleTimeRanges(_lately(TRAIL_S, drive_s))
     paths = rrb.Spatial3DView(
         name="The true path (blue) and the reckoned one (orange)",
         origin="world",
@@ -106,7 +120,7 @@ def _encoders(space: FreeSpace) -> rrb.Horizontal:
     return rrb.Horizontal(
         rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[5, 6]),
         rrb.Vertical(
-            rrb.Horizontal(_distances(), _ticks()),
+            rrb.Horizontal(_distances(drive_s), _ticks(drive_s)),
             rrb.Horizontal(
                 rrb.TimeSeriesView(
                     name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
@@ -121,14 +135,14 @@ def _encoders(space: FreeSpace) -> rrb.Horizontal:
     )
 
 
-def _distances() -> rrb.TimeSeriesView:
+def _distances(drive_s: float) -> rrb.TimeSeriesView:
     return rrb.TimeSeriesView(
-        name="Distance on this segment [m]", origin="drive/distance", time_ranges=_until_now(RECENT_S)
+        name="Distance on this segment [m]", origin="drive/distance", time_ranges=_lately(RECENT_S, drive_s)
     )
 
 
-def _ticks() -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=_until_now(RECENT_S))
+def _ticks(drive_s: float) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=_lately(RECENT_S, drive_s))
 
 
 def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
@@ -179,16 +193,22 @@ def whole_axis() -> rrb.TimeAxis:
     return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
 
 
-def _until_now(seconds: float | None = None) -> list[rrb.VisibleTimeRange]:
-    """What came in the last seconds [s], or, on the timeline of all, in as many hundredths of it; none: all so far."""
-    relative, infinite = rr.TimeRangeBoundary.cursor_relative, rr.TimeRangeBoundary.infinite
-    if seconds is None:
-        begins = (infinite(), infinite())
-    else:
-        begins = (relative(seconds=-seconds), relative(seq=-int(PROGRESS_END * seconds / 3000)))
+def _until_now() -> list[rrb.VisibleTimeRange]:
+    infinite = rr.TimeRangeBoundary.infinite
+    return _since(infinite(), infinite())
+
+
+def _lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
+    """What came in the last seconds [s], on the timeline of all too, which stretches or squeezes the drive."""
+    relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
+    return _since(relative(seconds=-seconds), relative(seq=-round(PROGRESS_END * share)))
+
+
+def _since(drive_time: rr.TimeRangeBoundary, progress: rr.TimeRangeBoundary) -> list[rrb.VisibleTimeRange]:
+    relative = rr.TimeRangeBoundary.cursor_relative
     return [
-        rrb.VisibleTimeRange(DRIVE_TIME, start=begins[0], end=relative(seconds=0)),
-        rrb.VisibleTimeRange(PROGRESS, start=begins[1], end=relative(seq=0)),
+        rrb.VisibleTimeRange(DRIVE_TIME, start=drive_time, end=relative(seconds=0)),
+        rrb.VisibleTimeRange(PROGRESS, start=progress, end=relative(seq=0)),
     ]
 
 

@@ -34,7 +34,8 @@ def write_recording(run: Path) -> Path:
     """
     metrics, fields, histories = read_metrics(run), error_field.read_fields(run), figures.read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
-    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording))
+    drive_s = float(recording.time[-1] - recording.time[0])
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording), drive_s)
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", truth.free_space)
