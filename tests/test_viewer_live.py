@@ -21,12 +21,13 @@ from rerun.chunk import RrdReader
 from test_cli import MINI, arrays, assert_one_clear_line, deepgps
 
 from deepgps.error_field import read_fields
-from deepgps.progress import Look
+from deepgps.progress import Look, ignore
 from deepgps.scenario import Scenario
 from deepgps.viewer.connect import find_url, open_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.live import show_live
 from deepgps.viewer.live_layout import RUN_TIME
+from deepgps.viewer.live_view import LiveView
 from sim.errors import InputError, WorkError
 from sim.files import write_arrays
 from sim.records import chunk_files, work_folder
@@ -168,6 +169,50 @@ def test_what_the_stages_tell_is_told_on(tmp_path: Path) -> None:
         report("deepgps", 2, 2, dict)
     assert heard == [("drive", 1, 2), ("deepgps", 2, 2)]
     assert warned == []
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (RuntimeError("no connection"), "the viewer is gone (RuntimeError: no connection)"),
+        (ConnectionResetError("reset"), "the viewer is gone (ConnectionResetError: reset)"),
+        (InputError("a file is\ncut off"), "showing failed (InputError: a file is cut off)"),
+    ],
+)
+def test_only_a_viewer_that_went_away_is_called_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    def fail(view: LiveView) -> None:
+        raise error
+
+    monkeypatch.setattr(LiveView, "update", fail)
+    warned = []
+    with (
+        serve_grpc("--serve-grpc") as (address, _),
+        show_live(address, Scenario(), tmp_path, ignore, warned.append) as report,
+    ):
+        report("drive", 1, 2)
+    assert warned == [f"{said}; the run goes on without it"]
+
+
+@pytest.mark.parametrize(("refused", "looks"), [(True, 0), (False, 1)])
+def test_a_folder_that_is_refused_is_not_shown_and_a_finished_run_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: bool, looks: int
+) -> None:
+    looked = []
+
+    def look(view: LiveView) -> None:
+        looked.append(view)
+
+    monkeypatch.setattr(LiveView, "update", look)
+    with (
+        serve_grpc("--serve-grpc") as (address, _),
+        suppress(InputError),
+        show_live(address, Scenario(), tmp_path, ignore, pytest.fail),
+    ):
+        if refused:
+            raise InputError("it holds a run of another scenario")
+    assert len(looked) == looks
 
 
 @pytest.mark.parametrize(

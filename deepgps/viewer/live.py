@@ -20,6 +20,8 @@ from deepgps.viewer.live_view import LiveView
 from sim.errors import InputError
 
 APPLICATION = "deepgps live"  # apart from recordings, whose blueprint it would replace
+GONE = (RuntimeError, ConnectionError)
+"""What rerun raises when the viewer is gone."""
 PERIOD_S = 1.0
 STALL_S = 10.0
 """How long a viewer may take nothing."""
@@ -53,7 +55,12 @@ def show_live(
     stream.connect_grpc(url)
     view = LiveView(stream, scenario, folder)
     _check(stream, address)
-    begun, ended, lost, heard = threading.Event(), threading.Event(), threading.Event(), 0.0
+    ended, lost, heard = threading.Event(), threading.Event(), 0.0
+    thread = threading.Thread(target=_send, args=(stream, view, ended, lost, warn), daemon=True)
+
+    def begin() -> None:
+        if thread.ident is None:
+            thread.start()
 
     def report(label: str, done: int, total: int, look: Look | None = None) -> None:
         nonlocal heard
@@ -61,42 +68,45 @@ def show_live(
         view.steps[label] = (done, total)
         if look is not None and (time.monotonic() - heard >= PERIOD_S or done == total):
             view.histories[label], heard = look(), time.monotonic()
-        begun.set()  # not before: the folder may hold a run that is to be replaced
+        begin()  # not before: the folder may hold another run, which is replaced or refused
 
-    thread = threading.Thread(target=_send, args=(stream, view, begun, ended, lost, warn), daemon=True)
-    thread.start()
     try:
         yield report
+        begin()  # a finished run tells nothing
     finally:
         ended.set()
-        begun.set()
-        thread.join(1.0 if lost.is_set() else PATIENCE_S)
-        if thread.is_alive():
-            if not lost.is_set():
-                warn("the viewer takes nothing any more; what it shows is not the whole run")
-            rr.unregister_shutdown()  # at the end of the process it would wait for the viewer for ever
+        if thread.ident is None:
+            stream.disconnect()
+        else:
+            _wait(thread, lost, warn)
+
+
+def _wait(thread: threading.Thread, lost: threading.Event, warn: Callable[[str], None]) -> None:
+    thread.join(1.0 if lost.is_set() else PATIENCE_S)
+    if thread.is_alive():
+        if not lost.is_set():
+            warn("the viewer takes nothing any more; what it shows is not the whole run")
+        rr.unregister_shutdown()  # at the end of the process it would wait for the viewer for ever
 
 
 def _send(
     stream: rr.RecordingStream,
     view: LiveView,
-    begun: threading.Event,
     ended: threading.Event,
     lost: threading.Event,
     warn: Callable[[str], None],
 ) -> None:
     """Send what is new every second, and a last time when the run has ended."""
-    begun.wait()
     last = False
     try:
         while not last:
             last = ended.wait(PERIOD_S)
             view.update()
             stream.flush(timeout_sec=STALL_S)
-    except Exception as error:  # rerun raises RuntimeError when the viewer is gone; no fault in showing ends a run
-        reason = " ".join(str(error).split())
+    except Exception as error:  # no fault in showing ends a run
+        what = "the viewer is gone" if isinstance(error, GONE) else "showing failed"
         lost.set()
-        warn(f"the viewer is gone ({type(error).__name__}: {reason}); the run goes on without it")
+        warn(f"{what} ({type(error).__name__}: {' '.join(str(error).split())}); the run goes on without it")
     finally:
         stream.disconnect()  # never returns where a viewer hangs
 
