@@ -15,10 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from blueprints import find_missing
 from live_server import serve_grpc
 from rerun.chunk import RrdReader
 from test_cli import MINI, arrays, assert_one_clear_line, deepgps
+from toy import make_toy
 
 from deepgps.error_field import read_fields
 from deepgps.progress import Look, ignore
@@ -26,11 +28,14 @@ from deepgps.scenario import Scenario
 from deepgps.viewer.connect import find_url, open_viewer
 from deepgps.viewer.drive import ROBOT
 from deepgps.viewer.live import show_live
+from deepgps.viewer.live_drive import LiveDrive
 from deepgps.viewer.live_layout import RUN_TIME
 from deepgps.viewer.live_view import LiveView
+from deepgps.viewer.read import read_entity
 from sim.errors import InputError, WorkError
 from sim.files import write_arrays
-from sim.records import chunk_files, work_folder
+from sim.records import chunk_files, open_truth, work_folder
+from sim.settings import CameraSettings
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +123,35 @@ def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(
     assert arrays(tmp_path / "run") == arrays(tmp_path / "plain") == arrays(run)
 
 
-def write_chunk(recording: Path, readings: int) -> None:
-    """Write what a drive leaves while it is collected: one long segment along x."""
-    state = np.zeros((readings, 7))
-    state[:, 0], state[:, 3] = np.linspace(0, 1, readings), 1.0
-    arrays = {"state": state, "segment": np.zeros(readings, int), "observation": np.arange(readings)}
+def write_chunk(recording: Path, place: np.ndarray, reading: np.ndarray) -> None:
+    """Write what a drive leaves while it is collected: places (n, 2), and segment and observation of readings."""
+    state = np.zeros((len(place), 7))
+    state[:, :2], state[:, 3] = place, 1.0
+    arrays = {"state": state, "segment": reading[:, 0], "observation": reading[:, 1]}
     write_arrays(chunk_files(work_folder(recording), 0)[0], arrays)
+
+
+@pytest.mark.parametrize("endpoint", [False, True])
+def test_segments_after_the_last_chunk_that_was_seen_are_whole(tmp_path: Path, endpoint: bool) -> None:
+    recording = make_toy(tmp_path / "recording", samples=40 if endpoint else 400, endpoint=endpoint)
+    truth = open_truth(recording.folder)
+    begins = np.flatnonzero(np.diff(truth.reading[:, 0], prepend=-1))
+    strips = np.stack([truth.reading[begins, 1], truth.reading[np.r_[begins[1:], len(truth.reading)] - 1, 1]], axis=1)
+    seen = truth.reading[truth.reading[:, 0] < 3]
+    write_chunk(recording.folder, truth.pose[: seen[-1, 1] + 1, :2], seen)
+    path = tmp_path / "got.rrd"
+    with rr.RecordingStream("test") as stream:
+        stream.save(path)
+        drive = LiveDrive(stream, recording.folder, CameraSettings())
+        drive.send_chunks(count_rows)
+        drive.send_rest(recording, truth, count_rows)
+        stream.disconnect()
+    shown = np.concatenate(read_entity(path, "world/drive/path")["LineStrips3D:strips"].to_pylist())
+    np.testing.assert_allclose(shown[:, :, :2], truth.pose[strips, :2], atol=1e-6)
+
+
+def count_rows(rows: int) -> list[rr.TimeColumn]:
+    return [rr.TimeColumn(RUN_TIME, duration=np.arange(rows))]
 
 
 HANGING = """
@@ -142,7 +170,8 @@ print("done")
 
 
 def test_a_viewer_that_hangs_holds_up_neither_the_run_nor_the_end_of_the_process(tmp_path: Path) -> None:
-    write_chunk(tmp_path / "recording", readings=300_000)  # more than waits in the sockets between
+    many = np.arange(300_000)  # more than waits in the sockets between
+    write_chunk(tmp_path / "recording", np.stack([many / len(many), 0 * many], 1), np.stack([0 * many, many], 1))
     with serve_grpc("--serve-grpc") as (address, server):
         command = [sys.executable, "-c", HANGING, address, str(tmp_path), str(server.pid)]
         done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)

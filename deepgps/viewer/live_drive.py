@@ -32,6 +32,7 @@ class LiveDrive:
     def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:
         self.stream, self.work, self.camera = stream, work_folder(folder), camera
         self.chunks = self.pictures = self.observations = 0
+        self.segments = 0
         self.last = np.empty((0, 2))  # where the last segment ended, the next one begins
 
     def send_chunks(self, at: Spread) -> None:
@@ -49,7 +50,7 @@ class LiveDrive:
 
     def send_rest(self, recording: Recording, truth: Truth, at: Spread) -> None:
         """Send what no chunk has told of a recording that is whole."""
-        segment, observation = truth.reading[truth.reading[:, 1] >= self.observations].T
+        segment, observation = truth.reading[truth.reading[:, 0] >= self.segments].T
         self._send_segments(truth.pose[self.observations :], segment, observation, at)
         if not self.pictures:
             self._send_pictures(recording.observation[:: max(1, len(truth.pose) // PICTURES_AT_ONCE)], at)
@@ -71,6 +72,7 @@ class LiveDrive:
         moved = rr.Transform3D.columns(translation=lift(pose[:, :2], 0.0), quaternion=turn_up(pose[:, 2]))
         self.stream.send_columns(ROBOT, at(len(pose)), moved)
         self.observations += len(pose)
+        self.segments = int(segment[-1]) + 1
         self.last = pose[-1:, :2]
 
     def _send_pictures(self, images: np.ndarray, at: Spread) -> None:
