@@ -110,6 +110,18 @@ def test_the_errors_of_each_snapshot_read_back(run: Path) -> None:
     assert length[-1] < 0.2 * length[0]
 
 
+@pytest.mark.parametrize(("method", "hand"), [("deepgps", -1), ("posenet", 1), ("odometry", 1)])
+def test_only_snapshots_of_deepgps_are_turned_over(run: Path, method: str, hand: int) -> None:
+    """All the made-up histories are mirrored; tables forgive that to DeepGPS alone."""
+    with np.load(run / method / "history.npz") as history:
+        before = history["snapshot"][-1]
+    rows = read_entity(run / RECORDING, f"world/training/{method}")
+    rows = rows.filter(pc.field("step").is_valid()).sort_by("step")
+    after = np.array(rows["Points3D:positions"].to_pylist()[-1])[:, :2]
+    turn = np.linalg.lstsq(before - before.mean(axis=0), after - after.mean(axis=0))[0]
+    assert np.linalg.det(turn) == pytest.approx(hand, abs=1e-3)
+
+
 def test_an_entity_that_is_not_there_is_told_with_those_that_are(run: Path) -> None:
     with pytest.raises(InputError, match=r"no entity 'drive/tick'; it has .*drive/ticks/left"):
         read_entity(run / RECORDING, "drive/tick")

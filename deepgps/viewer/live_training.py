@@ -7,11 +7,10 @@ import numpy as np
 import rerun as rr
 
 from deepgps import playback
-from deepgps.alignment import fit_alignment
 from deepgps.report import method_title
 from deepgps.viewer.live_drive import Spread
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.training import colour_of_method, take_log
+from deepgps.viewer.training import colour_of_method, lay_upon, take_log
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -52,9 +51,9 @@ class LiveTraining:
         if len(loss):
             self.stream.send_columns(f"training/{method}/loss", at(len(loss)), rr.Scalars.columns(scalars=loss))
         place = self.truth[history["snapshot_index"]]
-        maps = history["snapshot"][snapshots:].astype(float)
+        maps = history["snapshot"][snapshots:]
         if len(maps):
-            laid = np.concatenate([fit_alignment(points, place, "E2").apply(points) for points in maps])
+            laid = np.concatenate(lay_upon(method, maps, place))
             colours = np.tile(playback.colours_of_places(place), (len(maps), 1))
             rows = rr.Points3D.columns(positions=lift(laid, LAYER_M), colors=colours)
             self.stream.send_columns(

@@ -21,10 +21,19 @@ def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np
     send_series(stream, f"training/{name}/loss", step_index(step, last), loss, "loss", (*colour, 90))
     send_series(stream, f"training/{name}/smooth", step_index(step, last), style.smooth(loss), "median", colour)
     place = truth[history["snapshot_index"]]
-    snapshot = [fit_alignment(points, place, "E2").apply(points) for points in history["snapshot"].astype(float)]
+    snapshot = lay_upon(name, history["snapshot"], place)
     indexes = step_index(history["snapshot_step"], last)
     log_snapshots(stream, name, place, snapshot, indexes)
     log_snapshot_errors(stream, name, place, snapshot, indexes)
+
+
+def lay_upon(name: str, snapshots: np.ndarray, place: np.ndarray) -> list[np.ndarray]:
+    """A method's snapshots (k, n, 2) moved and turned onto true places (n, 2) [m], each as well as it fits.
+
+    Only DeepGPS's may be mirrored: distances cannot tell left from right, and turns do so only when it has learned.
+    """
+    kind = "E2" if name.startswith("deepgps") else "SE2"
+    return [fit_alignment(points, place, kind).apply(points) for points in snapshots.astype(float)]
 
 
 def take_log(loss: np.ndarray) -> np.ndarray:
