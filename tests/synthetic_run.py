@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from sim.files import write_arrays, write_json
+from sim.files import write_arrays, write_json, write_text
 from sim.records import FreeSpace, save_free_space, write_recording
 
 WIDTH_M, DEPTH_M, RADIUS_M = 7.0, 4.3, 0.105
@@ -39,6 +39,7 @@ def write_synthetic_run(folder: Path, samples: int = 200, seed: int = 0, spacing
         if name != "knn":
             write_arrays(folder / name / "history.npz", make_history(pose[:, :2], METHODS[name][0], rng))
     write_json(folder / "metrics.json", make_metrics(truth, fields, samples))
+    write_text(folder / "scenario.yaml", "name: living_room\n")
     return folder
 
 

@@ -15,6 +15,7 @@ from blueprints import find_missing
 from rerun.chunk import RrdReader
 from synthetic_run import METHODS, write_synthetic_run
 
+from deepgps.scenario import Scenario, write_out
 from deepgps.viewer.compare import colours_of_change, describe_pair, measure_change, open_pair, scale_change
 from deepgps.viewer.connect import find_viewer
 from deepgps.viewer.pair import write_pair
@@ -102,7 +103,15 @@ def test_figures_and_settings_stand_beside_each_other(runs: tuple[Path, Path]) -
     a, b = (np.sqrt(np.mean(worst_errors(run, "deepgps") ** 2)) for run in runs)
     text = describe_pair(open_pair(runs))
     assert f"| DeepGPS | {100 * a:.1f} | {100 * b:.1f} | {b / a:.2f} |" in text
-    assert "| encoder.gap_noise | 0 | 0.1 |" in text
+    assert "| encoder.gap_noise | 0.0 | 0.1 |" in text
+
+
+def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_default(copied: tuple[Path, Path]) -> None:
+    write_text(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
+    assert "Both were made with the same settings." in describe_pair(open_pair(copied))
+    write_text(copied[1] / "scenario.yaml", "image: {exposure: 2.0}\nname: living_room\n")
+    rows = [line for line in describe_pair(open_pair(copied)).splitlines() if line.startswith("| image.")]
+    assert rows == ["| image.exposure | 1.0 | 2.0 |"]
 
 
 def test_changes_are_drawn_on_one_fixed_scale() -> None:

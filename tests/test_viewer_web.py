@@ -34,7 +34,6 @@ PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.16)
-    (folder / "scenario.yaml").write_text("name: living_room\n")
     write_recording(folder)
     return folder
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deepgps.error_field import SCALE_M, WorstField, read_fields
 from deepgps.report import COLUMNS, Column, method_title, read_metrics
-from deepgps.scenario import read_yaml
+from deepgps.run import open_run
 from deepgps.style import LINES, SCREEN
 from sim.errors import InputError
 from sim.records import FreeSpace, open_truth
@@ -189,16 +189,17 @@ def _compare(pair: Pair, method: str, column: Column) -> str:
 
 def _list_settings(pair: Pair) -> list[str]:
     """What the scenarios set otherwise, one row each, without ``methods``, since only common ones are shown."""
-    a, b = (_read_settings(side.folder / "scenario.yaml") for side in (pair.a, pair.b))
-    differ = [name for name in {**a, **b} if a.get(name) != b.get(name) and name != "methods"]
+    a, b = (_read_settings(side.folder) for side in (pair.a, pair.b))
+    differ = [name for name in a if a[name] != b[name] and name != "methods"]
     if not differ:
         return ["Both were made with the same settings."]
-    rows = (f"| {name} | {a.get(name, '-')} | {b.get(name, '-')} |" for name in differ)
+    rows = (f"| {name} | {a[name]} | {b[name]} |" for name in differ)
     return ["| set otherwise | A | B |", "|---|---:|---:|", *rows]
 
 
-def _read_settings(path: Path) -> dict[str, Any]:
-    return dict(_flatten(read_yaml(path))) if path.is_file() else {}
+def _read_settings(folder: Path) -> dict[str, Any]:
+    """All settings of a run by dotted name, those too that were not there when it was made."""
+    return dict(_flatten(open_run(folder).model_dump(mode="json")))
 
 
 def _flatten(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
