@@ -24,6 +24,7 @@ from deepgps.viewer.recording import RECORDING, find_recording, write_recording
 from deepgps.viewer.show import view
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END, STEP
 from sim.errors import InputError, WorkError
+from sim.files import read_json, write_json
 
 SAMPLES = 60
 ROOT = Path(__file__).parents[1]
@@ -144,6 +145,17 @@ def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
     assert counts["/world/reckoned/path"] == counts["/world/drive/path"]
     assert {"/encoders/faults", "/encoders/segments"} <= set(counts)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/report/text"} <= set(counts)
+
+
+def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(copied: Path) -> None:
+    body = read_entity(copied / RECORDING, f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
+    path = copied / "recording" / "manifest.json"
+    manifest = read_json(path)
+    manifest["odometry"]["track_m"] *= 1.1
+    manifest["settings"]["encoder"] = {"track_error": 0.1}
+    write_json(path, manifest)
+    again = read_entity(write_recording(copied), f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
+    np.testing.assert_allclose(again, body)
 
 
 def test_the_timelines_hold_no_wall_clock(run: Path) -> None:

@@ -19,7 +19,7 @@ ROUND_PX = 144
 
 def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
     height_m = _camera(recording).height_m
-    _log_robot(stream, float(recording.manifest["odometry"]["track_m"]), height_m)
+    _log_robot(stream, _find_track_m(recording), height_m)
     observation = recording.reading[:, 1]
     seen, first = np.unique(observation, return_index=True)
     stream.send_columns(
@@ -133,6 +133,12 @@ def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarra
         drive_index(time[::step], recording),
         rr.Points3D.columns(positions=points).partition([scans.shape[1]] * len(scans)),
     )
+
+
+def _find_track_m(recording: Recording) -> float:
+    """The true distance of the wheels; odometry knows it as wrong as was set."""
+    wrong = recording.manifest["settings"].get("encoder", {}).get("track_error", 0.0)
+    return float(recording.manifest["odometry"]["track_m"]) / (1.0 + wrong)
 
 
 def _camera(recording: Recording) -> CameraSettings:
