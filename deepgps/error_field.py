@@ -3,6 +3,7 @@
 Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from zipfile import BadZipFile
@@ -158,10 +159,10 @@ def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndar
     return low - margin_m, high + margin_m
 
 
-def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of an ``.npz`` file; raises InputError where it cannot be read."""
+def read_arrays(path: Path, names: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Arrays of an ``.npz`` file, all of them or those of these names; raises InputError where they cannot be read."""
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except (ValueError, OSError, BadZipFile) as error:
+            return {name: arrays[name] for name in names or arrays.files}
+    except (KeyError, ValueError, OSError, BadZipFile) as error:
         raise InputError(f"{path} cannot be read: {error}") from None

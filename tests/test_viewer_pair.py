@@ -166,6 +166,14 @@ def test_the_runs_stay_as_they_are_and_the_same_pair_gives_the_same_contents(cop
     kept.unlink()
 
 
+def test_what_stands_is_not_written_again_unless_settings_changed(copied: tuple[Path, Path]) -> None:
+    first = write_pair(copied)
+    before = first.stat().st_mtime_ns
+    assert write_pair(copied).stat().st_mtime_ns == before
+    write_text(copied[1] / "scenario.yaml", "name: living_room\nlearn: {seed: 7}\n")
+    assert write_pair(copied) != first
+
+
 def test_every_view_shows_what_was_logged(runs: tuple[Path, Path], written: Path, tmp_path: Path) -> None:
     assert find_missing(written) == []
     assert find_missing(write_pair([runs[0], write_synthetic_run(tmp_path, samples=40, spacing_m=0.5)])) == []
@@ -204,6 +212,7 @@ def test_three_runs_are_refused(runs: tuple[Path, Path], tmp_path: Path) -> None
     ("missing", "message"),
     [
         ("metrics.json", r"copy is no run: it has no metrics\.json"),
+        ("scenario.yaml", r"copy is no run folder: it has no scenario\.yaml"),
         ("error_field.npz", r"copy is no whole run: error_field\.npz is missing"),
         ("recording/manifest.json", r"recording is no finished recording: it has no manifest\.json"),
         ("recording/truth/pose.npy", r"pose\.npy is missing: the recording is not whole"),

@@ -11,6 +11,7 @@ import rerun.blueprint as rrb
 
 from deepgps.error_field import limits
 from deepgps.report import method_title
+from deepgps.run import open_run
 from deepgps.style import to_png
 from deepgps.viewer.compare import (
     Pair,
@@ -24,7 +25,7 @@ from deepgps.viewer.compare import (
 )
 from deepgps.viewer.layout import aim_eye
 from deepgps.viewer.recording import hash_run
-from deepgps.viewer.save import save_recording
+from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import LAYER_M, STRIP, find_thinness, lift, log_field, log_room, log_scale, log_strip
 from sim.records import FreeSpace
 
@@ -33,16 +34,19 @@ LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 c
 
 
 def write_pair(folders: Sequence[Path]) -> Path:
-    """Write two runs' recording into ``pairs`` in the first one's folder, the runs' own files being left as they are.
+    """Write two runs' recording into ``pairs`` in the first one's folder unless it stands; returns its path.
+
+    The runs' own files are left as they are.
 
     Raises:
         InputError: The folders are not two whole runs with a method in common.
     """
     pair = open_pair(folders)
-    number = hashlib.sha256("".join(hash_run(folder) for folder in folders).encode()).hexdigest()[:32]
+    number = _hash_pair(folders)
     path = folders[0] / PAIRS / f"{number[:12]}.rrd"
-    title = f"{folders[0].resolve().name} and {folders[1].resolve().name}"
-    save_recording(path, number, title, make_pair_blueprint(pair), lambda stream: _log_pair(stream, pair))
+    if not holds(path, number):
+        title = " and ".join(folder.resolve().name for folder in folders)
+        save_recording(path, number, title, make_pair_blueprint(pair), lambda stream: _log_pair(stream, pair))
     return path
 
 
@@ -60,6 +64,12 @@ def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
         rrb.TimePanel(state="hidden"),
         auto_views=False,
     )
+
+
+def _hash_pair(folders: Sequence[Path]) -> str:
+    """Thirty-two hexadecimal digits of all that two runs' recording shows."""
+    shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
+    return hashlib.sha256(str(shown).encode()).hexdigest()[:32]
 
 
 def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:

@@ -1,12 +1,15 @@
 """Saving a recording: whole or not at all, and equal contents for equal runs."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 
 import rerun as rr
 import rerun.blueprint as rrb
 
+from deepgps.viewer.read import open_rrd
+from sim.errors import InputError
 from sim.files import write_atomic
 
 
@@ -38,3 +41,10 @@ def save_recording(
             stream.disconnect()
 
     write_atomic(path, write)
+
+
+def holds(path: Path, number: str) -> bool:
+    """Whether a whole recording of this id stands there."""
+    with suppress(InputError):
+        return [one.recording_id for one in open_rrd(path).recordings()] == [number]
+    return False

@@ -5,7 +5,6 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 """
 
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,13 +15,12 @@ from deepgps.studies.study import Study
 from deepgps.studies.table import Row, varied_in
 from deepgps.viewer import study_text
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.save import save_recording
+from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import Places, log_field, log_scale_below, put
 from deepgps.viewer.sliders import Slider, find_sliders
 from deepgps.viewer.study_layout import make_blueprint
-from deepgps.viewer.study_read import hash_study, open_space, own_values, read_step, read_study
+from deepgps.viewer.study_read import count_arrows, hash_study, open_space, own_values, read_step, read_study
 from deepgps.viewer.study_scene import find_frame, log_curves, log_heading, log_rooms
-from sim.errors import InputError
 
 STUDY = "study.rrd"
 MOST_ARROWS = 2_500_000  # some 75 MB; in a larger study every field is thinned
@@ -41,7 +39,7 @@ def write_study(folder: Path) -> Path:
     """
     study, rows = read_study(folder)
     path, identity = folder / STUDY, hash_study(folder, rows)
-    if not _holds(path, identity):
+    if not holds(path, identity):
         _write(folder, study, rows, identity)
     return path
 
@@ -95,16 +93,9 @@ def _log_text(stream: rr.RecordingStream, name: str, text: str, at: Places = ())
 def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
     """Every how many test positions are shown, so that the file stays small."""
     steps = [step for slider in sliders for step in slider.steps if step.done]
-    arrows = sum(len(field.error) for step in steps for field in read_step(folder, step).values())
+    arrows = sum(count_arrows(folder, step) for step in steps)
     return max(1, -(-arrows // MOST_ARROWS))
 
 
 def _keep(field: WorstField, every: int) -> WorstField:
     return WorstField(field.truth[::every], field.predicted[::every], field.error[::every])
-
-
-def _holds(path: Path, identity: str) -> bool:
-    """Whether a whole recording of this id stands there."""
-    with suppress(InputError):
-        return [one.recording_id for one in open_rrd(path).recordings()] == [identity]
-    return False

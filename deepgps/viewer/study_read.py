@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from deepgps.error_field import WorstField, read_fields
+from deepgps.error_field import WorstField, read_arrays, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_setting
@@ -58,6 +58,12 @@ def open_space(folder: Path, row: Row) -> FreeSpace:
 
 def read_step(folder: Path, step: Step) -> dict[str, WorstField]:
     return read_fields(folder / "runs" / step.rows[0]["run"])
+
+
+def count_arrows(folder: Path, step: Step) -> int:
+    """How many arrows the error fields of a step have; each method's has one for each test position."""
+    path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
+    return len(step.rows) * len(read_arrays(path, ["truth"])["truth"])
 
 
 def hash_study(folder: Path, rows: Sequence[Row]) -> str:
