@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 LINES = {
@@ -25,6 +26,12 @@ Floor = tuple[str, str, str]
 SCREEN: Floor = ("#161a22", "#2c323e", "#4a5261")
 PAPER: Floor = ("#ffffff", "#dde1e7", "#b3bac4")
 DOTS_PER_INCH = 130
+
+
+def colour_on_dark(method: str) -> tuple[int, int, int]:
+    """A method's colour, paler than on paper: red, green and blue, up to 255."""
+    red, green, blue = (int(255 * (0.3 + 0.7 * part)) for part in to_rgb(LINES.get(method, "#555555")))
+    return red, green, blue
 
 
 def count_by_decades(axis: Axis) -> None:

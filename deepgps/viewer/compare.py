@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib import style, ticker
-from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.error_field import SCALE_M, WorstField, read_fields
 from deepgps.report import COLUMNS, Column, method_title, read_metrics
 from deepgps.run import open_run
-from deepgps.style import LINES, SCREEN
+from deepgps.style import SCREEN, colour_on_dark
 from sim.errors import InputError
 from sim.records import FreeSpace, open_truth
 
@@ -128,11 +128,12 @@ def draw_distributions(pair: Pair) -> Figure:
         figure = Figure(figsize=(9, 5.6), layout="constrained", facecolor=SCREEN[0])
         axes = figure.add_subplot(facecolor=SCREEN[0])
         for name in pair.methods:
+            colour = f"#{bytes(colour_on_dark(name)).hex()}"
             for letter, side, line in (("A", pair.a, "--"), ("B", pair.b, "-")):
                 error = np.sort(side.fields[name].error)
                 share = 100 * np.arange(1, len(error) + 1) / len(error)
                 label = f"{method_title(name)}, {letter}"
-                axes.step(error, share, line, where="post", color=_lighten(name), label=label, linewidth=1.8)
+                axes.step(error, share, line, where="post", color=colour, label=label, linewidth=1.8)
         axes.set_xscale("log")
         axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
         axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
@@ -208,9 +209,3 @@ def _flatten(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, 
             yield from _flatten(value, f"{above}{name}.")
         else:
             yield f"{above}{name}", value
-
-
-def _lighten(name: str) -> str:
-    """A method's colour on paper, brighter for a dark ground."""
-    red, green, blue = (0.35 + 0.65 * part for part in to_rgb(LINES.get(name, "#888888")))
-    return to_hex((red, green, blue))

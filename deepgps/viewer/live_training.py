@@ -8,9 +8,10 @@ import rerun as rr
 
 from deepgps import playback
 from deepgps.report import method_title
+from deepgps.style import colour_on_dark
 from deepgps.viewer.live_drive import Spread
 from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.training import colour_of_method, lay_upon, take_log
+from deepgps.viewer.training import lay_upon, take_log
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -62,6 +63,6 @@ class LiveTraining:
         self.sent[label] = (points + len(loss), snapshots + len(maps))
 
     def _log_styles(self, method: str) -> None:
-        style = rr.SeriesLines(colors=[colour_of_method(method)], names=method_title(method), widths=1.5)
+        style = rr.SeriesLines(colors=[colour_on_dark(method)], names=method_title(method), widths=1.5)
         self.stream.log(f"training/{method}/loss", style, static=True)
         self.stream.log(f"world/training/{method}", rr.Points3D.from_fields(radii=0.025), static=True)

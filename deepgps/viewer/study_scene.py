@@ -4,11 +4,11 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
-from matplotlib.colors import to_rgb
 
-from deepgps import error_field, style
+from deepgps import error_field
 from deepgps.report import method_title
 from deepgps.studies.table import Row, mean
+from deepgps.style import colour_on_dark
 from deepgps.viewer.scene import Places, lift, log_floor, put
 from deepgps.viewer.sliders import Slider, Step
 from deepgps.viewer.study_layout import CURVES, Frame
@@ -64,7 +64,7 @@ def log_heading(
     put(
         stream,
         f"heading/{method}",
-        rr.Points3D(place, radii=0.0, colors=_colour(method), labels=[text], show_labels=True),
+        rr.Points3D(place, radii=0.0, colors=colour_on_dark(method), labels=[text], show_labels=True),
         at,
     )
 
@@ -77,7 +77,7 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
             index: [row for at, row in rows if at == index and row["method"] == method]
             for index in dict.fromkeys(at for at, row in rows if row["method"] == method)
         }
-        title, colour, pale = method_title(method), _colour(method), (*_colour(method), 110)
+        title, colour, pale = method_title(method), colour_on_dark(method), (*colour_on_dark(method), 110)
         curves: dict[str, tuple[Take, str, Sequence[int]]] = {"": (mean, title, colour)}
         if max(map(len, groups.values())) > 1:
             curves |= {"/best": (_least, f"{title}, best seed", pale), "/worst": (_most, f"{title}, worst seed", pale)}
@@ -109,8 +109,3 @@ def _least(rows: Sequence[Row], name: str) -> float:
 
 def _most(rows: Sequence[Row], name: str) -> float:
     return max(row[name] for row in rows)
-
-
-def _colour(method: str) -> tuple[int, ...]:
-    """The method's colour in figures, paler, since the viewer is dark."""
-    return tuple(int(255 * (0.7 * part + 0.3)) for part in to_rgb(style.LINES.get(method, "#888888")))

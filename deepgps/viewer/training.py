@@ -4,11 +4,9 @@ from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
-from matplotlib.colors import to_rgb
 
 from deepgps import error_field, playback, style
 from deepgps.alignment import fit_alignment
-from deepgps.viewer.drive import Colour
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import send_series, step_index
 
@@ -17,7 +15,7 @@ Data = Mapping[str, np.ndarray]
 
 def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np.ndarray) -> None:
     last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    step, loss, colour = history["step"], take_log(history["loss"]), colour_of_method(name)
+    step, loss, colour = history["step"], take_log(history["loss"]), style.colour_on_dark(name)
     send_series(stream, f"training/{name}/loss", step_index(step, last), loss, "loss", (*colour, 90))
     send_series(stream, f"training/{name}/smooth", step_index(step, last), style.smooth(loss), "median", colour)
     place = truth[history["snapshot_index"]]
@@ -39,12 +37,6 @@ def lay_upon(name: str, snapshots: np.ndarray, place: np.ndarray) -> list[np.nda
 def take_log(loss: np.ndarray) -> np.ndarray:
     """Losses (n,) as powers of ten, as they are shown."""
     return np.log10(np.maximum(np.asarray(loss, float), 1e-9))
-
-
-def colour_of_method(name: str) -> Colour:
-    """A method's colour in plots."""
-    red, green, blue = (int(255 * part) for part in to_rgb(style.LINES.get(name, "#888888")))
-    return red, green, blue
 
 
 def log_snapshots(
