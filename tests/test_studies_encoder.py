@@ -67,6 +67,8 @@ def test_the_page_says_which_encoder_is_enough():
     assert heads == ["fault", "DeepGPS", "DeepGPS, noise-aware"]
     assert lines[0] == ["ticks per revolution", "16", "all, to 4"]
     assert lines[1] == ["noise w of each gap", "0, no more", "all, to 0.1"]
+    missed_a_nook = [{**row, "seed": 2, "rms_m": 1.0} for row in ROWS if row["seed"] == 0]
+    assert choose_encoders(find_sweeps([*ROWS, *missed_a_nook]), ["deepgps", "deepgps_aware"])[1] == lines
     worse = find_sweeps([{**row, "rms_m": row["rms_m"] + 0.1} for row in ROWS])
     assert {cell for line in choose_encoders(worse, ["deepgps"])[1] for cell in line[1:]} == {"none is enough"}
 
