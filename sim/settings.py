@@ -230,9 +230,9 @@ class UseSettings(Group):
     """What has changed in the room between training and use: the test grid alone is drawn with it."""
 
     light: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Brightness of all light, that of windows too, as a fraction of that in training."""
+    """All light, that of windows too, as a fraction of that in training; of light, as exposure, not of pixel values."""
     lamps: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Brightness of the lamps alone: what shines from them, and their own glow; light from all around stays."""
+    """Light of the lamps alone: what shines from them, and their own glow; light from all around stays."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
     """How far chairs and other small pieces have been pushed, each in a direction by chance in which it can be [m]."""
     seed: int = Field(default=0, ge=0)

@@ -13,6 +13,8 @@ MOVABLE += ("plant", "stool")
 STEP_M = 0.05
 """A piece is tried at every such step of its way [m]."""
 TRIES = 24
+GAMMA = 2.2
+"""Colours of the simulator are codes, about the 2.2th root of light (IEC 61966-2-1)."""
 
 
 def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjSpec:
@@ -50,15 +52,15 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
 def dim(room: mujoco.MjSpec, use: UseSettings) -> None:
     """Dim a scene's light: a material's glow is a lamp's where it has one colour, a window's or a screen's where it
     shows a picture."""
+    windows, lamps = use.light ** (1.0 / GAMMA), (use.light * use.lamps) ** (1.0 / GAMMA)
     headlight = room.visual.headlight
-    headlight.ambient = np.multiply(headlight.ambient, use.light)
+    headlight.ambient = np.multiply(headlight.ambient, windows)
     for light in room.lights:
-        light.diffuse = np.multiply(light.diffuse, use.light * use.lamps)
-        light.ambient = np.multiply(light.ambient, use.light * use.lamps)
-        light.specular = np.multiply(light.specular, use.light * use.lamps)
+        light.diffuse = np.multiply(light.diffuse, lamps)
+        light.ambient = np.multiply(light.ambient, lamps)
+        light.specular = np.multiply(light.specular, lamps)
     for material in room.materials:
-        pictured = any(material.textures)
-        material.emission *= use.light * (1.0 if pictured else use.lamps)
+        material.emission *= windows if any(material.textures) else lamps
 
 
 def _is_clear(model: mujoco.MjModel, body: int, way: np.ndarray, solid: np.ndarray) -> bool:

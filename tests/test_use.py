@@ -4,13 +4,14 @@ import mujoco
 import numpy as np
 import pytest
 
+from sim.camera_faults import decode
 from sim.errors import InputError
 from sim.free_space import collides
 from sim.render import Fisheye
 from sim.room import build_room
 from sim.scene import freeze
 from sim.settings import CameraSettings, RoomSettings, SimSettings, UseSettings
-from sim.use import MOVABLE, move_furniture
+from sim.use import GAMMA, MOVABLE, move_furniture
 from sim.world import RoomWorld
 
 ROOM = RoomSettings(kind="office", width_m=4.0, depth_m=3.5, seed=2)
@@ -33,8 +34,11 @@ def test_dimmed_light_brightens_no_pixel():
         assert (dimmer <= brighter).all()
         assert dimmer.mean() < 0.95 * brighter.mean()
     # all light alike, but for what was cut off at white, before its texture was laid over it
-    assert (half >= bright / 2 - 2).all()
-    assert np.mean(half <= bright / 2 + 2) > 0.97
+    code = 0.5 ** (1 / GAMMA)
+    assert (half >= code * bright - 2).all()
+    assert np.mean(half <= code * bright + 2) > 0.97
+    light = decode(half.astype(np.uint8)).mean() / decode(bright.astype(np.uint8)).mean()
+    assert light == pytest.approx(0.5, abs=0.03)
 
 
 def test_lamps_go_out_and_windows_stay():
