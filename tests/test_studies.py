@@ -12,7 +12,7 @@ from small_study import STUDY, finish, start, wait_until, write_study
 from deepgps.scenario import digest_recording, names_in
 from deepgps.studies.engine import list_undriven
 from deepgps.studies.recordings import find_drives
-from deepgps.studies.report import write_report
+from deepgps.studies.report import KINDS, varied_names, write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.recording import find_recording
@@ -270,6 +270,19 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     assert verdicts["PoseNet, RMS"][:2] == ["2.0 cm", "2.0 cm"]
     assert verdicts["rooms with RMS below PoseNet's"][0] == "50.0 %"
     assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS, 0 by median, 0 by max." in lines
+
+
+@pytest.mark.parametrize("name", ["precision", "seeds", "strategies", "networks", "mds"])
+def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
+    study = load_study(name, tiny=False)
+    plans, table = plan_runs(study), STUDIES.parents[1] / "docs" / "results" / name / "table.parquet"
+    rows = [{**row, "flipped": None} for row in pq.read_table(table).to_pylist()]
+    lines = [line.split("|")[1:-1] for line in write_report(study, plans, {}, rows).splitlines() if "|" in line]
+    headings = [heading.strip() for heading in lines[0]]
+    (place, *_) = [headings.index(word) for word in ("flipped", "folded", "unfolded") if word in headings]
+    assert {line[place].strip() for line in lines[2:] if len(line) == len(headings)} == {"-"}
+    for draw in KINDS[study.report].figures.values() if name == "seeds" else ():
+        assert draw(rows, varied_names(study), Path()).axes
 
 
 @pytest.mark.parametrize(

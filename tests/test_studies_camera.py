@@ -65,6 +65,11 @@ def test_the_worst_fault_of_each_kind_is_a_figure():
     )
 
 
+def test_without_a_test_grid_nothing_is_folded():
+    table = camera.report([{**row, "flipped": None} for row in ROWS], VARIED)[0]
+    assert cells(table, "exposure x 0.25", "training and use", "DeepGPS")[-2:] == ["-", "0"]
+
+
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with():
     faulty = [row for row in ROWS if row["use.light"] != 1.0]
     assert camera.measure(faulty) == {}

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.scenario import Scenario
-from deepgps.studies.seeds import is_folded
+from deepgps.studies.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, is_seed, mean, read_setting, split_by
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
@@ -57,8 +57,8 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
             clean = [row for row in faults.get(Fault(CLEAN, False), ()) if row["method"] == method]
             errors = [_write(name, ours, clean) for name in ERRORS]
             said = "-" if ours[0]["fold_found"] is None else str(sum(row["fold_found"] for row in ours))
-            folded = [str(sum(map(is_folded, ours))), said]
-            cells.append([fault.title, WHEN[fault.in_use], method_title(method), str(len(ours)), *errors, *folded])
+            head = [fault.title, WHEN[fault.in_use], method_title(method), str(len(ours))]
+            cells.append([*head, *errors, count_folded(ours), said])
     return [tabulate(["fault", "in", "method", "runs", *ERRORS.values(), "folded", "said"], cells), NOTE]
 
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.seeds import is_folded
+from deepgps.studies.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
 from deepgps.style import LINES, count_by_decades
 
@@ -50,10 +50,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         worst = f"{100 * max(row['rms_m'] for row in group):.1f}"
         spreads = ["-" if group[0][name] is None else f"{100 * mean(group, name):.3g}" for name in more]
         finder = group[0]["fold_found"] is not None
-        folded = [
-            str(sum(is_folded(row) for row in group)),
-            str(sum(row["fold_found"] for row in group) if finder else "-"),
-        ]
+        folded = [count_folded(group), str(sum(row["fold_found"] for row in group) if finder else "-")]
         driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
         figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
         cells.append([*kind, method_title(method), str(len(group)), *figures])

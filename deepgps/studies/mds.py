@@ -22,7 +22,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.markdown import tabulate
 from deepgps.positioner import NetworkPositioner, load_positioner
 from deepgps.studies.compare import choices, describe, group_rows, mean
-from deepgps.studies.seeds import is_folded
+from deepgps.studies.seeds import count_folded
 from deepgps.studies.table import Row
 from deepgps.targets import Figure
 from sim.errors import InputError
@@ -80,8 +80,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     for key, group in group_rows(rows, names).items():
         figures = [f"{100 * mean(group, name):.3g}" for name in (*MAPS, "mds_own_m", *PAIRS)]
         outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
-        folded = str(sum(is_folded(row) for row in group))
-        cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, folded])
+        cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, count_folded(group)])
     return [tabulate(headings, cells), NOTE]
 
 

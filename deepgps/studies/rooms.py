@@ -31,7 +31,8 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         cells.append([_room(row, varied), method_title(row["method"]), *_write(row), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
         for method, group in split_by(rows, "method").items():
-            whole = {name: float(choose([row[name] for row in group])) for name in (*ERRORS, *SHARES, "train_s")}
+            columns = {name: [row[name] for row in group] for name in (*ERRORS, *SHARES, "train_s")}
+            whole = {name: None if None in values else float(choose(values)) for name, values in columns.items()}
             if title == "worst":
                 whole["seen"] = min(row["seen"] for row in group)
             cells.append([title, method_title(method), *_write(whole), "-"])

@@ -19,12 +19,12 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     headings = ["start", "maps", "unfolded", "said to be", "flipped, median", "flipped, most", *ERRORS.values()]
     cells = []
     for title, group in _by_start(rows, varied).items():
-        flipped = [row["flipped"] for row in group]
-        unfolded = sum(not is_folded(row) for row in group)
+        flipped = [row["flipped"] for row in group if row["flipped"] is not None]
+        unfolded = str(sum(share <= FLIPPED for share in flipped)) if flipped else "-"
         said = sum(not row["fold_found"] for row in group)
-        shares = [write(float(np.median(flipped)), "%"), write(max(flipped), "%")]
+        shares = [write(float(choose(flipped)) if flipped else None, "%") for choose in (np.median, np.max)]
         middle = {name: float(np.median([row[name] for row in group])) for name in ERRORS}
-        cells.append([title, str(len(group)), str(unfolded), str(said), *shares, *write_errors(middle)])
+        cells.append([title, str(len(group)), unfolded, str(said), *shares, *write_errors(middle)])
     note = (
         f"A map is folded if it turns over more than {write(FLIPPED, '%')} of the test grid's neighbourhoods; "
         "said to be unfolded is what the detector says. Errors are medians over the maps."
@@ -34,7 +34,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """Share of right maps, random starts left out, which are there to fold; and the detector over all maps."""
-    rows = [row for row in rows if row["fold_found"] is not None]
+    rows = [row for row in rows if row["fold_found"] is not None and row["flipped"] is not None]
     own = [not is_folded(row) for row in rows if row.get("learn.start") != "random"]
     folded = [row["fold_found"] for row in rows if is_folded(row)]
     right = [row["fold_found"] for row in rows if not is_folded(row)]
@@ -52,7 +52,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     for index, (sign, title) in enumerate(signs.items()):
         axes = picture.add_subplot(1, 2, index + 1)
         for start, group in _by_start(rows, varied).items():
-            flipped, said = ([100 * row[name] for row in group] for name in ("flipped", sign))
+            known = [row for row in group if row["flipped"] is not None]
+            flipped, said = ([100 * row[name] for row in known] for name in ("flipped", sign))
             axes.plot(flipped, said, "o", alpha=0.6, label=start)
         axes.axvline(100 * FLIPPED, color="#999999", linestyle=":")
         axes.set(xlabel="flipped, by the truth [%]", ylabel=f"{title}, by the detector [%]", xlim=(0, 50))
@@ -66,6 +67,12 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 def is_folded(row: Row) -> bool:
     """Whether the truth says that a map lies folded on itself."""
     return row["flipped"] > FLIPPED
+
+
+def count_folded(rows: Sequence[Row]) -> str:
+    """How many maps the truth says lie folded; a dash where no test grid tells."""
+    known = [row for row in rows if row["flipped"] is not None]
+    return str(sum(map(is_folded, known))) if known else "-"
 
 
 def _by_start(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, list[Row]]:
