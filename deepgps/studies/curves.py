@@ -44,8 +44,9 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
                 cells.append([*title, method_title(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
     knees = [
         f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the least from which on the RMS of "
-        f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in rows):g}."
-        for title, knee in _knees(rows).items()
+        f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
+        for title, line in _our_lines(rows).items()
+        if (knee := find_knee(line, axis)) is not None
     ]
     return [tabulate(headings, cells), *knees, NOTE]
 
@@ -69,8 +70,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, (title, unit, take) in measures.items():
         value = max(float(np.mean([take(row) for row in end])) for end in ends)
         figures[name] = Figure(title, value, unit, worst=max(take(row) for end in ends for row in end))
-    if knees := _knees(rows):
-        figures["knee"] = Figure(f"knee of {axis}", max(knees.values()), "count")
+    knees = [knee for line in _our_lines(rows).values() if (knee := find_knee(line, axis)) is not None]
+    if knees:
+        figures["knee"] = Figure(f"knee of {axis}", max(knees), "count")
     return figures
 
 
@@ -100,21 +102,18 @@ def find_axis(rows: Sequence[Row]) -> str:
 def find_knee(line: Sequence[Row], axis: str) -> float | None:
     """The least value of the axis from which on the RMS, a mean over the seeds, is within KNEE times that at the end.
 
-    None where that is the first: a line that is flat or rises has no knee.
+    None where that is the first or the last: a line that is flat or rises has no knee, nor has one that still falls.
     """
     means = {value: mean(group, "rms_m") for value, group in sorted(split_by(line, axis).items())}
-    last = list(means.values())[-1]
-    beyond = [value for value, rms in means.items() if rms > KNEE * last]
-    return min(value for value in means if value > max(beyond)) if beyond else None
+    end = max(means)
+    beyond = [value for value, rms in means.items() if rms > KNEE * means[end]]
+    knee = min(value for value in means if value > max(beyond)) if beyond else end
+    return knee if knee < end else None
 
 
-def _knees(rows: Sequence[Row]) -> dict[tuple[str, ...], float]:
-    axis, knees = find_axis(rows), {}
-    for title, panel in _panels(rows).items():
-        line = [row for row in panel if row["method"] == "deepgps"]
-        if line and (knee := find_knee(line, axis)) is not None:
-            knees[title] = knee
-    return knees
+def _our_lines(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
+    lines = {title: [row for row in panel if row["method"] == "deepgps"] for title, panel in _panels(rows).items()}
+    return {title: line for title, line in lines.items() if line}
 
 
 def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
