@@ -1,6 +1,6 @@
 """The report of concave: errors by how much of the room a straight drive reaches, the limit that the paper names."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,12 +38,12 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     headings += [f"{method_title(name)}, median [cm]" for name in methods]
     cells = []
     for part, (low, high) in enumerate(pairwise(EDGES)):
-        groups = [[row for row in rows if row["method"] == name and row[f"positions_{part}"]] for name in methods]
-        if not groups[0]:
+        errors = [pool([row for row in rows if row["method"] == name], [part]) for name in methods]
+        if not len(errors[0]):
             continue
-        figures = [*(pool(group, [part]) for group in groups), *(_middle(group, part) for group in groups)]
-        count = sum(row[f"positions_{part}"] for row in groups[0])
-        cells.append([f"{100 * low:.0f}-{100 * high:.0f} %", str(count), *(f"{100 * one:.1f}" for one in figures)])
+        figures = [*map(_rms, errors), *map(np.median, errors)]
+        count = str(len(errors[0]))
+        cells.append([f"{100 * low:.0f}-{100 * high:.0f} %", count, *(f"{100 * one:.1f}" for one in figures)])
     return [*compare_choices(rows, varied), tabulate(headings, cells), NOTE]
 
 
@@ -53,8 +53,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for (method,), group in group_rows(rows, []).items():
         little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, len(EDGES) - 1))
         title = f"{method_title(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
-        figures[f"{method}_little"] = Figure(title, little / rest if little and rest else None, "")
-        shapes = {key[0]: pool(some, range(len(EDGES) - 1)) for key, some in group_rows(group, [SHAPE]).items()}
+        ratio = _rms(little) / _rms(rest) if len(little) and len(rest) else None
+        figures[f"{method}_little"] = Figure(title, ratio, "")
+        shapes = {key[0]: _rms(pool(some, range(len(EDGES) - 1))) for key, some in group_rows(group, [SHAPE]).items()}
         if {"two_rooms", "rectangle"} <= set(shapes):
             title = f"{method_title(method)}, RMS in two rooms / in a rectangle"
             figures[f"{method}_two_rooms"] = Figure(title, shapes["two_rooms"] / shapes["rectangle"], "")
@@ -62,23 +63,15 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_reach(run: Path, row: Row) -> Row:
-    """Columns for each part of the floor by how much it reaches: positions, RMS and median error [m]."""
+    """Columns for each part of the floor by how much it reaches: the errors of all its positions [m]."""
     field = read_fields(run)[row["method"]]
-    part = _part(measure_visible(open_truth(run / "recording").free_space, field.truth))
-    columns: Row = {}
-    for number in range(len(EDGES) - 1):
-        error = field.error[part == number]
-        columns[f"positions_{number}"] = len(error)
-        columns[f"rms_{number}_m"] = float(np.sqrt(np.mean(error**2))) if len(error) else None
-        columns[f"median_{number}_m"] = float(np.median(error)) if len(error) else None
-    return columns
+    part = np.digitize(measure_visible(open_truth(run / "recording").free_space, field.truth), EDGES[1:-1])
+    return {f"errors_{number}_m": field.error[part == number].astype(np.float32) for number in range(len(EDGES) - 1)}
 
 
-def pool(rows: Sequence[Row], parts: Sequence[int]) -> float:
-    """RMS error [m] over all positions of these rows in these parts of the floor; 0 where there is none."""
-    some = [(row[f"positions_{part}"], row[f"rms_{part}_m"]) for row in rows for part in parts]
-    count = sum(positions for positions, _ in some)
-    return float(np.sqrt(sum(positions * rms**2 for positions, rms in some if positions) / max(count, 1)))
+def pool(rows: Sequence[Row], parts: Sequence[int]) -> np.ndarray:
+    """Errors (n,) [m] of all positions of these rows in these parts of the floor."""
+    return np.concatenate([np.asarray(row[f"errors_{part}_m"], float) for row in rows for part in parts])
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
@@ -87,13 +80,12 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     picture = Picture(figsize=(6.4, 3.8), layout="constrained")
     axes = picture.add_subplot()
     for (method,), group in group_rows(rows, []).items():
-        there = [part for part in range(len(middles)) if any(row[f"positions_{part}"] for row in group)]
-        reach, colour = [middles[part] for part in there], LINES.get(method, "#555555")
-        title = method_title(method)
-        axes.plot(reach, [100 * pool(group, [part]) for part in there], "o-", color=colour, label=f"{title}, RMS")
-        some = [[row for row in group if row[f"positions_{part}"]] for part in there]
-        middle = [100 * _middle(found, part) for found, part in zip(some, there, strict=True)]
-        axes.plot(reach, middle, "o--", color=colour, mfc="none", label=f"{title}, median")
+        errors = {middle: pool(group, [part]) for part, middle in enumerate(middles)}
+        there = {middle: error for middle, error in errors.items() if len(error)}
+        colour, title = LINES.get(method, "#555555"), method_title(method)
+        rms, median = ([100 * take(error) for error in there.values()] for take in (_rms, np.median))
+        axes.plot(list(there), rms, "o-", color=colour, label=f"{title}, RMS")
+        axes.plot(list(there), median, "o--", color=colour, mfc="none", label=f"{title}, median")
     axes.set(yscale="log", xlim=(0, 100), ylabel="error of the worst heading [cm]")
     axes.set_xlabel("part of the floor that straight drives reach [%]")
     count_by_decades(axes.yaxis)
@@ -125,10 +117,5 @@ def draw_rooms(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pict
     return picture
 
 
-def _part(visible: np.ndarray) -> np.ndarray:
-    return np.digitize(visible, EDGES[1:-1])
-
-
-def _middle(rows: Sequence[Mapping], part: int) -> float:
-    """Median over rooms of the median error there [m]."""
-    return float(np.median([row[f"median_{part}_m"] for row in rows]))
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
