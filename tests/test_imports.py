@@ -39,6 +39,7 @@ OPENS_TRUTH = {f"deepgps.{name}" for name in ("evaluate", "labels", "pca_knn", "
 OPENS_TRUTH |= {f"deepgps.studies.{name}" for name in ("mds", "concave")}
 OPENS_TRUTH |= {module for module in MODULES if module.startswith("deepgps.viewer")}
 READS_LABELS = {f"deepgps.{name}" for name in ("evaluate", "labels", "posenet", "knn")}
+MAKES_PATHS = {"joinpath", "join", "Path", "PurePath"}
 MAKES_LABELS = {"sim.tags", "sim.bundle", "sim.labels"}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}
 GLOBAL_SEEDS = {
@@ -111,7 +112,7 @@ def break_truth_law(module: str, source: str) -> list[str]:
     for node in ast.walk(tree):
         names = {getattr(node, "id", None), getattr(node, "attr", None), getattr(node, "name", None)}
         text = node.value if isinstance(node, ast.Constant) and id(node) not in texts else None
-        if names & {"open_truth", "load_free_space", "TRUTH"} or is_truth_path(text):
+        if names & {"open_truth", "load_free_space", "TRUTH"} or is_truth_path(text) or joins_truth(node):
             faults.append(f"{module}:{getattr(node, 'lineno', 0)} opens the truth")
     return faults
 
@@ -136,6 +137,17 @@ def break_label_law(module: str, source: str) -> list[str]:
 def is_truth_path(text: object) -> bool:
     """Whether a string names the folder ``truth`` or a file in it."""
     return isinstance(text, str) and "truth" in text.split("/") and " " not in text and text != "truth"
+
+
+def joins_truth(node: ast.AST) -> bool:
+    """Whether a path with ``truth`` in it is put together: by ``/``, or by a call such as ``joinpath`` or ``Path``."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
+        parts = [node.left, node.right]
+    elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in MAKES_PATHS:
+        parts = node.args
+    else:
+        parts = []
+    return any(isinstance(part, ast.Constant) and part.value == "truth" for part in parts)
 
 
 def find_docstrings(tree: ast.AST) -> set[int]:
@@ -229,6 +241,9 @@ def test_import_law_allows_what_it_should():
         "from sim.records import open_truth",
         "from sim import records\nrecords.open_truth(folder)",
         "import numpy as np\nnp.load(folder / 'truth/pose.npy')",
+        "import numpy as np\nnp.load(recording.folder / 'truth' / 'pose.npy')",
+        "import numpy as np\nnp.load(recording.folder.joinpath('truth', 'pose.npy'))",
+        "import os\nopen(os.path.join(folder, 'truth', 'pose.npy'))",
         "from sim.records import TRUTH",
     ],
 )
@@ -236,6 +251,7 @@ def test_truth_law_can_fail(source):
     assert break_truth_law("deepgps.train", source)
     assert not break_truth_law("deepgps.evaluate", source)
     assert not break_truth_law("deepgps.train", '"""Never opens truth/pose.npy."""')
+    assert not break_truth_law("deepgps.train", "places = field['truth']")
 
 
 def test_truth_law_holds_for_what_makes_labels():
