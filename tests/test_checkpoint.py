@@ -41,10 +41,17 @@ def test_nothing_to_continue(tmp_path: Path):
     assert load_checkpoint(tmp_path, *make(0), {}) == (0, 0.0)
 
 
-def test_a_half_written_checkpoint_leaves_the_old_one(tmp_path: Path):
+def test_a_checkpoint_cut_off_while_it_is_written_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     network, optimiser, generator = make(0)
     save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
-    (tmp_path / (NAME + ".part")).write_bytes(b"cut off")
+
+    def write_half(state: object, path: Path) -> None:
+        path.write_bytes((tmp_path / NAME).read_bytes()[:500])
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(torch, "save", write_half)
+    with pytest.raises(KeyboardInterrupt):
+        save_checkpoint(tmp_path, 2, network, optimiser, generator, {}, 0.0)
     assert load_checkpoint(tmp_path, network, optimiser, generator, {})[0] == 1
 
 
