@@ -97,6 +97,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         "samples": len(recording.observation),
         "segments": recording.manifest["segments"],
         "distance_driven_m": recording.manifest["distance_driven_m"],
+        "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
         "distances": judge_encoders(recording, truth),

@@ -77,12 +77,13 @@ def describe(metrics: Mapping[str, Any]) -> list[str]:
     """What was driven, what was seen and where the time went, a sentence each."""
     coverage = metrics["coverage"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
+    places = "test samples" if _is_held_out(metrics) else "reachable test positions"
     timing = {name: float(value) for name, value in metrics["timing_s"].items()}
     parts = ", ".join(f"{name} {value:.1f} s" for name, value in timing.items())
     sentences = [
         f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
         f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
-        f"{seen} of {reachable} reachable test positions ({100 * seen / max(reachable, 1):.1f} %) lie within "
+        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) lie within "
         "0.25 m of an observation the robot learned from.",
         f"Time: {parts}; {sum(timing.values()):.1f} s in all.",
     ]
@@ -97,6 +98,13 @@ def describe(metrics: Mapping[str, Any]) -> list[str]:
             f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
         )
     return sentences
+
+
+def describe_errors(metrics: Mapping[str, Any]) -> str:
+    """Where the errors were measured and what they are, in a sentence."""
+    where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"
+    worst = "" if metrics.get("test", {}).get("headings") == 1 else ", the worst heading of each position"
+    return f"Errors {where}{worst}; aligned on training samples, never scaled."
 
 
 def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> str:
@@ -115,7 +123,7 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
             "",
             markdown_table(metrics),
             "",
-            "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled.",
+            describe_errors(metrics),
             "",
             *(f"- {sentence}" for sentence in describe(metrics)),
             "",
@@ -142,6 +150,10 @@ def print_report(run: Path, console: Console) -> None:
     console.print()
     for sentence in describe(metrics):
         console.print(sentence, highlight=False)
+
+
+def _is_held_out(metrics: Mapping[str, Any]) -> bool:
+    return metrics.get("test", {}).get("held_out", False)  # older runs do not say
 
 
 def _row(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> Row:

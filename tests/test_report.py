@@ -53,6 +53,21 @@ def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
     assert len(describe({**metrics, "trajectory": None})) == len(describe(metrics)) - 1
 
 
+@pytest.mark.parametrize(
+    ("test", "errors", "places"),
+    [
+        ({}, "on the test grid, the worst heading of each position;", "reachable test positions"),
+        ({"held_out": False, "headings": 4}, "on the test grid, the worst heading of", "reachable test positions"),
+        ({"held_out": False, "headings": 1}, "on the test grid;", "reachable test positions"),
+        ({"held_out": True, "headings": 1}, "at test samples of the same drive;", "test samples"),
+    ],
+)
+def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: str, places: str) -> None:
+    text = markdown_report({**metrics, "test": test})
+    assert f"Errors {errors}" in text
+    assert f"1 of 4 {places} (25.0 %) lie within" in text
+
+
 def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
     console = Console(width=80, record=True, file=StringIO())
