@@ -75,7 +75,8 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
     labels, side_m = open_labels(run / "recording"), truth.free_space.shorter_side_m
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
-        fields[method], scale = measure_field(run / method, method, recording, truth)
+        maps = predict(run / method, recording)
+        fields[method], scale = measure_field(maps, method, truth)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
@@ -85,7 +86,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
             **read_json(run / method / "training.json"),
         }
         if labels is not None:
-            label_fields[method], scale = measure_field(run / method, method, recording, labels)
+            label_fields[method], scale = measure_field(maps, method, labels)
             methods[method]["against_labels"] = {**summarise(label_fields[method].worst, side_m), "scale": scale}
     write_fields(run / "error_field.npz", fields)
     if labels is not None:
@@ -105,20 +106,25 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
     }
 
 
+def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Where a trained method says training (N, 2) and test images (C, H, 2) were taken, in a frame of its own [m]."""
+    positioner = load_positioner(folder)
+    cells, headings = recording.test_observation.shape[:2]
+    images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
+    return positioner(recording.observation), positioner(images).reshape(cells, headings, 2)
+
+
 def measure_field(
-    folder: Path, method: MethodName, recording: Recording, truth: Truth | Labels
+    maps: tuple[np.ndarray, np.ndarray], method: MethodName, truth: Truth | Labels
 ) -> tuple[ErrorField, float]:
-    """Error field of one trained method, aligned by a transform fitted on the training samples, and its scale.
+    """Error field of a method's predictions, aligned by a transform fitted on the training samples, and its scale.
 
     Against labels, what has none is left out, of the training as of the test samples.
     """
-    positioner = load_positioner(folder)
-    training = positioner(recording.observation)
+    training, test = maps
     known = np.isfinite(truth.pose).all(axis=1)
     alignment = fit_alignment(training[known], truth.pose[known, :2], ALIGNMENT[method])
-    cells, headings = recording.test_observation.shape[:2]
-    images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    predicted = alignment.apply(positioner(images)).reshape(cells, headings, 2)
+    predicted = alignment.apply(test.reshape(-1, 2)).reshape(test.shape)
     known = np.isfinite(truth.test_pose).all(axis=(1, 2))
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]
@@ -169,7 +175,8 @@ def measure_part(run: Path, folder: Path, method: MethodName, every: int) -> dic
         recording, observation=recording.observation[::every], test_observation=recording.test_observation[::every]
     )
     fewer = replace(truth, pose=truth.pose[::every], test_pose=truth.test_pose[::every])
-    return summarise(measure_field(folder, method, thin, fewer)[0].worst, truth.free_space.shorter_side_m)
+    field, _ = measure_field(predict(folder, thin), method, fewer)
+    return summarise(field.worst, truth.free_space.shorter_side_m)
 
 
 def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:

@@ -81,6 +81,7 @@ def test_errors_against_labels_and_truth_can_be_computed_again(run: Path):
     labels = metrics["labels"]
     assert 0 <= labels["unlabelled"] < 120 and 0 <= labels["test_unlabelled"] < 30
     assert labels["median_m"] < 0.01
+    assert metrics["test"] == {"held_out": True, "headings": 1}
 
 
 def test_a_row_gets_its_columns_and_the_places_their_picture(run: Path):
