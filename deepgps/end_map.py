@@ -15,7 +15,7 @@ from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, vst
 from scipy.sparse.linalg import cg
 
 from deepgps.data import Segments, find_owners
-from deepgps.isomap import Links, find_steps, map_by_paths
+from deepgps.isomap import CHUNK, Links, find_steps, map_by_paths
 from sim.errors import InputError
 
 NEIGHBOURS = (5, 8, 12)
@@ -53,7 +53,7 @@ def find_end_map(features: torch.Tensor, segments: Segments, generator: torch.Ge
         rough = map_by_paths(len(features), segments, links, generator)
         tries.append(relax_ends(rough, segments, links))
     best = min(tries, key=lambda found: found[1])[0]
-    return straighten(best, segments, find_mixture(features))
+    return fit_mixture(best, segments, find_mixture(features))
 
 
 def find_mixture(features: torch.Tensor) -> csr_array:
@@ -62,8 +62,12 @@ def find_mixture(features: torch.Tensor) -> csr_array:
     They sum to one and minimise ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square difference.
     """
     count, some = len(features), min(MIXED, len(features) - 1)
-    unlike = torch.cdist(features, features).fill_diagonal_(torch.inf)
-    nearest = unlike.topk(some, largest=False).indices
+    found = []
+    for chunk in torch.arange(count).split(CHUNK):
+        unlike = torch.cdist(features[chunk], features)
+        unlike[chunk - chunk[0], chunk] = torch.inf
+        found.append(unlike.topk(some, largest=False).indices)
+    nearest = torch.cat(found)
     apart = (features[nearest] - features[:, None]).double()
     gram = apart @ apart.transpose(1, 2)
     size = gram.diagonal(dim1=1, dim2=2).mean(dim=1).clamp_min(1e-12)
@@ -74,7 +78,7 @@ def find_mixture(features: torch.Tensor) -> csr_array:
     return csr_array((weight.flatten().numpy(), (row, nearest.flatten().numpy())), shape=(count, count))
 
 
-def straighten(places: np.ndarray, segments: Segments, mixture: csr_array) -> np.ndarray:
+def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> np.ndarray:
     """Move places (N, 2) [m] to where bars have their lengths and each lies as ``mixture`` (N, N) says.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_i w_i |p_i - sum_j w_ij p_j|^2`` as ``relax_ends`` does.
@@ -108,18 +112,15 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
         neighbours: How many are the most similar, for each list of pairs that is returned; each pair stands once.
     """
     count = len(features)
-    unlike = torch.cdist(features, features)
     first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
-    range_m, far = _fit_unlikeness(unlike[first, second].double(), way)
-    unlike.fill_diagonal_(torch.inf)
-    unlike[first, second] = unlike[second, first] = torch.inf
-    unlike[:, find_owners(segments, count)[1] < 0] = torch.inf
-    nearest = unlike.topk(min(max(neighbours), count - 1), largest=False)
-    length = -range_m * torch.log((1.0 - (nearest.values.double() / far) ** 2).clamp_min(1e-4))
+    alone = find_owners(segments, count)[1] < 0
+    ends, near, apart = _compare(features, first, second, alone, min(max(neighbours), count - 1))
+    range_m, far = _fit_unlikeness(ends.double(), way)
+    length = -range_m * torch.log((1.0 - (apart.double() / far) ** 2).clamp_min(1e-4))
     found = []
     for some in neighbours:
-        i = torch.arange(count)[:, None].expand(-1, nearest.indices[:, :some].shape[1]).flatten()
-        j, estimate = nearest.indices[:, :some].flatten(), length[:, :some].flatten()
+        i = torch.arange(count)[:, None].expand(-1, near[:, :some].shape[1]).flatten()
+        j, estimate = near[:, :some].flatten(), length[:, :some].flatten()
         kept = torch.isin(i * count + j, j * count + i) & (i < j) & (estimate < NEAR_M)
         found.append((i[kept].numpy(), j[kept].numpy(), estimate[kept].clamp_min(1e-3).numpy()))
     return found
@@ -164,6 +165,28 @@ def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np
     found = np.full_like(places, np.nan)
     found[known] = place
     return found, float(cost)
+
+
+def _compare(
+    features: torch.Tensor, first: torch.Tensor, second: torch.Tensor, alone: torch.Tensor, most: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """How unlike the ends of each bar look (n,), and which other places look most like each (N, most), and how unlike.
+
+    Ends of one bar do not count as others, nor do places that lie ``alone`` (N,). By chunks: all pairs take a gigabyte.
+    """
+    bars, near, apart = torch.empty(len(first), dtype=features.dtype), [], []
+    for chunk in torch.arange(len(features)).split(CHUNK):
+        unlike, start = torch.cdist(features[chunk], features), chunk[0]
+        from_here, to_here = torch.isin(first, chunk), torch.isin(second, chunk)
+        bars[from_here] = unlike[first[from_here] - start, second[from_here]]
+        unlike[first[from_here] - start, second[from_here]] = torch.inf
+        unlike[second[to_here] - start, first[to_here]] = torch.inf
+        unlike[chunk - start, chunk] = torch.inf
+        unlike[:, alone] = torch.inf
+        nearest = unlike.topk(most, largest=False)
+        near.append(nearest.indices)
+        apart.append(nearest.values)
+    return bars, torch.cat(near), torch.cat(apart)
 
 
 def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, float]:

@@ -5,9 +5,10 @@ import pytest
 import torch
 from scipy.sparse import csc_array
 
+from deepgps import end_map
 from deepgps.alignment import fit_alignment
 from deepgps.data import Segments, read_segments
-from deepgps.end_map import _solve, find_end_map, find_look_alikes, find_mixture, relax_ends, straighten
+from deepgps.end_map import _solve, find_end_map, find_look_alikes, find_mixture, fit_mixture, relax_ends
 from deepgps.features import normalise
 from deepgps.train import make_generator
 from sim.errors import InputError
@@ -52,7 +53,7 @@ def test_the_mixture_takes_the_contraction_back():
     mixture = find_mixture(torch.from_numpy(place).float())
     np.testing.assert_allclose(mixture.sum(axis=1), 1.0)
     bent = place * (1.0 - 0.1 * np.linalg.norm(place, axis=1, keepdims=True))
-    found = straighten(bent, segments, mixture)
+    found = fit_mixture(bent, segments, mixture)
     assert np.median(error(bent, place)) > 0.02
     assert np.median(error(found, place)) < 0.005
 
@@ -60,7 +61,7 @@ def test_the_mixture_takes_the_contraction_back():
 def test_places_that_are_not_known_stay_unknown():
     place, segments = make_ends(60)
     places = np.where(np.arange(60)[:, None] == 7, np.nan, place)
-    found = straighten(places, segments, find_mixture(torch.from_numpy(place).float()))
+    found = fit_mixture(places, segments, find_mixture(torch.from_numpy(place).float()))
     assert np.flatnonzero(np.isnan(found).any(axis=1)).tolist() == [7]
 
 
@@ -88,6 +89,17 @@ def test_pairs_are_mutual_and_never_one_segment():
     for i, j, length in find_look_alikes(torch.from_numpy(place).float(), segments, (4, 8)):
         assert (i < j).all() and (length < 0.3).all()
         assert (np.abs(i - j) > 1).all()
+
+
+def test_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch):
+    place, segments = make_ends(200)
+    features = torch.from_numpy(np.cos(place @ np.random.default_rng(1).normal(size=(2, 40)) * 2)).float()
+    whole, mixture = find_look_alikes(features, segments, (4, 8)), find_mixture(features)
+    monkeypatch.setattr(end_map, "CHUNK", 37)
+    for links, same in zip(find_look_alikes(features, segments, (4, 8)), whole, strict=True):
+        assert [part.tolist() for part in links[:2]] == [part.tolist() for part in same[:2]]
+        np.testing.assert_allclose(links[2], same[2], rtol=1e-3)
+    np.testing.assert_allclose(find_mixture(features).toarray(), mixture.toarray(), atol=1e-3)
 
 
 def test_long_segments_alone_tell_nothing_of_what_is_near():
