@@ -87,11 +87,22 @@ def find_links(features: torch.Tensor, segments: Segments, neighbours: tuple[int
 
 def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
     """Places (N, 2) [m] from distances (L, N) [m] to landmarks, which are columns ``landmark`` (L,) of it."""
-    squared = path[:, landmark] ** 2
+    size, axes = find_axes(path[:, landmark])
+    mean = (path[:, landmark] ** 2).mean(axis=1)
+    return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
+
+
+def find_axes(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (L,), ascending [m^2], and axes (L, L) of points with these distances (L, L) [m] (Torgerson 1952).
+
+    The squares, centred in rows and columns and halved with a minus, are the scalar products of the points about their
+    middle: the points' coordinates are the axes, each times the root of its eigenvalue.
+    """
+    squared = distance**2
     mean = squared.mean(axis=1)
     inner = -0.5 * (squared - mean[:, None] - mean[None] + mean.mean())
     size, axes = np.linalg.eigh((inner + inner.T) / 2.0)
-    return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
+    return size, axes
 
 
 def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.methods import METHODS
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
-from deepgps.studies.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_classically
+from deepgps.studies.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_all
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.style import to_png
 from sim.errors import InputError
@@ -22,7 +22,7 @@ VARIED = ["learn.start"]
 
 def test_distances_in_a_plane_give_the_points_back():
     points = np.random.default_rng(0).normal(size=(40, 2)) * (3.0, 1.0)
-    place, eigenvalues, planar = scale_classically(squareform(pdist(points)))
+    place, eigenvalues, planar = scale_all(squareform(pdist(points)))
     assert np.allclose(fit_alignment(place, points, "E2").apply(place), points, atol=1e-9)
     assert planar == pytest.approx(1.0)
     assert np.allclose(eigenvalues[2:], 0.0, atol=1e-9)
@@ -30,7 +30,7 @@ def test_distances_in_a_plane_give_the_points_back():
 
 def test_distances_in_space_give_the_two_principal_axes():
     points = np.random.default_rng(1).normal(size=(60, 5)) * (4.0, 2.0, 1.0, 0.5, 0.1)
-    place, eigenvalues, planar = scale_classically(squareform(pdist(points)))
+    place, eigenvalues, planar = scale_all(squareform(pdist(points)))
     _, size, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     flat = (points - points.mean(axis=0)) @ axes[:2].T
     assert np.allclose(np.abs(place), np.abs(flat), atol=1e-9)

@@ -15,10 +15,10 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
-from scipy.linalg import eigh
 from scipy.spatial.distance import pdist, squareform
 
 from deepgps.alignment import fit_alignment
+from deepgps.isomap import find_axes
 from deepgps.markdown import tabulate
 from deepgps.positioner import NetworkPositioner, load_positioner
 from deepgps.studies.compare import choices, describe, group_rows, mean
@@ -40,9 +40,9 @@ MAPS = {"own_m": "own RMS [cm]", "mds_m": "MDS RMS [cm]"}
 PAIRS = {"joined_m": "joined [cm]", "unjoined_m": "not joined [cm]"}
 NOTE = (
     "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
-    "its distances; apart: RMS distance of the two. Planar: share of the two largest eigenvalues in the sum of all. "
-    "Joined: median error of the distance of positions that a straight way of the robot joins; not joined: none does. "
-    "Folded: maps that turn over more than a tenth of the neighbourhoods."
+    "its distances; apart: RMS distance of the two. Planar: share of the two largest eigenvalues in the sum of the "
+    "sizes of all. Joined: median error of the distance of positions that a straight way of the robot joins; not "
+    "joined: none does. Folded: maps that turn over more than a tenth of the neighbourhoods."
 )
 
 
@@ -56,7 +56,7 @@ class Distances:
         scaled: The map by classical scaling (n, 2) [m], aligned.
         dimensions: Outputs of the network.
         eigenvalues: The largest of the centred squared distances, descending [m^2].
-        planar: Share of the two largest in the sum of all.
+        planar: Share of the two largest in the sum of the sizes of all.
         true: Distance of each pair (p,) [m].
         predicted: What the network says it is (p,) [m].
         joined: Whether the robot could drive from one to the other in a straight line (p,).
@@ -131,7 +131,7 @@ def find_distances(run: Path, method: str) -> Distances:
     place = truth.test_pose[some, 0, :2]
     out = positioner.embed(recording.test_observation[some, 0])
     distance = squareform(pdist(out))
-    scaled, eigenvalues, planar = scale_classically(distance)
+    scaled, eigenvalues, planar = scale_all(distance)
     own = out @ positioner.axes.double().numpy()
     few = _spread(len(some), PAIRED)
     first, second = (few[index] for index in np.triu_indices(len(few), 1))
@@ -148,23 +148,16 @@ def find_distances(run: Path, method: str) -> Distances:
     )
 
 
-def scale_classically(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Classical multidimensional scaling of distances (n, n) [m] to a plane (Torgerson 1952).
-
-    The squares, centred in rows and columns and halved with a minus, are the scalar products of the points about their
-    middle; the eigenvectors of the two largest eigenvalues, each as long as the root of its own, are their map.
+def scale_all(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Classical multidimensional scaling of all distances (n, n) [m] to a plane.
 
     Returns:
         The map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of two in the sum of all sizes.
     """
-    square = distance**2
-    product = -0.5 * (square - square.mean(axis=0) - square.mean(axis=1)[:, None] + square.mean())
-    count = len(product)
-    values, vectors = eigh(product)
-    values, vectors = values[::-1], vectors[:, ::-1]
-    total = max(float(np.abs(values).sum()), 1e-300)
-    place = vectors[:, :2] * np.sqrt(values[:2].clip(min=0.0))
-    return place, values[: min(LARGEST, count)], float(values[:2].sum()) / total
+    size, axes = (part[..., ::-1] for part in find_axes(distance))
+    total = max(float(np.abs(size).sum()), 1e-300)
+    place = axes[:, :2] * np.sqrt(size[:2].clip(min=0.0))
+    return place, size[:LARGEST], float(size[:2].sum()) / total
 
 
 def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.ndarray:
