@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sim.robot import planar_pose
 from sim.settings import MountSettings
 
 FRAMES = 5
@@ -30,8 +31,7 @@ def tilt(lean: np.ndarray) -> np.ndarray:
 
 def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
     """States (FRAMES, nq) along a straight way whose middle is ``state`` (nq,): of equal parts, each its middle."""
-    w, i, j, k = state[3:7]
-    yaw = np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+    yaw = planar_pose(state)[2]
     along = driven_m * ((np.arange(FRAMES) + 0.5) / FRAMES - 0.5)
     states = np.tile(state, (FRAMES, 1))
     states[:, :2] += along[:, None] * [np.cos(yaw), np.sin(yaw)]

@@ -25,7 +25,6 @@ TRACK_M = 0.16
 """Effective track [m]: difference of the wheels' ways over the angle turned, from sim.calibrate (nominal 0.160)."""
 
 _LENS_M = 0.35
-_MAST_BELOW_LENS_M = 0.01
 
 
 def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
@@ -65,12 +64,6 @@ def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
     """Wheel speeds (2,) left, right [rad/s] for a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
     half = turn_rate_rps * TRACK_M / 2
     return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
-
-
-def twist(wheel_speed: np.ndarray) -> tuple[float, float]:
-    """Forward speed [m/s] and turn rate [rad/s] of wheel speeds (2,) left, right [rad/s]."""
-    left, right = np.asarray(wheel_speed, float) * WHEEL_RADIUS_M
-    return float((left + right) / 2), float((right - left) / TRACK_M)
 
 
 def planar_pose(qpos: np.ndarray) -> np.ndarray:

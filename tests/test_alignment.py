@@ -4,9 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment
-from sim.geometry import rotation
 
 points = np.random.default_rng(0).normal(size=(60, 2)) * [2.0, 1.0]
+
+
+def rotation(angle: float) -> np.ndarray:
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
 
 
 @given(st.floats(-3.2, 3.2), st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), st.booleans())

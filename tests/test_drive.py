@@ -10,7 +10,7 @@ from small_room import HALF_X, HALF_Y, add_box, furnished, walls
 from sim.drive import DOUBT_M, TOUCHED, Course, Segment, _go_straight, drive, next_segment
 from sim.errors import WorkError
 from sim.ranges import ANGLE
-from sim.robot import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, twist
+from sim.robot import RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.scene import empty_room
 from sim.settings import DriveSettings, SimSettings
 from sim.world import RoomWorld
@@ -158,7 +158,7 @@ class Toy:
         self.angle, self.way_m, self.now, self.period = np.zeros(2), 0.0, 0.0, 0.02
 
     def step(self, wheel_speed):
-        speed_mps, _ = twist(wheel_speed)
+        speed_mps = WHEEL_RADIUS_M * np.mean(wheel_speed)
         forward, held = speed_mps > 0, self.way_m >= self.free_m
         if not (self.fault == "blocked" and forward and held):
             self.angle = self.angle + np.asarray(wheel_speed) * self.period

@@ -19,16 +19,7 @@ MODULES = {
 
 NOT_IN_SIM = {"deepgps", "torch", "rerun", "tyro"}
 WITHOUT_MUJOCO = {
-    *(
-        "sim",
-        "sim.settings",
-        "sim.records",
-        "sim.geometry",
-        "sim.lens",
-        "sim.encoder",
-        "sim.camera_faults",
-        "sim.derive",
-    ),
+    *("sim", "sim.settings", "sim.records", "sim.lens", "sim.encoder", "sim.camera_faults", "sim.derive"),
     *("sim.files", "sim.errors", "sim.paths", "sim.streams", "sim.processes"),
 }
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}

@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.calibrate import calibrate, run
-from sim.geometry import integrate_wheels
 from sim.paths import ROBOT
 from sim.robot import (
     RADIUS_M,
@@ -16,7 +15,6 @@ from sim.robot import (
     load_robot,
     planar_pose,
     robot_height,
-    twist,
     wheel_speeds,
 )
 from sim.scene import compile_scene, empty_room
@@ -33,8 +31,9 @@ def make_world(**groups) -> RoomWorld:
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-3.0, 3.0))
-def test_twist_undoes_wheel_speeds(speed, rate):
-    assert np.allclose(twist(wheel_speeds(speed, rate)), (speed, rate))
+def test_wheel_speeds_are_those_of_a_speed_and_a_turn(speed, rate):
+    left, right = wheel_speeds(speed, rate) * WHEEL_RADIUS_M
+    assert np.allclose(((left + right) / 2, (right - left) / TRACK_M), (speed, rate))
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-0.05, 0.05))
@@ -97,8 +96,12 @@ def test_dead_reckoning_follows_an_arc():
 
     world.step = noted_step
     run(world, 0.2, 0.7, 10.0)
-    reckoned = integrate_wheels(np.array(angles) * WHEEL_RADIUS_M, TRACK_M)[-1]
-    assert np.allclose(reckoned, world.pose(), atol=0.01)
+    way = np.diff(np.array(angles) * WHEEL_RADIUS_M, axis=0)
+    yaw = np.cumsum((way[:, 1] - way[:, 0]) / TRACK_M)
+    place = way.mean(axis=1) @ np.stack([np.cos(yaw), np.sin(yaw)], axis=1)  # each step along its heading at the end
+    x, y, turned = world.pose()
+    assert np.allclose(place, (x, y), atol=0.01)
+    assert np.exp(1j * yaw[-1]) == pytest.approx(np.exp(1j * turned), abs=0.01)
 
 
 def test_stands_still_without_command():
