@@ -19,7 +19,7 @@ from deepgps.scan_neighbour import NAMES, ScanPositioner
 from deepgps.settings import NetworkSettings
 from deepgps.train import Inputs
 from deepgps.triangulate import LandmarkPositioner
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 from sim.files import read_json, write_bytes, write_json
 
 SCHEMA = 1
@@ -124,9 +124,9 @@ def load_positioner(folder: Path) -> Positioner:
     except InputError:
         raise
     except (json.JSONDecodeError, ValidationError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is broken: {_one_line(error)}") from None
+        raise InputError(f"{path} is broken: {one_line(error)[:200]}") from None
     except (SafetensorError, OSError, RuntimeError) as error:
-        raise InputError(f"{folder / 'weights.safetensors'} is broken: {_one_line(error)}") from None
+        raise InputError(f"{folder / 'weights.safetensors'} is broken: {one_line(error)[:200]}") from None
 
 
 def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
@@ -172,7 +172,3 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
     network.load_state_dict(own)
     return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"])
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:200] or type(error).__name__

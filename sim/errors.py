@@ -7,3 +7,8 @@ class InputError(ValueError):
 
 class WorkError(RuntimeError):
     """The work failed for a reason outside the input (no renderer, a full disk). The command exits with 1."""
+
+
+def one_line(error: BaseException) -> str:
+    """What an error says, in one line; its kind where it says nothing."""
+    return " ".join(str(error).split()) or type(error).__name__

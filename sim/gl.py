@@ -9,7 +9,7 @@ import importlib
 import os
 from typing import Any
 
-from sim.errors import InputError, WorkError
+from sim.errors import InputError, WorkError, one_line
 
 _BACKENDS = ("egl", "osmesa")
 # PyOpenGL, through which mujoco opens EGL, needs libOpenGL (or libGL) as well
@@ -54,7 +54,7 @@ def open_context(width: int, height: int) -> Any:
         context.make_current()
     except Exception as error:  # ImportError, AttributeError, RuntimeError, GLError: each driver fails in its own way
         cure = EGL_CURE if backend == "egl" else _OSMESA_CURE
-        raise WorkError(f"{backend} cannot open an OpenGL context ({_one_line(error)}): {cure}") from error
+        raise WorkError(f"{backend} cannot open an OpenGL context ({one_line(error)}): {cure}") from error
     return context
 
 
@@ -144,10 +144,6 @@ def _load(name: str, mode: int = ctypes.DEFAULT_MODE) -> ctypes.CDLL | None:
         return ctypes.CDLL(name, mode=mode)
     except OSError:
         return None
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 _PROBES = {"egl": _probe_egl, "osmesa": _probe_osmesa}

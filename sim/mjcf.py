@@ -6,7 +6,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 
 FLOOR = "floor"
 LARGEST_BYTES = 64 * 1024 * 1024
@@ -32,7 +32,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
     except InputError:
         raise
     except (ValueError, mujoco.FatalError) as error:
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise InputError(f"room.mjcf {path}: MuJoCo cannot read it: {reason}") from None
     if not _has_floor(model):
         name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"

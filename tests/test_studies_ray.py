@@ -98,6 +98,17 @@ def test_wrong_addresses_are_named_in_one_line(engine, address, message):
     assert "\n" not in str(caught.value)
 
 
+def test_a_cluster_that_cannot_be_started_here_is_no_wrong_address(monkeypatch: pytest.MonkeyPatch):
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no shared\nmemory")
+
+    monkeypatch.setattr(pytest.importorskip("ray"), "init", fail)
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "of this test")  # else one is left in the environment
+    message = "^--engine ray: no Ray cluster can be started here: no shared memory$"
+    with pytest.raises(InputError, match=message), open_engine("ray", None):
+        pass
+
+
 def test_without_ray_the_cure_is_said(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)  # as if it were not installed
     cure = r"^--engine ray needs .*: pip install 'deepgps\[ray\]'$"

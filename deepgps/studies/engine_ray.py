@@ -19,8 +19,8 @@ from typing import Any
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
-from deepgps.studies.worker import Failures, count_steps, do_run, one_line
-from sim.errors import InputError
+from deepgps.studies.worker import Failures, count_steps, do_run
+from sim.errors import InputError, one_line
 from sim.processes import usable_cores
 
 RETRIES = 2
@@ -56,7 +56,9 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
         _knock(address or "")
         ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
     except (OSError, ValueError, RuntimeError) as error:
-        raise InputError(f"--address {address}: no Ray cluster answers there: {one_line(error)}") from None
+        own_fault = "--engine ray: no Ray cluster can be started here"
+        fault = f"--address {address}: no Ray cluster answers there" if address else own_fault
+        raise InputError(f"{fault}: {one_line(error)}") from None
     try:
         yield partial(_run_all, ray)
     finally:

@@ -12,9 +12,9 @@ from deepgps.progress import Look, Report
 from deepgps.run import make_recording
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.studies.study import Plan
-from deepgps.studies.worker import Failures, one_line
+from deepgps.studies.worker import Failures
 from sim.derive import can_be_cut, choose_drive, derive
-from sim.errors import InputError, WorkError
+from sim.errors import InputError, WorkError, one_line
 from sim.records import is_whole
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from deepgps.progress import Report
 from deepgps.run import claim, evaluate, show, train
 from deepgps.scenario import Scenario
-from sim.errors import InputError, WorkError
+from sim.errors import InputError, WorkError, one_line
 from sim.files import write_text
 
 FAILURE = "failure.txt"
@@ -58,8 +58,3 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
 def count_steps(scenario: Scenario) -> int:
     """Training steps of a run without restarts; one at least, so that every run counts."""
     return max(1, scenario.learn.train.steps * sum(method in TRAINED for method in scenario.methods))
-
-
-def one_line(error: Exception) -> str:
-    """What an error says, as a table holds it."""
-    return " ".join(str(error).split()) or type(error).__name__
