@@ -14,7 +14,7 @@ from rich.table import Table
 from sim.errors import InputError
 from sim.files import write_json
 
-SCHEMA = 1
+SCHEMA = 2
 KEPT = Path("runs") / "bench"
 
 

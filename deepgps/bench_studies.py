@@ -9,13 +9,12 @@ import pyarrow.parquet as pq
 from deepgps.bench_rows import Row
 from deepgps.studies.report import KINDS
 from deepgps.studies.study import load_study
+from deepgps.targets import FORMS
 from sim.files import read_json
 
 STUDIES = ("precision", "seeds")
 LATEST = Path("runs") / "studies"
 COMMITTED = Path(__file__).parents[1] / "docs" / "results"
-# unit of a figure -> what it is multiplied by, and the unit shown
-UNITS = {"cm": (1.0, "m"), "s": (1.0, "s"), "%": (100.0, "%"), "": (1.0, "")}
 
 
 def read_studies() -> list[Row]:
@@ -38,11 +37,10 @@ def _read_study(name: str) -> list[Row]:
         if figure is None or figure.value is None:
             made.append(Row(f"{name}.{key}", f"{name}: {key}", None, "", note=note))
             continue
-        factor, unit = UNITS[figure.unit]
+        factor, _, after = FORMS[figure.unit]
+        value, wanted, unit = factor * figure.value, factor * target, after.strip()
         title = f"{name}: {figure.title}"
-        made.append(
-            Row(f"{name}.{key}", title, factor * figure.value, unit, factor * target, figure.at_least, note=note)
-        )
+        made.append(Row(f"{name}.{key}", title, value, unit, wanted, figure.at_least, note=note))
     return made
 
 

@@ -160,7 +160,7 @@ def test_a_file_that_is_no_bench_is_named(text: str, tmp_path: Path):
 
 def test_a_bench_of_another_schema_is_refused(tmp_path: Path):
     (tmp_path / "old.json").write_text('{"schema": 0, "rows": []}')
-    with pytest.raises(InputError, match="schema 0, but this version reads schema 1"):
+    with pytest.raises(InputError, match="schema 0, but this version reads schema 2"):
         read_bench(tmp_path / "old.json")
 
 
@@ -213,6 +213,15 @@ def test_a_training_that_fails_is_an_error(tmp_path: Path, capfd: pytest.Capture
     with pytest.raises(WorkError, match=r"the training on .*nowhere failed with code 1"):
         measure_peak(Training(tmp_path / "nowhere", tmp_path / "run", LearnSettings()))
     capfd.readouterr()
+
+
+def test_a_target_in_any_unit_has_a_row(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(bench_studies, "LATEST", Path("none"))
+    monkeypatch.setattr(bench_studies, "STUDIES", ("landmarks", "mds", "lidar", "precision"))
+    rows = {row.name: row for row in bench_studies.read_studies()}
+    assert {"mm", "cm", "s", "%", ""} == {row.unit for row in rows.values()}
+    found = rows["landmarks.deepgps_complete"]
+    assert (f"{found.value:.2f}", found.target, found.verdict) == ("0.59", 0.8, "met")
 
 
 def test_rows_of_studies_say_where_they_come_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
