@@ -10,11 +10,10 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import Row, mean, split_by, tell_apart, varied_in
+from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
-SHOWN = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
 TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
 # What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
 PAPER_SHARE = {"encoder.gap_noise": 0.02}
@@ -32,12 +31,12 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each case, method and value of the axis; where the knee is; how to read it."""
     axis, names = find_axis(rows), _name_panels(rows)
     paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
-    headings = [*names, "method", axis, "seeds", *SHOWN.values(), "worst RMS", "RMS / side", "train [s]", *paper]
+    headings = [*names, "method", axis, "seeds", *ERRORS.values(), "worst RMS", "RMS / side", "train [s]", *paper]
     cells = []
     for title, panel in _panels(rows).items():
         for method, line in split_by(panel, "method").items():
             for value, group in sorted(split_by(line, axis).items()):
-                errors = [_centimetres(mean(group, name)) for name in SHOWN]
+                errors = [_centimetres(mean(group, name)) for name in ERRORS]
                 worst = _centimetres(max(row["rms_m"] for row in group))
                 tail = [worst, f"{100 * mean(group, 'relative_rms'):.2f} %", f"{mean(group, 'train_s'):.0f}"]
                 theirs = [_write_paper(axis, value, group[0])] if paper else []

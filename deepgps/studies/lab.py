@@ -10,11 +10,10 @@ from matplotlib.figure import Figure as Picture
 from deepgps.error_field import print_floor, read_fields
 from deepgps.markdown import tabulate
 from deepgps.report import method_title, read_metrics
-from deepgps.studies.table import Row, split_by
+from deepgps.studies.table import PAPERS_ERRORS, Row, split_by
 from deepgps.style import LINES
 from deepgps.targets import Figure
 
-ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 # What an error is measured against: the name of its columns begins with the key.
 AGAINST = {"label_": "labels", "": "truth"}
 # Mean and standard deviation over the paper's six data sets: RMS, median and maximum [m].
@@ -37,7 +36,7 @@ def add(run: Path, row: Row) -> Row:
     metrics = read_metrics(run)
     labels, against = metrics["labels"], metrics["methods"][row["method"]]["against_labels"]
     return {
-        **{f"label_{name}": against[name] for name in ERRORS},
+        **{f"label_{name}": against[name] for name in PAPERS_ERRORS},
         **{name: labels[name] for name in ("unlabelled", "test_unlabelled")},
         "labels_rms_m": labels["rms_m"],
         "labels_max_m": labels["max_m"],
@@ -46,13 +45,13 @@ def add(run: Path, row: Row) -> Row:
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """Every data set and method, then mean and standard deviation, then the paper's; and how to read it."""
-    ours = [f"{title}, {kind} [cm]" for kind in AGAINST.values() for title in ERRORS.values()]
+    ours = [f"{title}, {kind} [cm]" for kind in AGAINST.values() for title in PAPERS_ERRORS.values()]
     headings = ["data set", "method", *ours, "unlabelled", "label RMS [cm]", "train [s]"]
     cells = [
         [
             str(row["seed"]),
             method_title(row["method"]),
-            *(_centimetres(row[prefix + name]) for prefix in AGAINST for name in ERRORS),
+            *(_centimetres(row[prefix + name]) for prefix in AGAINST for name in PAPERS_ERRORS),
             f"{row['unlabelled']} + {row['test_unlabelled']}",
             _centimetres(row["labels_rms_m"]),
             f"{row['train_s']:.0f}",
@@ -60,7 +59,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         for row in rows
     ]
     for method, group in split_by(rows, "method").items():
-        spread = [_spread(group, prefix + name) for prefix in AGAINST for name in ERRORS]
+        spread = [_spread(group, prefix + name) for prefix in AGAINST for name in PAPERS_ERRORS]
         rest = [_spread(group, "labels_rms_m"), f"{np.mean([row['train_s'] for row in group]):.0f}"]
         cells.append(["mean ± std", method_title(method), *spread, "-", *rest])
     for method, figures in PAPER.items():
@@ -74,7 +73,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     for method, group in split_by(rows, "method").items():
         for prefix, kind in AGAINST.items():
-            for name, title in ERRORS.items():
+            for name, title in PAPERS_ERRORS.items():
                 values = [row[prefix + name] for row in group]
                 heading = f"{method_title(method)}, {title}, against {kind}"
                 figures[f"{method}_{prefix}{name}"] = Figure(heading, float(np.mean(values)), "cm", worst=max(values))
@@ -87,7 +86,7 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     """RMS, median and maximum of every data set, against labels (filled) and truth (open), and the paper's mean."""
     picture = Picture(figsize=(9.6, 3.4), layout="constrained")
     seeds = list(dict.fromkeys(row["seed"] for row in rows))
-    for axes, (place, (name, title)) in zip(picture.subplots(1, 3), enumerate(ERRORS.items()), strict=True):
+    for axes, (place, (name, title)) in zip(picture.subplots(1, 3), enumerate(PAPERS_ERRORS.items()), strict=True):
         for side, (method, group) in enumerate(split_by(rows, "method").items()):
             colour = LINES.get(method, "#555555")
             x = np.array([seeds.index(row["seed"]) for row in group]) + 0.2 * side - 0.1

@@ -9,12 +9,11 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import Row
+from deepgps.studies.table import PAPERS_ERRORS, Row
 from deepgps.style import LINES
 from deepgps.targets import Figure
 
 REACH = "landmarks.reach_m"
-ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 # Table I of the paper: RMS, median and maximum [m]; MDS is a start that it does not try.
 PAPER = {
     ("complete", "deepgps"): (0.004, 0.004, 0.021),
@@ -34,12 +33,12 @@ Groups = Mapping[tuple[str, str], Sequence[Row]]
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each kind of observation and method, the paper's figures at its end; and how to read it."""
-    ours = [f"{title} [mm]" for title in ERRORS.values()]
-    paper = [f"paper's {title}" for title in ERRORS.values()]
+    ours = [f"{title} [mm]" for title in PAPERS_ERRORS.values()]
+    paper = [f"paper's {title}" for title in PAPERS_ERRORS.values()]
     headings = ["observations", "method", "seeds", *ours, "worst RMS", "train [s]", *paper]
     cells = []
     for (kind, method), group in _group(rows).items():
-        means = [_millimetres(float(np.mean([row[name] for row in group]))) for name in ERRORS]
+        means = [_millimetres(float(np.mean([row[name] for row in group]))) for name in PAPERS_ERRORS]
         worst = _millimetres(max(row["rms_m"] for row in group))
         seconds = f"{np.mean([row['train_s'] for row in group]):.0f}"
         theirs = [_millimetres(value) for value in PAPER[kind, method]] if (kind, method) in PAPER else ["-"] * 3

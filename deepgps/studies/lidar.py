@@ -10,11 +10,10 @@ from safetensors import safe_open
 from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import Row
+from deepgps.studies.table import PAPERS_ERRORS, Row
 from deepgps.targets import Figure
 
 RIVAL = "pca_knn"
-ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 EACH = {"each_rms_m": "RMS", "each_median_m": "median", "each_max_m": "max"}
 # The paper's table "ATE for 2D Lidar point cloud", a row for each of its four maps, in units of a square of side 2.
 PAPER = {
@@ -43,12 +42,12 @@ def add(run: Path, row: Row) -> Row:
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each map and method, the paper's figures at its end; and how to read it."""
     each = [f"{title}, each scan" for title in EACH.values()]
-    paper = [f"paper's {title}" for title in ERRORS.values()]
-    headings = ["map", "method", *ERRORS.values(), *each, "stored [million]", "train [s]", *paper]
+    paper = [f"paper's {title}" for title in PAPERS_ERRORS.values()]
+    headings = ["map", "method", *PAPERS_ERRORS.values(), *each, "stored [million]", "train [s]", *paper]
     cells = []
     for number, group in enumerate(_by_map(rows, varied).values()):
         for row in group:
-            ours = [_write(row[name]) for name in (*ERRORS, *EACH)]
+            ours = [_write(row[name]) for name in (*PAPERS_ERRORS, *EACH)]
             theirs = [_write(value) for value in _paper(row["method"], number)] or ["-"] * 3
             stored = f"{row['stored'] / 1e6:.2f}"
             title = [str(number + 1), method_title(row["method"])]
@@ -62,14 +61,14 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     rival = {row["recording"]: row for row in rows if row["method"] == RIVAL}
     both = [(row, rival[row["recording"]]) for row in ours if row["recording"] in rival]
     figures = {}
-    for name, title in ERRORS.items():
+    for name, title in PAPERS_ERRORS.items():
         if ours and name != "max_m":
             values = [row[name] for row in ours]
             figures[name] = Figure(title, float(np.mean(values)), "cm", worst=max(values))
     for name in ("rms_m", "median_m"):
         if both:
             ratios = [mine[name] / other[name] for mine, other in both]
-            title = f"{ERRORS[name]} / PCA + nearest neighbour's, worst map"
+            title = f"{PAPERS_ERRORS[name]} / PCA + nearest neighbour's, worst map"
             figures[f"{name.removesuffix('_m')}_ratio"] = Figure(title, max(ratios), "", worst=max(ratios))
     if both:
         less = [other["stored"] / mine["stored"] for mine, other in both]

@@ -8,12 +8,11 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import ERRORS, Row, split_by, write_errors
+from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_errors
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure, write
 
 SHARES = ("relative_rms", "seen", "flipped")
-WINS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 NOTE = (
     "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
     "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
@@ -96,7 +95,10 @@ def _count_wins(rows: Sequence[Row]) -> list[str]:
     sentences = []
     for method, group in methods.items():
         pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
-        wins = [f"{sum(mine[name] < other[name] for mine, other in pairs)} by {word}" for name, word in WINS.items()]
+        wins = [
+            f"{sum(mine[name] < other[name] for mine, other in pairs)} by {word}"
+            for name, word in PAPERS_ERRORS.items()
+        ]
         sentences.append(
             f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
         )
