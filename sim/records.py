@@ -26,10 +26,11 @@ class Recording:
     Attributes:
         folder: Where it lies.
         manifest: Settings, seeds, counts, odometry constants, checksums.
-        observation: Polar images (N, rings, sectors, 3) uint8, memory-mapped.
+        observation: Memory-mapped. Polar images (N, rings, sectors, 3) uint8, scans of a lidar (N, headings, rays)
+            or ways to landmarks (N, landmarks), both float32.
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
-        test_observation: Images on the test grid (C, H, rings, sectors, 3) uint8, memory-mapped.
+        test_observation: The same at test positions (C) and headings (H): (C, H, ...), memory-mapped.
         horizontal: Grey images (N, rows, columns) uint8 of the horizontal camera, memory-mapped, where they were kept.
     """
 
@@ -237,5 +238,5 @@ def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
         return np.load(path, mmap_mode="c" if mapped else None, allow_pickle=False)
     except FileNotFoundError:
         raise InputError(f"{path} is missing: the recording is not whole") from None
-    except ValueError as error:
+    except (ValueError, EOFError) as error:
         raise InputError(f"{path} cannot be read: {error}") from None

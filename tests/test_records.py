@@ -96,8 +96,10 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
         open_recording(folder)
 
 
-def test_a_cut_array_is_refused(folder):
-    path = folder / "test" / "observation.npy"
-    path.write_bytes(path.read_bytes()[:100])
+@pytest.mark.parametrize("name", ["test/observation.npy", "time.npy"])
+@pytest.mark.parametrize("left", [0, 100])
+def test_a_cut_array_is_refused(folder, name, left):
+    path = folder / name
+    path.write_bytes(path.read_bytes()[:left])
     with pytest.raises(InputError, match="cannot be read"):
         open_recording(folder)
