@@ -109,9 +109,14 @@ def choose_device(name: str) -> torch.device:
     """The device of this name; auto is CUDA where there is one."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
-    if name.startswith("cuda") and not torch.cuda.is_available():
+    if not name.startswith("cuda"):
+        return torch.device(name)
+    if not torch.cuda.is_available():
         raise InputError(f"learn.train.device {name!r}: this machine has no CUDA device; there are cpu and auto")
-    return torch.device(name)
+    device, count = torch.device(name), torch.cuda.device_count()
+    if device.index is not None and device.index >= count:
+        raise InputError(f"learn.train.device {name!r}: this machine's last CUDA device is cuda:{count - 1}")
+    return device
 
 
 def describe_device(name: str = "auto") -> str:

@@ -129,6 +129,14 @@ def test_each_purpose_and_attempt_has_its_own_stream():
     assert len(seeds) == 18
 
 
+def test_a_number_beyond_the_last_device_is_refused(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert [str(choose_device(name)) for name in ("cpu", "cuda", "cuda:1")] == ["cpu", "cuda", "cuda:1"]
+    with pytest.raises(InputError, match=r"learn\.train\.device 'cuda:2': this machine's last CUDA device is cuda:1"):
+        choose_device("cuda:2")
+
+
 def test_an_absent_device_is_refused():
     if torch.cuda.is_available():
         pytest.skip("this machine has CUDA")
