@@ -5,9 +5,10 @@ import pytest
 
 from deepgps.alignment import fit_alignment
 from deepgps.labels import read_places
+from sim.bundle import TagMap
 from sim.collect import collect
 from sim.errors import WorkError
-from sim.labels import write_labels
+from sim.labels import find_level, flatten, write_labels
 from sim.records import check_recording, open_labels, open_recording, open_truth
 from sim.settings import (
     CameraSettings,
@@ -85,14 +86,30 @@ def test_without_labels_they_learn_from_the_truth(small_recording: Path):
     np.testing.assert_array_equal(place.numpy(), open_truth(small_recording).pose[:, :2])
 
 
-def test_labels_of_made_up_views_are_level(tmp_path: Path):
+def test_labels_of_made_up_views_place_all_tags(tmp_path: Path):
     scene = make_scene(views=80)
     counts = write_labels(tmp_path, scene.sightings, scene.sightings, (80, 80, 1), CAMERA, np.eye(4))
-    with np.load(tmp_path / "labels" / "tag.npz") as tags:
-        first = tags["pose"][0]
-    # without a mount the camera's own z, which looks level, stands for up: only the frame's rules can be checked
-    np.testing.assert_allclose(first[:2, 3], 0.0, atol=1e-9)
     assert counts["tags_placed"] == 36
+
+
+def test_in_the_level_frame_the_robot_stands_upright_on_the_floor():
+    rng = np.random.default_rng(0)
+    yaw, place = rng.uniform(-3.0, 3.0, 50), rng.uniform(-2.0, 2.0, (50, 2))
+    robot = np.tile(np.eye(4), (50, 1, 1))
+    robot[:, :2, :2] = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]).transpose(2, 0, 1)
+    robot[:, :2, 3] = place
+    leans = np.eye(4)  # how the tags' frame lies in the room
+    leans[:3, :3], leans[:3, 3] = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+    leans[:3, 0] *= np.linalg.det(leans[:3, :3])
+    scene = make_scene(views=1)
+    level = find_level(TagMap(np.arange(36), leans @ scene.tag), leans @ robot)
+    found = level @ leans @ robot
+    np.testing.assert_allclose(found[:, :3, 2], np.tile([0.0, 0.0, 1.0], (50, 1)), atol=1e-9)
+    np.testing.assert_allclose(found[:, 2, 3], 0.0, atol=1e-9)
+    alignment = fit_alignment(flatten(found)[:, :2], place, "SE2")
+    np.testing.assert_allclose(alignment.apply(flatten(found)[:, :2]), place, atol=1e-9)
+    turn = np.exp(1j * (flatten(found)[:, 2] - yaw))
+    np.testing.assert_allclose(turn, turn[0], atol=1e-9)
 
 
 def test_images_that_show_no_tags_are_refused(tmp_path: Path):

@@ -13,8 +13,7 @@ from sim.settings import RoomKind, RoomSettings, RoomShape
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
 EVERY = [(kind, shape) for kind in get_args(RoomKind) for shape in get_args(RoomShape)]
-SITS_ON_WALL = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
-SITS_ON_WALL |= {"cooler", "extinguisher"}
+HANGS = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
 
 
 @cache
@@ -150,7 +149,20 @@ def test_pictures_and_walls_are_all_different():
     assert len(textures) == count
 
 
-def test_a_sofa_faces_its_television_and_beds_have_their_head_at_a_wall():
+@pytest.mark.parametrize(("kind", "shape"), EVERY)
+def test_what_hangs_touches_a_wall_and_beds_have_their_head_at_one(kind, shape):
+    model, data, _ = _room(kind, shape)
+    walls = [_box(model, data, geom) for geom, body in enumerate(model.geom_bodyid) if _kind_of(model, body) == "wall"]
+    low, high = np.array(walls).transpose(1, 0, 2)[..., :2]
+    for body in range(1, model.nbody):
+        behind = {"bed": 1.04, **dict.fromkeys(HANGS, 0.0)}.get(_kind_of(model, body))
+        if behind is not None:
+            back = data.xpos[body, :2] + behind * data.xmat[body].reshape(3, 3)[:2, 1]
+            away = np.linalg.norm(np.maximum(low - back, back - high).clip(min=0.0), axis=1)
+            assert away.min() < 0.03, model.body(body).name
+
+
+def test_a_sofa_faces_its_television():
     model, data, _ = _room("living_room", "rectangle")
     sofa, television = model.body("sofa_0").id, model.body("television_0").id
     to_television = data.xpos[television, :2] - data.xpos[sofa, :2]

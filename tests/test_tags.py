@@ -44,7 +44,15 @@ def world() -> RoomWorld:
 def test_a_laboratory_has_82_tags_of_16_cm_on_plates(world: RoomWorld):
     sites = [world.model.site(i).name for i in range(world.model.nsite)]
     assert sorted(name for name in sites if name.startswith("tag_")) == sorted(f"tag_{n}" for n in range(TAGS))
-    assert np.ptp(CORNERS, axis=0) == pytest.approx([SIDE_M, SIDE_M, 0.0])
+    world.place(np.zeros(3))
+    inked = np.flatnonzero((draw_tag(0) == 0).any(axis=(1, 2)))
+    for number in range(TAGS):
+        site = world.data.site(f"tag_{number}")
+        plate = np.linalg.norm(world.data.geom_xpos - site.xpos, axis=1).argmin()
+        width, _, height = 2 * world.model.geom_size[plate]
+        assert width == height == pytest.approx(SIDE_M * len(draw_tag(0)) / (np.ptp(inked) + 1))
+        front = world.data.geom_xpos[plate] + site.xmat.reshape(3, 3)[:, 2] * world.model.geom_size[plate, 1]
+        np.testing.assert_allclose(front, site.xpos, atol=1e-9)
 
 
 def test_tags_are_seen_where_they_hang(world: RoomWorld):
