@@ -76,7 +76,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(rooms) - 0.5, -0.5))
     count_by_decades(axes.xaxis)
     axes.grid(alpha=0.25, which="both")
-    axes.legend(frameon=False, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
+    picture.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=4)
     return picture
 
 
