@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from deepgps.alignment import fit_alignment
 from deepgps.data import Segments
 from deepgps.hinge import find_doors, mirror
-from deepgps.isomap import Links, find_links, find_steps, map_by_paths
+from deepgps.isomap import Links, find_links, find_steps, join_links, map_by_paths
 from deepgps.pose_graph import relax
 
 NEIGHBOURS = (3, 4, 6, 8)
@@ -91,9 +91,9 @@ def lay_over(other: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 def find_nooks(places: np.ndarray, laid: np.ndarray, segments: Segments, links: Links) -> list[np.ndarray]:
     """Observations (n,) that lie apart on two maps, in parts that hang together, the largest first."""
-    before, after, way = find_steps(segments)
-    apart = np.linalg.norm(laid - places, axis=1) > APART * np.median(way)
-    first, second = np.concatenate([before, links[0]]), np.concatenate([after, links[1]])
+    step = float(np.median(find_steps(segments)[2]))
+    apart = np.linalg.norm(laid - places, axis=1) > APART * step
+    first, second, _ = join_links(segments, links)
     joined = apart[first] & apart[second]
     graph = csr_array((np.ones(joined.sum()), (first[joined], second[joined])), shape=(len(places), len(places)))
     _, part = connected_components(graph, directed=False)

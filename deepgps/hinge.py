@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
 from deepgps.data import Segments
-from deepgps.isomap import Links, find_steps
+from deepgps.isomap import Links, join_links
 
 FEW = 20
 """Steps and look-alikes by which a part may hang on the rest; where there are more, they tell left from right."""
@@ -22,8 +22,7 @@ SMALLEST = 0.02
 
 def find_doors(placed: np.ndarray, segments: Segments, links: Links) -> list[np.ndarray]:
     """Observations (N,) bool of parts that hang on the rest by few steps, of the observations ``placed`` (N,)."""
-    first, second, _ = find_steps(segments)
-    first, second = np.concatenate([first, links[0]]), np.concatenate([second, links[1]])
+    first, second, _ = join_links(segments, links)
     graph = csr_array((np.ones(len(first)), (first, second)), shape=(len(placed), len(placed)))
     joined = graph + graph.T
     kept = np.flatnonzero(placed)
@@ -43,8 +42,7 @@ def find_doors(placed: np.ndarray, segments: Segments, links: Links) -> list[np.
 
 def mirror(places: np.ndarray, door: np.ndarray, segments: Segments, links: Links) -> np.ndarray:
     """Places (N, 2) [m] with a part (N,) mirrored about the way that leads into it."""
-    first, second, _ = find_steps(segments)
-    first, second = np.concatenate([first, links[0]]), np.concatenate([second, links[1]])
+    first, second, _ = join_links(segments, links)
     through = (door[first] != door[second]) & np.isfinite(places[first] + places[second]).all(axis=1)
     step = places[second[through]] - places[first[through]]
     along = np.linalg.eigh(step.T @ step)[1][:, -1]

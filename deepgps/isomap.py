@@ -42,7 +42,7 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     Raises:
         InputError: when the segments do not hang together.
     """
-    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), links, strict=True))
+    first, second, length = join_links(segments, links)
     graph = _join(first, second, length, observations)
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
@@ -111,6 +111,12 @@ def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     way = segments.distance[:, 1:] - segments.distance[:, :-1]
     chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
     return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
+
+
+def join_links(segments: Segments, links: Links) -> Links:
+    """Steps along the segments and look-alikes together: first and second observations, the way between them [m]."""
+    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), links, strict=True))
+    return first, second, length
 
 
 def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:

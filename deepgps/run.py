@@ -120,7 +120,7 @@ def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenari
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
     """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
-    if scenario.learn.train.device != "cpu" and not is_whole(folder / "recording"):
+    if scenario.learn.train.device.startswith("cuda") and not is_whole(folder / "recording"):
         from deepgps.train import choose_device
 
         choose_device(scenario.learn.train.device)

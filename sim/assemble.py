@@ -75,7 +75,7 @@ def write_drive(
         "readings": len(reading),
         "readings_lost": int((~arrived).sum()),
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
-        "times_carried": int(sum(chunk["carried"] for chunk in drive.chunks)),
+        "times_carried": int(sum(chunk.get("carried", 0) for chunk in drive.chunks)),
         "distance_driven_m": round(float(np.abs(driven).sum()), 3),
     }
 

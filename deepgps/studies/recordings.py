@@ -5,7 +5,7 @@ it is derived, which takes no simulator, and little room on the disk where the i
 another, each made by all cores.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from deepgps.progress import Look, Report
@@ -32,7 +32,7 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
     """
     drives, home = find_drives(plans), folder / "recordings"
     wanted = _find_wanted(missing, home)
-    unmade = _collect_all(find_undriven(plans, missing, folder), home, progress)
+    unmade = _collect_all(_choose_undriven(drives, wanted, home), home, progress)
     failed: Failures = {}
     for done, (key, scenario) in enumerate(wanted.items(), start=1):
         drive = digest_recording(drives[key])
@@ -46,9 +46,8 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
 
 def find_undriven(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path) -> dict[str, Scenario]:
     """What must still be driven, by its hash, for the runs that are missing; the arguments are those of record_all."""
-    drives, home = find_drives(plans), folder / "recordings"
-    needed = {digest_recording(drives[key]): drives[key] for key in _find_wanted(missing, home)}
-    return {key: scenario for key, scenario in needed.items() if not is_whole(home / key)}
+    home = folder / "recordings"
+    return _choose_undriven(find_drives(plans), _find_wanted(missing, home), home)
 
 
 def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
@@ -72,6 +71,11 @@ def _name_drive(scenario: Scenario) -> str:
 
 def _find_wanted(missing: Sequence[Plan], home: Path) -> dict[str, Scenario]:
     return {plan.recording: plan.scenario for plan in missing if not is_whole(home / plan.recording)}
+
+
+def _choose_undriven(drives: dict[str, Scenario], wanted: Iterable[str], home: Path) -> dict[str, Scenario]:
+    needed = {digest_recording(drives[key]): drives[key] for key in wanted}
+    return {key: scenario for key, scenario in needed.items() if not is_whole(home / key)}
 
 
 def _collect_all(scenarios: dict[str, Scenario], home: Path, progress: Report) -> Failures:

@@ -17,7 +17,7 @@ from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.viewer.connect import ANSWER_S, find_url, open_viewer
 from deepgps.viewer.live_view import LiveView
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 
 APPLICATION = "deepgps live"  # apart from recordings, whose blueprint it would replace
 GONE = (RuntimeError, ConnectionError)
@@ -106,7 +106,7 @@ def _send(
     except Exception as error:  # no fault in showing ends a run
         what = "the viewer is gone" if isinstance(error, GONE) else "showing failed"
         lost.set()
-        warn(f"{what} ({type(error).__name__}: {' '.join(str(error).split())}); the run goes on without it")
+        warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run goes on without it")
     finally:
         stream.disconnect()  # never returns where a viewer hangs
 
