@@ -26,6 +26,7 @@ from sim.errors import InputError
 from sim.files import write_atomic, write_bytes
 
 CHUNK = 64  # what a processor's cache holds
+TABLE, KEY = "features.safetensors", "features.key"
 
 
 @dataclass(frozen=True)
@@ -171,28 +172,33 @@ def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
 
 
 def cached_features(
-    path: Path,
+    folder: Path,
     key: str,
     observation: np.ndarray,
     segments: Segments,
     settings: FeatureSettings,
     generator: torch.Generator,
 ) -> tuple[Features, torch.Tensor]:
-    """As ``fit_features``, but taken from the file at ``path`` where it was made with the same ``key``."""
-    shape = tuple(observation.shape[1:])
-    if path.is_file() and path.with_suffix(".key").is_file() and path.with_suffix(".key").read_text() == key:
+    """As ``fit_features``, but taken from a folder where they were left with the same ``key``."""
+    shape, path = tuple(observation.shape[1:]), folder / TABLE
+    if has_features(folder) and (folder / KEY).read_text() == key:
         found = load_file(path)
         return Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges")), found[
             "features"
         ]
-    path.with_suffix(".key").unlink(missing_ok=True)
+    (folder / KEY).unlink(missing_ok=True)
     fitted, features = fit_features(observation, segments, settings, generator)
     tensors = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
     if fitted.edges is not None:
         tensors["edges"] = fitted.edges
     write_atomic(path, lambda part: save_file(tensors, part))
-    write_bytes(path.with_suffix(".key"), key.encode())
+    write_bytes(folder / KEY, key.encode())
     return fitted, features
+
+
+def has_features(folder: Path) -> bool:
+    """Whether a folder holds the whole of some features: the key is written last."""
+    return (folder / KEY).is_file() and (folder / TABLE).is_file()
 
 
 def _describe_all(

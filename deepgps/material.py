@@ -17,6 +17,9 @@ from deepgps.train import Inputs, choose_device, make_generator, use_threads
 from deepgps.turns import Turns
 from sim.records import Recording
 
+FEATURES = "features"
+"""The run's folder of features, which all of its methods share."""
+
 
 @dataclass(frozen=True)
 class Material:
@@ -48,17 +51,28 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
     if recording.observation.ndim == 2:
         projection, features = normalise(recording.observation)
     else:
-        key = hashlib.sha256(f"{settings.features} {seed} {_mark(recording)}".encode()).hexdigest()
-        generator, path = make_generator(seed, "features"), folder / "features.safetensors"
+        key, generator = digest_features(recording, settings, seed), make_generator(seed, "features")
         with use_threads(settings.train.threads):
             projection, features = cached_features(
-                path, key, recording.observation, segments, settings.features, generator
+                folder / FEATURES, key, recording.observation, segments, settings.features, generator
             )
     table = add_headings(projection, features, recording.observation)
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
     return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+
+
+def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:
+    """Hexadecimal digits of all that decides the features: settings, seed, images, and which images follow one another.
+
+    Ticks do not, so that runs which differ only in these can share features.
+    """
+    images = recording.manifest.get("sha256", {}).get("observation.npy")
+    # where the manifest holds no checksum, ticks tell recordings apart
+    order = recording.reading[:, :2] if images else recording.reading
+    made_by = f"{settings.features} {settings.train.threads} {seed} {images}"
+    return hashlib.sha256(made_by.encode() + np.asarray(order).tobytes()).hexdigest()
 
 
 def add_headings(projection: Features, features: torch.Tensor, observation: np.ndarray) -> torch.Tensor:
@@ -82,8 +96,3 @@ def as_positioner(
     features = material.projection if settings.network.architecture == "spectral" else None
     network = network.cpu().eval()
     return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())
-
-
-def _mark(recording: Recording) -> str:
-    # The manifest holds checksums of every array; readings are cheap to sum and cover recordings without.
-    return str(recording.manifest.get("sha256")) + hashlib.sha256(np.asarray(recording.reading).tobytes()).hexdigest()

@@ -106,12 +106,12 @@ def test_slow_features_leave_noise_out(tmp_path: Path):
 
 def test_features_are_taken_from_the_cache_of_the_same_key(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=300)
-    segments, path = read_segments(recording), tmp_path / "features.safetensors"
+    segments = read_segments(recording)
 
     def make(key: str, seed: int):
         generator = torch.Generator().manual_seed(seed)
         settings = FeatureSettings(components=4, principal=4)
-        return cached_features(path, key, recording.observation, segments, settings, generator)
+        return cached_features(tmp_path, key, recording.observation, segments, settings, generator)
 
     first, same, other = make("a", 0), make("a", 1), make("b", 1)
     assert torch.equal(first[1], same[1]) and torch.equal(first[0].basis, same[0].basis)

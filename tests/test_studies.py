@@ -323,3 +323,27 @@ def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     assert process.returncode == 2
     assert errors == f"error: --out {tmp_path / 'other'} is neither empty nor a study folder\n"
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
+    allowed = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(allowed)})  # so that one process does all runs
+        cases = [{"learn.train.steps": 1_000_000}, {}, {"learn.seed": 1}]
+        process = start(write_study(tmp_path, cases=cases, target={}), tmp_path / "out")
+        wait_until(lambda: list(tmp_path.glob("out/runs/*/deepgps")), process)
+        (worker,) = find_workers(process.pid)
+        os.kill(worker, signal.SIGKILL)
+        _, errors = process.communicate(timeout=120)
+    finally:
+        os.sched_setaffinity(0, allowed)
+    assert "1 of 3 runs failed" in errors
+    assert "its process ended with -9" in (tmp_path / "out" / "table.md").read_text()
+    assert len(list(tmp_path.glob("out/runs/*/metrics.json"))) == 2
+
+
+def find_workers(parent: int) -> list[int]:
+    """Processes started by another to do runs."""
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
+    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]

@@ -5,6 +5,8 @@ from pathlib import Path
 import pytest
 from small_study import finish, start, write_study
 
+from deepgps.features import TABLE
+from deepgps.material import FEATURES
 from deepgps.methods import METHODS
 from deepgps.progress import ignore
 from deepgps.run import open_run, training_seed
@@ -41,7 +43,16 @@ def test_posenet_is_trained_once_for_all_encoders_that_lose_no_image_and_for_all
     for kind in ("ticks", "noise", "use"):
         assert weights(runs[kind], "posenet").samefile(weights(runs["none"], "posenet"))
     assert not weights(runs["lost"], "posenet").samefile(weights(runs["none"], "posenet"))
-    assert len(list((runs["none"].parent.parent / "trainings").iterdir())) == 2
+
+
+@pytest.mark.slow
+def test_features_are_made_once_for_all_encoders_that_lose_no_image(runs):
+    table = Path(FEATURES) / TABLE
+    for kind in ("ticks", "noise", "use"):
+        assert (runs[kind] / table).samefile(runs["none"] / table)
+    assert not (runs["lost"] / table).samefile(runs["none"] / table)
+    # features and PoseNet, of all images and of those that are not lost
+    assert len(list((runs["none"].parent.parent / "trainings").iterdir())) == 4
 
 
 @pytest.mark.slow
@@ -56,4 +67,5 @@ def test_a_method_that_reads_ticks_is_trained_for_each(runs):
 def test_what_is_shared_is_what_the_run_would_have_learned_alone(kind, runs, tmp_path):
     scenario, recording = open_run(runs[kind]), open_recording(runs[kind] / "recording")
     METHODS["posenet"](recording, scenario.learn, training_seed(scenario), tmp_path / "posenet", ignore)
-    assert weights(tmp_path, "posenet").read_bytes() == weights(runs[kind], "posenet").read_bytes()
+    for name in (weights(Path(), "posenet"), Path(FEATURES) / TABLE):
+        assert (tmp_path / name).read_bytes() == (runs[kind] / name).read_bytes()

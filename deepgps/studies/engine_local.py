@@ -1,14 +1,15 @@
-"""The local engine: each run a process of its own, as many at once as there are cores; no server."""
+"""The local engine: as many processes as there are cores, each doing run after run; no server."""
 
 import signal
 from collections.abc import Sequence
+from contextlib import suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import NamedTuple
 
 from deepgps.progress import Look, Report
-from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
 from sim.processes import end_with_parent, usable_cores
@@ -32,24 +33,28 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
     try:
         while waiting or active:
             while waiting and len(active) < usable_cores():
-                pipe, process = _start(waiting[0], folder, record)
-                active[pipe] = waiting.pop(0), process
+                pipe, process = _start(folder, record)
+                active[pipe] = _give(pipe, waiting), process
             for pipe in wait(list(active)):
                 assert isinstance(pipe, Connection)
                 plan, process = active[pipe]
                 try:
                     told = pipe.recv()
-                except EOFError:  # the process has ended
+                except EOFError:  # the process has died
+                    process.join()
+                    failed[plan.run] = f"its process ended with {process.exitcode}"
+                    told = Told(0, ended=True)
+                if told.failure:
+                    failed[plan.run] = told.failure
+                steps = count_steps(plan.scenario)
+                done[plan.run] = steps if told.ended else min(told.steps, steps)
+                progress(f"steps of {len(plans)} runs", sum(done.values()), total)
+                if told.ended and waiting and process.is_alive():
+                    active[pipe] = _give(pipe, waiting), process
+                elif told.ended:
+                    pipe.close()  # which ends the process
                     process.join()
                     del active[pipe]
-                    if process.exitcode and plan.run not in failed:
-                        failed[plan.run] = f"its process ended with {process.exitcode}"
-                    told = count_steps(plan.scenario)
-                if isinstance(told, str):
-                    failed[plan.run] = told
-                else:
-                    done[plan.run] = min(told, count_steps(plan.scenario))
-                    progress(f"steps of {len(plans)} runs", sum(done.values()), total)
     finally:
         for _, process in active.values():
             process.terminate()
@@ -58,25 +63,44 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
     return failed
 
 
-def work(scenario: Scenario, folder: Path, recording: str, record: bool, pipe: Connection) -> None:
-    """In a process of its own: do one run, telling ``pipe`` the steps done and, where it failed, why."""
+class Told(NamedTuple):
+    """What a process tells of its run: training steps done, whether it has ended, and if it failed, why."""
+
+    steps: int
+    ended: bool = False
+    failure: str | None = None
+
+
+def work(folder: Path, record: bool, pipe: Connection) -> None:
+    """In a process of its own: do the runs that come through ``pipe``, until no more come."""
     end_with_parent()
+    with suppress(EOFError):
+        while True:
+            _do(pipe.recv(), folder, record, pipe)
+
+
+def _do(plan: Plan, folder: Path, record: bool, pipe: Connection) -> None:
     steps: dict[str, int] = {}
 
     def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
         if total > 1:  # a training
             steps[label] = done
-            pipe.send(sum(steps.values()))
+            pipe.send(Told(sum(steps.values())))
 
-    if reason := do_run(scenario, folder, recording, record, tell):
-        pipe.send(reason)
+    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, record, tell)
+    pipe.send(Told(sum(steps.values()), ended=True, failure=failure))
 
 
-def _start(plan: Plan, folder: Path, record: bool) -> tuple[Connection, BaseProcess]:
+def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
+    with suppress(BrokenPipeError):  # the process has died, as reading from it will show
+        pipe.send(waiting[0])
+    return waiting.pop(0)
+
+
+def _start(folder: Path, record: bool) -> tuple[Connection, BaseProcess]:
     context = get_context("spawn")
-    pipe, end = context.Pipe(duplex=False)
-    arguments = (plan.scenario, folder / "runs" / plan.run, plan.recording, record, end)
-    process = context.Process(target=work, args=arguments)
+    pipe, end = context.Pipe()
+    process = context.Process(target=work, args=(folder, record, end))
     # Ctrl-C reaches all processes of a terminal; only this one shall answer. What is ignored now is so from the start.
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:

@@ -1,4 +1,4 @@
-"""Trainings that runs of a study share: PoseNet learns from images and places alone, whatever the encoders read.
+"""What runs of a study share whatever the encoders read: features are made from images, PoseNet learns from places too.
 
 A finished training is left where the study's later runs find it, named by a hash of all that it has read. They take it
 as hard links, or as copies where there can be none: each run is whole without the others. Runs that are at work
@@ -11,6 +11,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
+from deepgps.features import has_features
+from deepgps.material import FEATURES, digest_features
 from deepgps.positioner import is_finished
 from deepgps.run import training_seed
 from deepgps.scenario import Scenario
@@ -23,17 +25,17 @@ WITHOUT_TICKS = ("posenet", "posenet_noisy")
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
     """Give a run what others of its study have learned from the same."""
-    for method, shared in _find(scenario, run):
-        if is_finished(shared) and not is_finished(run / method):
-            shutil.rmtree(run / method, ignore_errors=True)  # a training that was cut off
-            _link_folder(shared, run / method, shared.parent)
+    for name, shared in _find(scenario, run):
+        if _is_whole(shared) and not _is_whole(run / name):
+            shutil.rmtree(run / name, ignore_errors=True)  # a training that was cut off
+            _link_folder(shared, run / name, shared.parent)
 
 
 def leave_trainings(scenario: Scenario, run: Path) -> None:
     """Leave what a run has learned for others of its study."""
-    for method, shared in _find(scenario, run):
-        if not is_finished(shared):
-            _link_folder(run / method, shared, shared.parent)
+    for name, shared in _find(scenario, run):
+        if _is_whole(run / name) and not _is_whole(shared):
+            _link_folder(run / name, shared, shared.parent)
 
 
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
@@ -46,8 +48,16 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
 
 def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
     home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
+    features = digest_features(recording, scenario.learn, training_seed(scenario))[:8]
     shared = [method for method in scenario.methods if method in WITHOUT_TICKS]
-    return [(method, home / digest_training(scenario, method, recording)) for method in shared]
+    return [
+        (FEATURES, home / features),
+        *((method, home / digest_training(scenario, method, recording)) for method in shared),
+    ]
+
+
+def _is_whole(folder: Path) -> bool:
+    return is_finished(folder) or has_features(folder)
 
 
 def _link_folder(source: Path, target: Path, aside: Path) -> None:
