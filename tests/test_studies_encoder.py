@@ -122,7 +122,7 @@ def test_the_study_runs_small(tmp_path: Path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     rows = pq.read_table(tmp_path / "study" / "table.parquet").to_pylist()
-    assert len(rows) == 4 * 3 and not any(row["failure"] for row in rows)
+    assert len(rows) == 5 * 3 and not any(row["failure"] for row in rows)
     noisy = [row for row in rows if row["encoder.gap_noise"] == 0.1]
     assert all(row["segment_rms_m"] > 10 * rows[0]["segment_rms_m"] for row in noisy)
     recordings = {row["recording"] for row in rows}

@@ -339,6 +339,20 @@ def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_c
     assert elsewhere.steps[0].value == "gap_noise 0, lost 0"
 
 
+def test_a_setting_that_grows_alone_in_some_of_the_cases_has_a_slider_of_its_own(tmp_path):
+    both = {"encoder.lost": 0.3, "encoder.gap_noise": 0.3}
+    cases = [{}, {"encoder.gap_noise": 0.3}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3}, both]
+    rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
+    sliders = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
+    assert [slider.name for slider in sliders] == ["case", "encoder.gap_noise", "seed", "run"]  # lost has one value
+    noise = sliders[1]
+    assert ([step.value for step in noise.steps], noise.others) == (["0", "0.1", "0.3"], "seed 0")
+    assert [step.rows[0]["encoder.gap_noise"] for step in noise.steps] == [0.0, 0.1, 0.3]
+    assert all(step.rows[0]["encoder.lost"] == 0.0 for step in noise.steps)
+    alone = find_sliders(rows_of(tmp_path, cases=cases[:3]), [], {"encoder.gap_noise": 0.0})
+    assert [slider.name for slider in alone] == ["case"]  # which is the same
+
+
 def test_a_study_of_one_run_has_a_slider_with_one_place(tmp_path):
     (slider,) = find_sliders(rows_of(tmp_path, cases=[{}]), [], {})
     assert (slider.name, [step.value for step in slider.steps]) == ("run", ["seed 0"])

@@ -54,7 +54,8 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
 
     An axis has a slider of its own, and so have cases and seeds where there are several; all else keeps its base value:
     the scenario's own where the study has it, the first elsewhere. Where several things vary, ``run`` goes through all.
-    Where the scenario's own settings are one of many cases, the others are named by what they set otherwise.
+    Where the scenario's own settings are one of many cases, the others are named by what they set otherwise, and a
+    setting to which some of the cases give several values, and change nothing else, has a slider as an axis has.
 
     Args:
         rows: The study's table.
@@ -72,7 +73,12 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
     among = len(cases) > 1 and list(base[CASE]) == [own.get(column) for column in cases]
     usual = dict(zip(cases, base[CASE], strict=True)) if among else {}
     moving = [name for name in _rank(dimensions) if len(values[name]) > 1]
-    sliders = [_make(name, values, base, dimensions, at, usual) for name in moving]
+    sliders = []
+    for name in moving:
+        sliders.append(_make(name, name, values[name], values[SEED], base, dimensions, at, usual))
+        alone = _find_alone(cases, values[CASE], usual) if name == CASE else {}
+        for setting, found in alone.items():
+            sliders.append(_make(setting, CASE, found, values[SEED], base, dimensions, at, usual))
     if len(moving) != 1:
         steps = [_make_step(dimensions, "", [group], usual) for group in runs]
         sliders.append(Slider(RUN, steps, ""))
@@ -98,22 +104,38 @@ def write(value: Any) -> str:
 
 def _make(
     name: str,
-    values: Mapping[str, Sequence[tuple]],
+    dimension: str,
+    values: Sequence[tuple],
+    seeds: Sequence[tuple],
     base: Mapping[str, tuple],
     dimensions: Mapping[str, Sequence[str]],
     at: Mapping[Point, Sequence[Row]],
     usual: Mapping[str, Any],
 ) -> Slider:
+    """A slider that moves a dimension through these values, or, of cases, one setting, whose name it then has."""
     steps = []
-    for value in values[name]:
-        point = {**base, name: value}
-        seeds = [point[SEED], *(seed for seed in values[SEED] if seed != point[SEED])] if name != SEED else [value]
-        there = [at[place] for seed in seeds if (place := tuple({**point, SEED: seed}.values())) in at]
-        if there:
-            text = describe(dimensions[CASE], value, usual) or NO_CHANGE if name == CASE else write(value[0])
-            steps.append(_make_step(dimensions, text, there, usual))
-    others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != name]
+    for value in values:
+        point = {**base, dimension: value}
+        first = point[SEED]
+        tried = [first] if dimension == SEED else [first, *(seed for seed in seeds if seed != first)]
+        there = [at[place] for seed in tried if (place := tuple({**point, SEED: seed}.values())) in at]
+        if there and name == CASE:
+            steps.append(_make_step(dimensions, describe(dimensions[CASE], value, usual) or NO_CHANGE, there, usual))
+        elif there:
+            steps.append(_make_step(dimensions, write(value[list(dimensions[dimension]).index(name)]), there, usual))
+    others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != dimension]
     return Slider(name, steps, ", ".join(text for text in others if text))
+
+
+def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str, Any]) -> dict[str, list[tuple]]:
+    """By the name of a setting, the cases in which it alone is not as usual and the usual one; three at least."""
+    found: dict[str, list[tuple]] = {}
+    for place, name in enumerate(names if usual else ()):
+        alone = [case for case in cases if all(case[k] == usual[other] for k, other in enumerate(names) if k != place)]
+        if 2 < len(alone) < len(cases):
+            by_value = {(case[place],): case for case in alone}
+            found[name] = [by_value[value] for value in _order(dict.fromkeys(by_value))]
+    return found
 
 
 def _make_step(
