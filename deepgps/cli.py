@@ -166,6 +166,7 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the cures stand above")
 
 
+CONTINUED = ("run", "collect", "train", "evaluate", "study")
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": run_command,
     "collect": stage_command("collect"),
@@ -208,7 +209,8 @@ def main(words: Sequence[str] | None = None) -> None:
         errors.print(f"[red]failed:[/red] {_plain(error)}")
         sys.exit(1)
     except KeyboardInterrupt:
-        errors.print("interrupted; the same command continues where it stopped")
+        again = "; the same command continues where it stopped" if words[0] in CONTINUED else ""
+        errors.print(f"interrupted{again}")
         sys.exit(130)
 
 
