@@ -209,7 +209,7 @@ def main(words: Sequence[str] | None = None) -> None:
         errors.print(f"[red]failed:[/red] {_plain(error)}")
         sys.exit(1)
     except KeyboardInterrupt:
-        again = "; the same command continues where it stopped" if words[0] in CONTINUED else ""
+        again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
         errors.print(f"interrupted{again}")
         sys.exit(130)
 

@@ -1,4 +1,4 @@
-"""The engine of a study: first every missing recording, then every missing run, each in a process of its own.
+"""The engine of a study: first every missing recording, then every missing run, one process to each core.
 
 A recording is made by all cores, so one follows another; a training takes one core, so as many run at once as there
 are. What is done is a file in a folder named by a hash of all it depends on: nothing else is remembered, and a study

@@ -1,4 +1,4 @@
-"""One run of a study, in a process that has none but this to do: train, measure, and where asked, draw."""
+"""One run of a study, in a process that does one after another: train, measure, and where asked, draw."""
 
 import os
 import traceback
@@ -29,7 +29,7 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
     Returns:
         Why it failed; none: it is done.
     """
-    # Read when torch is imported, which is not yet. The cores are shared out already.
+    # Read when torch is imported, which is not before the first run. The cores are shared out already.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:

@@ -75,10 +75,14 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
     moving = [name for name in _rank(dimensions) if len(values[name]) > 1]
     sliders = []
     for name in moving:
-        sliders.append(_make(name, name, values[name], values[SEED], base, dimensions, at, usual))
+        if name == CASE:
+            texts = {case: describe(cases, case, usual) or NO_CHANGE for case in values[CASE]}
+        else:
+            texts = {value: write(value[0]) for value in values[name]}
+        sliders.append(_make(name, name, texts, values[SEED], base, dimensions, at, usual))
         alone = _find_alone(cases, values[CASE], usual) if name == CASE else {}
-        for setting, found in alone.items():
-            sliders.append(_make(setting, CASE, found, values[SEED], base, dimensions, at, usual))
+        for setting, texts in alone.items():
+            sliders.append(_make(setting, CASE, texts, values[SEED], base, dimensions, at, usual))
     if len(moving) != 1:
         steps = [_make_step(dimensions, "", [group], usual) for group in runs]
         sliders.append(Slider(RUN, steps, ""))
@@ -105,36 +109,33 @@ def write(value: Any) -> str:
 def _make(
     name: str,
     dimension: str,
-    values: Sequence[tuple],
+    texts: Mapping[tuple, str],
     seeds: Sequence[tuple],
     base: Mapping[str, tuple],
     dimensions: Mapping[str, Sequence[str]],
     at: Mapping[Point, Sequence[Row]],
     usual: Mapping[str, Any],
 ) -> Slider:
-    """A slider that moves a dimension through these values, or, of cases, one setting, whose name it then has."""
+    """A slider that moves a dimension through values, each with its text, while all else keeps its base value."""
     steps = []
-    for value in values:
+    for value, text in texts.items():
         point = {**base, dimension: value}
-        first = point[SEED]
-        tried = [first] if dimension == SEED else [first, *(seed for seed in seeds if seed != first)]
+        tried = [point[SEED], *(seed for seed in seeds if seed != point[SEED])] if dimension != SEED else [value]
         there = [at[place] for seed in tried if (place := tuple({**point, SEED: seed}.values())) in at]
-        if there and name == CASE:
-            steps.append(_make_step(dimensions, describe(dimensions[CASE], value, usual) or NO_CHANGE, there, usual))
-        elif there:
-            steps.append(_make_step(dimensions, write(value[list(dimensions[dimension]).index(name)]), there, usual))
+        if there:
+            steps.append(_make_step(dimensions, text, there, usual))
     others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != dimension]
     return Slider(name, steps, ", ".join(text for text in others if text))
 
 
-def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str, Any]) -> dict[str, list[tuple]]:
-    """By the name of a setting, the cases in which it alone is not as usual and the usual one; three at least."""
-    found: dict[str, list[tuple]] = {}
+def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str, Any]) -> dict[str, dict[tuple, str]]:
+    """Settings that have three values or more in cases where all else is as usual: those cases, each with its value."""
+    found = {}
     for place, name in enumerate(names if usual else ()):
         alone = [case for case in cases if all(case[k] == usual[other] for k, other in enumerate(names) if k != place)]
         if 2 < len(alone) < len(cases):
             by_value = {(case[place],): case for case in alone}
-            found[name] = [by_value[value] for value in _order(dict.fromkeys(by_value))]
+            found[name] = {by_value[value]: write(value[0]) for value in _order(dict.fromkeys(by_value))}
     return found
 
 
