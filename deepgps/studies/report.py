@@ -14,6 +14,7 @@ from deepgps.studies import (
     concave,
     curves,
     encoder,
+    encoder_figures,
     lab,
     landmarks,
     lidar,
@@ -70,7 +71,12 @@ KINDS: dict[ReportName, Kind] = {
     ),
     "camera": Kind(camera.report, camera.measure, {"camera": camera.draw}),
     "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
-    "encoder": Kind(encoder.report, encoder.measure, {"encoder": encoder.draw}, encoder.add_distances),
+    "encoder": Kind(
+        encoder.report,
+        encoder.measure,
+        {"encoder": encoder_figures.draw, "near": encoder_figures.draw_near},
+        encoder.add_errors,
+    ),
     "lidar": Kind(lidar.report, lidar.measure, {"lidar": lidar.draw}, lidar.add),
     "lab": Kind(lab.report, lab.measure, lab.FIGURES, lab.add),
 }

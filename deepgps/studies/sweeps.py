@@ -1,0 +1,88 @@
+"""Sweeps of the encoder's faults: rows in which one fault grows from none, and pairs of faults that grow together."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from deepgps.studies.table import Row, split_by, varied_in
+from sim.settings import EncoderSettings
+
+PERFECT = EncoderSettings()
+Names = tuple[str, ...]
+TITLES: dict[Names, str] = {
+    ("ticks_per_rev",): "ticks per revolution",
+    ("gap_noise",): "noise w of each gap",
+    ("slip_per_m",): "slip after a metre [m]",
+    ("radius_error_left",): "error of one wheel's radius",
+    ("radius_error_left", "radius_error_right"): "error of both wheels' radius",
+    ("track_error",): "error of the track width",
+    ("lost",): "part of the readings lost",
+    ("stuck",): "part of the drive that one encoder sticks",
+}
+FEWER_IS_WORSE = "ticks_per_rev"
+
+
+class Sweep(NamedTuple):
+    """Rows in which one fault grows, from none.
+
+    Attributes:
+        names: Settings of the encoder that grow together.
+        rows: What was measured, at each value, of all methods and seeds.
+    """
+
+    names: Names
+    rows: list[Row]
+
+    @property
+    def title(self) -> str:
+        """What grows, in words."""
+        return TITLES.get(self.names, " and ".join(self.names))
+
+    def by_value(self, method: str) -> dict[float, list[Row]]:
+        """Rows of a method by the value of the fault, the least fault first."""
+        rows = split_by([row for row in self.rows if row["method"] == method], f"encoder.{self.names[0]}")
+        sign = -1 if self.names[0] == FEWER_IS_WORSE else 1
+        return dict(sorted(rows.items(), key=lambda one: sign * abs(one[0])))
+
+
+def find_sweeps(rows: Sequence[Row]) -> list[Sweep]:
+    """Every fault that grows alone, with the rows of no fault."""
+    changed = {_changed(row) for row in rows}
+    perfect = [row for row in rows if not _changed(row)]
+    alone = [names for names in TITLES if names in changed]
+    # both radii grow together only where they are the same
+    return [
+        Sweep(
+            names, [*perfect, *(row for row in rows if _changed(row) == names and len(set(_values(row, names))) == 1)]
+        )
+        for names in alone
+    ]
+
+
+def find_pairs(rows: Sequence[Row]) -> list[Names]:
+    """Every two faults that grow against one another."""
+    pairs = sorted({names for row in rows if len(names := _changed(row)) == 2})
+    return [pair for pair in pairs if pair not in TITLES]
+
+
+def find_methods(rows: Sequence[Row]) -> list[str]:
+    """The methods of these rows, as the study lists them."""
+    return list(dict.fromkeys(row["method"] for row in rows))
+
+
+def split_by_values(rows: Sequence[Row], names: Names) -> dict[tuple[float, ...], list[Row]]:
+    """Rows in which no other fault is set, by the values of these."""
+    groups: dict[tuple[float, ...], list[Row]] = {}
+    for row in rows:
+        if set(_changed(row)) <= set(names):
+            groups.setdefault(_values(row, names), []).append(row)
+    return dict(sorted(groups.items()))
+
+
+def _values(row: Row, names: Names) -> tuple[float, ...]:
+    return tuple(row[f"encoder.{name}"] for name in names)
+
+
+def _changed(row: Row) -> Names:
+    """Settings of the encoder that are not as they are by default."""
+    names = [name.removeprefix("encoder.") for name in varied_in(row) if name.startswith("encoder.")]
+    return tuple(sorted(name for name in names if row[f"encoder.{name}"] != getattr(PERFECT, name)))
