@@ -35,8 +35,9 @@ NOTE = (
     f"part of the test positions within {100 * NEAR_M[0]:g} cm; aligned on training samples, never scaled. Segment: "
     "RMS error of the length of whole segments, measured and as theory expects it (uniform rounding within a tick, w "
     "growing with the root of the number of gaps, slip with the root of the way, radius in proportion, a stuck encoder "
-    "taking half of the way). Where a map does better than its segments, many of them cross each place and their "
-    "errors average; where it does worse, all err alike."
+    "taking half of the way); what is left without any fault is the wheels' creep on the floor. Where a map does "
+    "better than its segments, many of them cross each place and their errors average; where it does worse, all err "
+    "alike."
 )
 EXPLAIN = (
     "Rounding should hardly matter while a tick is short beside the spacing of images: the phases of ticks differ.",

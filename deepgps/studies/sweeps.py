@@ -70,11 +70,14 @@ def find_methods(rows: Sequence[Row]) -> list[str]:
 
 
 def split_by_values(rows: Sequence[Row], names: Names) -> dict[tuple[float, ...], list[Row]]:
-    """Rows in which no other fault is set, by the values of these."""
+    """Rows of a pair of faults by their values: both set, and each of these values alone, and none."""
+    both = [_values(row, names) for row in rows if _changed(row) == names]
+    asked = [{getattr(PERFECT, name), *(values[place] for values in both)} for place, name in enumerate(names)]
     groups: dict[tuple[float, ...], list[Row]] = {}
     for row in rows:
-        if set(_changed(row)) <= set(names):
-            groups.setdefault(_values(row, names), []).append(row)
+        values = _values(row, names)
+        if set(_changed(row)) <= set(names) and all(value in some for value, some in zip(values, asked, strict=True)):
+            groups.setdefault(values, []).append(row)
     return dict(sorted(groups.items()))
 
 
