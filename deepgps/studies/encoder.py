@@ -36,8 +36,8 @@ NOTE = (
     "RMS error of the length of whole segments, measured and as theory expects it (uniform rounding within a tick, w "
     "growing with the root of the number of gaps, slip with the root of the way, radius in proportion, a stuck encoder "
     "taking half of the way); what is left without any fault is the wheels' creep on the floor. Where a map does "
-    "better than its segments, many of them cross each place and their errors average; where it does worse, all err "
-    "alike."
+    "better than its segments, many of them cross each place and their errors average. Where it does worse, all err "
+    "alike, or segments are so good that the network, and places that the drive hardly saw, decide."
 )
 EXPLAIN = (
     "Rounding should hardly matter while a tick is short beside the spacing of images: the phases of ticks differ.",
