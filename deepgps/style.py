@@ -1,9 +1,11 @@
 """How every picture looks: a colour for each method, floors for screen and paper, axes by decades, PNG bytes."""
 
+from collections.abc import Sequence
 from io import BytesIO
 
 import numpy as np
 from matplotlib import ticker
+from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
@@ -32,6 +34,23 @@ def colour_on_dark(method: str) -> tuple[int, int, int]:
     """A method's colour, paler than on paper: red, green and blue, up to 255."""
     red, green, blue = (int(255 * (0.3 + 0.7 * part)) for part in to_rgb(LINES.get(method, "#555555")))
     return red, green, blue
+
+
+def draw_band(
+    axes: Axes, places: Sequence[float], seeds: Sequence[Sequence[float]], colour: str, label: str, marker: float
+) -> None:
+    """A line through the means of the seeds at each place, and a band from the least to the most of them.
+
+    Args:
+        axes: Where.
+        places: Along the abscissa.
+        seeds: What each seed has at each place.
+        colour: Of both.
+        label: Of the line.
+        marker: Its size [pt].
+    """
+    axes.plot(places, [np.mean(one) for one in seeds], "o-", color=colour, markersize=marker, label=label)
+    axes.fill_between(places, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0)
 
 
 def count_by_decades(axis: Axis) -> None:

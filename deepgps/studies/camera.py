@@ -11,7 +11,7 @@ from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.scenario import Scenario
 from deepgps.studies.seeds import count_folded
-from deepgps.studies.table import ERRORS, Row, is_seed, mean, read_setting, split_by
+from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure
 
@@ -86,7 +86,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Errors under each fault: RMS filled, median open, runs small and faint; without faults as lines."""
     faults = group_faults(rows, varied)
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = find_methods(rows)
     picture = Picture(figsize=(7.4, 1.5 + 0.3 * len(faults)), layout="constrained")
     axes = picture.add_subplot()
     for place, group in enumerate(faults.values()):

@@ -13,7 +13,7 @@ from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.compare import group_rows
 from deepgps.studies.compare import report as compare_choices
-from deepgps.studies.table import Row
+from deepgps.studies.table import Row, find_methods
 from deepgps.style import LINES, count_by_decades
 from deepgps.targets import Figure, write
 from deepgps.visibility import measure_visible
@@ -33,7 +33,7 @@ NOTE = (
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each shape and method, then a line for each share of the floor that is reached."""
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = find_methods(rows)
     headings = ["reach", "positions", *(f"{method_title(name)}, RMS [cm]" for name in methods)]
     headings += [f"{method_title(name)}, median [cm]" for name in methods]
     cells = []

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
-from deepgps.style import LINES, count_by_decades
+from deepgps.style import LINES, count_by_decades, draw_band
 from deepgps.targets import Figure
 
 TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
@@ -119,8 +119,7 @@ def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> Non
     groups = dict(sorted(split_by(line, axis).items()))
     values, colour, title = list(groups), LINES.get(method, "#555555"), method_title(method)
     seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
-    axes.plot(values, [np.mean(one) for one in seeds], "o-", color=colour, markersize=4, label=f"{title}, RMS")
-    axes.fill_between(values, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0)
+    draw_band(axes, values, seeds, colour, f"{title}, RMS", marker=4)
     medians = [100 * mean(group, "median_m") for group in groups.values()]
     axes.plot(values, medians, "--", color=colour, linewidth=1, label=f"{title}, median")
 

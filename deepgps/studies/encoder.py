@@ -14,12 +14,11 @@ from deepgps.studies.sweeps import (
     TITLES,
     Names,
     Sweep,
-    find_methods,
     find_pairs,
     find_sweeps,
     split_by_values,
 )
-from deepgps.studies.table import Row, mean, split_by
+from deepgps.studies.table import Row, find_methods, mean, split_by
 from deepgps.targets import Figure
 
 NEAR_M = (0.02, 0.05)

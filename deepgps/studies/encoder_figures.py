@@ -3,15 +3,14 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from deepgps.report import method_title
 from deepgps.studies.encoder import NEAR_M, PART, name_part
-from deepgps.studies.sweeps import Sweep, find_methods, find_sweeps
-from deepgps.studies.table import Row, mean
-from deepgps.style import LINES, count_by_decades
+from deepgps.studies.sweeps import Sweep, find_sweeps
+from deepgps.studies.table import Row, find_methods, mean
+from deepgps.style import LINES, count_by_decades, draw_band
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
@@ -68,9 +67,6 @@ def _draw_methods(axes: Axes, sweep: Sweep, name: str) -> None:
         groups, colour = sweep.by_value(method), LINES.get(method, "#555555")
         seeds = [[100 * row[name] for row in group] for group in groups.values()]
         place = range(len(groups))
-        axes.plot(place, [np.mean(one) for one in seeds], "o-", color=colour, markersize=3, label=method_title(method))
-        axes.fill_between(
-            place, [min(one) for one in seeds], [max(one) for one in seeds], color=colour, alpha=0.15, lw=0
-        )
+        draw_band(axes, place, seeds, colour, method_title(method), marker=3)
         # what is measured stands side by side: values grow by factors in some faults and by steps in others
         axes.set_xticks(place, [f"{value:g}" for value in groups], fontsize=8)

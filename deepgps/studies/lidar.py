@@ -10,7 +10,7 @@ from safetensors import safe_open
 from deepgps.error_field import add_scale, print_error_field
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
-from deepgps.studies.table import PAPERS_ERRORS, Row
+from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 from deepgps.targets import Figure
 
 RIVAL = "pca_knn"
@@ -82,7 +82,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Maps with their obstacles, and the error of each method over them, on one scale."""
     maps = _by_map(rows, varied)
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = find_methods(rows)
     picture = Picture(figsize=(4.0 * len(maps) + 0.8, 4.3 * len(methods)), layout="constrained")
     panels = picture.subplots(len(methods), len(maps), squeeze=False, sharex=True, sharey=True)
     for column, group in enumerate(maps.values()):

@@ -35,7 +35,7 @@ class Sweep(NamedTuple):
     @property
     def title(self) -> str:
         """What grows, in words."""
-        return TITLES.get(self.names, " and ".join(self.names))
+        return TITLES[self.names]
 
     def by_value(self, method: str) -> dict[float, list[Row]]:
         """Rows of a method by the value of the fault, the least fault first."""
@@ -62,11 +62,6 @@ def find_pairs(rows: Sequence[Row]) -> list[Names]:
     """Every two faults that grow against one another."""
     pairs = sorted({names for row in rows if len(names := _changed(row)) == 2})
     return [pair for pair in pairs if pair not in TITLES]
-
-
-def find_methods(rows: Sequence[Row]) -> list[str]:
-    """The methods of these rows, as the study lists them."""
-    return list(dict.fromkeys(row["method"] for row in rows))
 
 
 def split_by_values(rows: Sequence[Row], names: Names) -> dict[tuple[float, ...], list[Row]]:

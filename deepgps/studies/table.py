@@ -1,6 +1,6 @@
 """A study's table: a row for each run and method, from the runs' own files."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +61,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
     """Rows by what one column says, in the order in which it first says so."""
     return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
+
+
+def find_methods(rows: Iterable[Row]) -> list[str]:
+    """The methods of these rows, as the study lists them."""
+    return list(dict.fromkeys(row["method"] for row in rows))
 
 
 def is_seed(name: str) -> bool:

@@ -12,7 +12,7 @@ import rerun as rr
 
 from deepgps.error_field import WorstField
 from deepgps.studies.study import Study
-from deepgps.studies.table import Row, varied_in
+from deepgps.studies.table import Row, find_methods, varied_in
 from deepgps.viewer import study_text
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import holds, save_recording
@@ -59,7 +59,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
     found = find_sliders(rows, list(study.axes), own_values(study, varied_in(rows[0])))
     sliders = [slider for slider in found if len(slider.steps) <= MOST_PLACES] or found[:1]
     left_out = [slider.name for slider in found if slider not in sliders]
-    methods = list(dict.fromkeys(row["method"] for row in rows))
+    methods = find_methods(rows)
     frame, every = find_frame(spaces), _thin(folder, sliders)
     pictures = sorted(folder.glob("figures/*.png"))
 

@@ -7,7 +7,7 @@ import rerun as rr
 
 from deepgps import error_field
 from deepgps.report import method_title
-from deepgps.studies.table import Row, mean
+from deepgps.studies.table import Row, find_methods, mean
 from deepgps.style import colour_on_dark
 from deepgps.viewer.scene import Places, lift, log_floor, put
 from deepgps.viewer.sliders import Slider, Step
@@ -72,7 +72,7 @@ def log_heading(
 def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
     """Errors along a slider: of the mean of all seeds, and of the best and the worst where there are several."""
     rows = [(index, row) for index, step in enumerate(slider.steps) for row in step.repeats]
-    for method in dict.fromkeys(row["method"] for _, row in rows):
+    for method in find_methods(row for _, row in rows):
         groups = {
             index: [row for at, row in rows if at == index and row["method"] == method]
             for index in dict.fromkeys(at for at, row in rows if row["method"] == method)
