@@ -27,7 +27,7 @@ PART = 0.8
 """The part of the places that have to be so near."""
 CHOICE = (
     f"Up to where at least {100 * PART:g} % of the test positions, each at its worst heading, lie so near the truth, "
-    "in the mean of the seeds. Not the RMS: one place that a drive missed decides that, and no encoder mends it."
+    "in the mean of the seeds. Not the RMS: a few places far off decide that, and no encoder mends them."
 )
 NOTE = (
     "RMS of the worst heading of each test position in centimetres, mean, least and most of the seeds, and near: the "
