@@ -1,13 +1,18 @@
-"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong."""
+"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong.
+
+A signal ends it with 128 and the signal's number. Output that nobody reads any more is dropped, and changes no exit
+code: the work under way is worth more than the pipe.
+"""
 
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from multiprocessing import parent_process
 from pathlib import Path
 
-from rich.console import Console
-
+from deepgps.begin import BEGUN
 from deepgps.cli_arguments import (
     BenchArguments,
     NoArguments,
@@ -20,13 +25,16 @@ from deepgps.cli_arguments import (
     parse_scenario,
     parse_seeds,
 )
+from deepgps.faults import explain, working_in
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
+from deepgps.signals import ignore_signals, stop_at_signals
+from deepgps.terminal import console, errors, print_error, show_warnings, warn_plainly
 from sim.errors import InputError, WorkError
 from sim.paths import STUDIES
 
-console = Console(highlight=False)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+if parent_process() is not None:
+    warn_plainly()  # a worker has no progress bars
 
 
 def run_command(words: Sequence[str]) -> None:
@@ -37,9 +45,13 @@ def run_command(words: Sequence[str]) -> None:
     arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
     _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
-    with show_progress() as progress, _watch(arguments, scenario, folder, progress) as report:
+    with (
+        working_in(folder),
+        show_progress(errors) as progress,
+        _watch(arguments, scenario, folder, progress) as report,
+    ):
         run(scenario, folder, arguments.fresh, report)
-    print_report(folder, console)
+    print_report(folder, console, time.monotonic() - BEGUN)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
 
@@ -53,7 +65,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         folder = arguments.out or default_folder(scenario)
         _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         with (
-            show_progress() as progress,
+            working_in(folder),
+            show_progress(errors) as progress,
             _watch(arguments, scenario, folder, progress) as report,
             claim(scenario, folder, arguments.fresh),
         ):
@@ -81,7 +94,11 @@ def study_command(words: Sequence[str]) -> None:
     plans = plan_runs(study)
     folder = arguments.out or default_folder(study)
     _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
-    with open_engine(arguments.engine, arguments.address) as run_all, show_progress() as progress:
+    with (
+        working_in(folder),
+        open_engine(arguments.engine, arguments.address) as run_all,
+        show_progress(errors) as progress,
+    ):
         failures = carry_out(study, plans, folder, arguments.fresh, run_all, progress)
     console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
     if arguments.publish:
@@ -127,7 +144,7 @@ def rooms_command(words: Sequence[str]) -> None:
     _choose_renderer()
     from sim.gallery import draw_gallery
 
-    with show_progress() as progress:
+    with show_progress(errors) as progress:
         draw_gallery(kinds, seeds, arguments.out, progress)
     console.print(f"wrote {arguments.out}")
 
@@ -142,7 +159,7 @@ def bench_command(words: Sequence[str]) -> None:
 
     before = find_before(arguments.against)
     size = choose_size(arguments.tiny, arguments.memory_samples)
-    with show_progress() as progress:
+    with show_progress(errors) as progress:
         rows = run_bench(size, arguments.out, not arguments.tiny, draw_poses, measure_rendering, progress)
     console.print(tabulate(rows, before))
     console.print("\n".join(["", *list_notes(rows), ""]), style="dim", markup=False)
@@ -166,7 +183,6 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the cures stand above")
 
 
-CONTINUED = ("run", "collect", "train", "evaluate", "study")
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": run_command,
     "collect": stage_command("collect"),
@@ -197,21 +213,19 @@ def main(words: Sequence[str] | None = None) -> None:
     words = sys.argv[1:] if words is None else words
     # Read when torch is imported: threads that spin while they wait make a busy machine five times slower.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    stop_at_signals()
+    code = 0
     try:
-        _dispatch(words)
-    except InputError as error:
-        errors.print(f"[red]error:[/red] {_plain(error)}")
-        sys.exit(2)
-    except WorkError as error:
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except OSError as error:  # a full disk, a folder without permission
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
-        errors.print(f"interrupted{again}")
-        sys.exit(130)
+        with show_warnings():
+            _dispatch(words)
+        _flush()
+    except (Exception, KeyboardInterrupt) as error:
+        ignore_signals()
+        code, kind, text = explain(error, words)
+        print_error(kind, text)
+    ignore_signals()
+    if code:
+        sys.exit(code)
 
 
 def _dispatch(words: Sequence[str]) -> None:
@@ -235,11 +249,7 @@ def _watch(
     os.environ.setdefault("RUST_LOG", "off")
     from deepgps.viewer.live import show_live
 
-    return show_live(" ".join(arguments.live), scenario, folder, progress, _warn)
-
-
-def _warn(text: str) -> None:
-    errors.print(f"[yellow]warning:[/yellow] {_plain(text)}")
+    return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
@@ -257,9 +267,10 @@ def _choose_renderer() -> None:
     choose_backend()
 
 
-def _plain(error: Exception | str) -> str:
-    """One line that rich takes as it is."""
-    return " ".join(str(error).split()).replace("[", "\\[")
+def _flush() -> None:
+    """Write what is still to be written, so that a full disk there is said like any other."""
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
 
 
 if __name__ == "__main__":
