@@ -68,7 +68,9 @@ class Lines:
         elif done != stage.said and (
             done >= total or 10 * done // total > 10 * stage.said // total or now - stage.at >= self.PERIOD_S
         ):
-            self._say(f"{label}: {done:,} of {total:,}{_write_share(done, total)}{_write_speed(stage, now, done, total)}")
+            self._say(
+                f"{label}: {done:,} of {total:,}{_write_share(done, total)}{_write_speed(stage, now, done, total)}"
+            )
             stage.said, stage.at = done, now
 
 
