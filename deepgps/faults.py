@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from deepgps.signals import Stopped, describe_signal
+from deepgps.signals import describe_signal, find_stop
 from sim.errors import InputError, WorkError, one_line
 
 FULL = (errno.ENOSPC, errno.EDQUOT, None)  # none: numpy tells how many bytes were written, and not why
@@ -48,7 +48,7 @@ def explain(error: BaseException, words: Sequence[str]) -> tuple[int, str, str]:
     folder = None
     if isinstance(error, Fault) and error.__cause__:
         folder, error = error.folder, error.__cause__
-    if stopped := _find_stop(error):
+    if stopped := find_stop(error):
         return 128 + stopped.number, "", describe_signal(stopped.number, words)
     if isinstance(error, KeyboardInterrupt):
         return 130, "", describe_signal(signal.SIGINT, words)
@@ -104,17 +104,6 @@ def _explain_file(error: OSError, folder: Path | None) -> str:
         with suppress(OSError):
             text += f" ({shutil.disk_usage(folder).free / 1e6:.1f} MB free)"
     return f"{os.fsdecode(path)}: {text}" if isinstance(path, str | bytes | Path) else text
-
-
-def _find_stop(error: BaseException | None) -> Stopped | None:
-    """The signal that led to an exception, itself or before it in the chain."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        if isinstance(error, Stopped):
-            return error
-        seen.add(id(error))
-        error = error.__cause__ or error.__context__
-    return None
 
 
 def _version() -> str:

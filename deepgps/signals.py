@@ -7,16 +7,18 @@ answers. Until its packages are imported nothing has begun, and it leaves at onc
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Sequence
 from multiprocessing import active_children
-from threading import Timer
 from types import FrameType
 
 from sim.processes import ENDINGS
 
-PAUSE_S = 2.0
-"""Signals that follow the first one this fast are the same wish, and must not interrupt the clearing up."""
+AGAIN_S = 0.2
+"""How often a signal is repeated until it is heard: some packages go on after any exception in their imports."""
+PATIENCE_S = 10.0
+"""How long clearing up may take before a further signal ends the process at once."""
 CONTINUED = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "terminated by a hang-up"}
 
@@ -42,7 +44,7 @@ def stop_at_signals() -> None:
     for number in ENDINGS:
         if signal.getsignal(number) == _leave:
             signal.signal(number, stop)
-            sys.unraisablehook = stop.catch
+            sys.unraisablehook = _report_unraisable
 
 
 def ignore_signals() -> None:
@@ -59,28 +61,46 @@ def describe_signal(number: int, words: Sequence[str]) -> str:
 
 
 class Stop:
-    """The handler of signals: ends the workers and raises ``Stopped``."""
+    """The handler of signals: ends the workers and raises ``Stopped``, until it is heard."""
 
     def __init__(self) -> None:
-        self.last = -PAUSE_S
+        self.first: float | None = None
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        if time.monotonic() - self.last < PAUSE_S:
+        now = time.monotonic()
+        if self.first is None:
+            self.first = now
+            threading.Thread(target=_repeat, args=(number,), daemon=True).start()
+        if find_stop(sys.exception()):  # it is heard, and clearing up goes on
+            if now - self.first > PATIENCE_S:
+                _leave(number, frame)
             return
-        self.last = time.monotonic()
         for worker in active_children():
             worker.kill()  # what they have written is whole, and waiting for the rest may take long
         raise Stopped(number)
 
-    def catch(self, lost: "sys.UnraisableHookArgs") -> None:
-        """Send the signal again where its exception was raised in a finaliser, which swallows it."""
-        if not isinstance(lost.exc_value, Stopped):
-            sys.__unraisablehook__(lost)
-            return
-        self.last = -PAUSE_S
-        again = Timer(0.05, os.kill, (os.getpid(), lost.exc_value.number))
-        again.daemon = True
-        again.start()
+
+def find_stop(error: BaseException | None) -> Stopped | None:
+    """The signal that led to an exception, itself or before it in the chain."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, Stopped):
+            return error
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return None
+
+
+def _repeat(number: int) -> None:
+    while isinstance(signal.getsignal(number), Stop):
+        time.sleep(AGAIN_S)
+        os.kill(os.getpid(), number)
+
+
+def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Report exceptions in finalisers, but that of a signal, which is repeated."""
+    if not isinstance(lost.exc_value, Stopped):
+        sys.__unraisablehook__(lost)
 
 
 def _leave(number: int, frame: FrameType | None) -> None:
