@@ -1,5 +1,7 @@
 """What the command does before it imports anything else, which takes a second: it is the first import of its file."""
 
+import codecs
+import os
 import sys
 import time
 from multiprocessing import parent_process
@@ -12,7 +14,16 @@ BEGUN = time.monotonic()
 FILES = {"deepgps", "cli.py"}
 """How the command is started: as the script of the package, or as ``python -m deepgps.cli``."""
 
+
+def use_utf8() -> None:
+    """Start this process again in Python's UTF-8 mode where it cannot read the names of files as text."""
+    if codecs.lookup(sys.getfilesystemencoding()).name == "ascii" and os.environ.get("PYTHONUTF8") != "1":
+        os.environ["PYTHONUTF8"] = "1"
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
+
+
 if Path(sys.argv[0]).name in FILES:  # not in a program that only imports a part of the command
-    open_streams()
     if parent_process() is None:
         leave_at_signals()
+        use_utf8()
+    open_streams()

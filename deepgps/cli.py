@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from multiprocessing import parent_process
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from deepgps.cli_arguments import (
     parse_seeds,
 )
 from deepgps.faults import explain, working_in
+from deepgps.outlets import flush_streams
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
 from deepgps.signals import ignore_signals, stop_at_signals
@@ -216,13 +217,15 @@ def main(words: Sequence[str] | None = None) -> None:
     stop_at_signals()
     code = 0
     try:
-        with show_warnings():
+        with show_warnings(), suppress(SystemExit):  # which --help raises
             _dispatch(words)
-        _flush()
+        flush_streams()
     except (Exception, KeyboardInterrupt) as error:
         ignore_signals()
         code, kind, text = explain(error, words)
         print_error(kind, text)
+        with suppress(OSError):
+            flush_streams()
     ignore_signals()
     if code:
         sys.exit(code)
@@ -265,12 +268,6 @@ def _choose_renderer() -> None:
     from sim.gl import choose_backend
 
     choose_backend()
-
-
-def _flush() -> None:
-    """Write what is still to be written, so that a full disk there is said like any other."""
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
 
 
 if __name__ == "__main__":

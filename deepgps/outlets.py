@@ -20,15 +20,27 @@ def open_streams() -> None:
     sys.stderr = _wrap(sys.stderr, 2)
 
 
+def flush_streams() -> None:
+    """Write what still waits to be written; raises OSError where that fails, and lets it wait no longer."""
+    for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
+        try:
+            stream.flush()
+        except OSError:
+            empty = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(empty, number)  # else Python tries once more at its end, and complains with a traceback
+            os.close(empty)
+            raise
+
+
 class Outlet(io.FileIO):
-    """A file that drops what nobody reads any more."""
+    """A standard stream that drops what nobody reads any more; one for errors drops what cannot be written."""
 
     def write(self, data) -> int:
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno not in UNREAD:
-                raise
+            if self.fileno() == 1 and error.errno not in UNREAD:
+                raise OSError(error.errno, error.strerror, "standard output") from None
             return len(memoryview(data).cast("B"))
 
 

@@ -20,7 +20,7 @@ AGAIN_S = 0.2
 PATIENCE_S = 10.0
 """How long clearing up may take before a further signal ends the process at once."""
 CONTINUED = ("run", "collect", "train", "evaluate", "study")
-WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "terminated by a hang-up"}
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
 class Stopped(KeyboardInterrupt):

@@ -4,8 +4,8 @@ It listens at 127.0.0.1 and answers only requests that name this host: a page of
 at this machine (DNS rebinding) gets nothing. There is no folder behind it, only the names given.
 """
 
-import gzip
 import logging
+import os
 import shutil
 import socket
 import sys
@@ -32,12 +32,10 @@ class Served:
     Attributes:
         kind: Its Content-Type.
         source: The file, or its bytes.
-        compressed: Whether the bytes are gzip's.
     """
 
     kind: str
     source: Path | bytes
-    compressed: bool = False
 
 
 @contextmanager
@@ -123,26 +121,22 @@ class _Handler(BaseHTTPRequestHandler):
             self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
         elif found is None:
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif isinstance(found.source, Path):
+        elif isinstance(found.source, bytes):
+            self._send_head(found.kind, len(found.source))
+            if body:
+                self.wfile.write(found.source)
+        else:
             with found.source.open("rb") as file:
-                self._send_head(found.kind, found.source.stat().st_size, False)
+                self._send_head(found.kind, os.fstat(file.fileno()).st_size)
                 if body:
                     shutil.copyfileobj(file, self.wfile, 1 << 20)
-        else:
-            packed = found.compressed and "gzip" in self.headers.get("Accept-Encoding", "")
-            data = gzip.decompress(found.source) if found.compressed and not packed else found.source
-            self._send_head(found.kind, len(data), packed)
-            if body:
-                self.wfile.write(data)
 
-    def _send_head(self, kind: str, size: int, packed: bool) -> None:
+    def _send_head(self, kind: str, size: int) -> None:
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(size))
         self.send_header("Cache-Control", "no-cache")
         self.send_header("X-Content-Type-Options", "nosniff")
-        if packed:
-            self.send_header("Content-Encoding", "gzip")
         if self.headers.get("Origin") in self.site.origins:
             self.send_header("Access-Control-Allow-Origin", self.headers["Origin"])
         for name, value in self.site.headers.items():

@@ -36,12 +36,12 @@ def take_page() -> dict[str, Served]:
 
 
 def _take(connection: HTTPConnection, path: str, kind: str) -> Served:
-    connection.request("GET", path, headers={"Accept-Encoding": "gzip"})
+    connection.request("GET", path)
     answer = connection.getresponse()
     data = answer.read()
     if answer.status != 200:
         raise WorkError(f"the Rerun viewer has no {path} ({answer.status}); pip install -U rerun-sdk may bring it")
-    return Served(kind, data, answer.getheader("Content-Encoding") == "gzip")
+    return Served(kind, data)
 
 
 @contextmanager
