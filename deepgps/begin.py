@@ -4,13 +4,14 @@ import codecs
 import os
 import sys
 import time
-from multiprocessing import parent_process
+from multiprocessing import current_process
 from pathlib import Path
 
 from deepgps.outlets import open_streams
 from deepgps.signals import leave_at_signals
 
 BEGUN = time.monotonic()
+IS_WORKER = current_process().name != "MainProcess"  # known before parent_process() is
 FILES = {"deepgps", "cli.py"}
 """How the command is started: as the script of the package, or as ``python -m deepgps.cli``."""
 
@@ -23,7 +24,7 @@ def use_utf8() -> None:
 
 
 if Path(sys.argv[0]).name in FILES:  # not in a program that only imports a part of the command
-    if parent_process() is None:
+    if not IS_WORKER:
         leave_at_signals()
         use_utf8()
     open_streams()

@@ -9,10 +9,9 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
-from multiprocessing import parent_process
 from pathlib import Path
 
-from deepgps.begin import BEGUN
+from deepgps.begin import BEGUN, IS_WORKER
 from deepgps.cli_arguments import (
     BenchArguments,
     NoArguments,
@@ -34,7 +33,7 @@ from deepgps.terminal import console, errors, print_error, show_warnings, warn_p
 from sim.errors import InputError, WorkError
 from sim.paths import STUDIES
 
-if parent_process() is not None:
+if IS_WORKER:
     warn_plainly()  # a worker has no progress bars
 
 
@@ -217,8 +216,11 @@ def main(words: Sequence[str] | None = None) -> None:
     stop_at_signals()
     code = 0
     try:
-        with show_warnings(), suppress(SystemExit):  # which --help raises
-            _dispatch(words)
+        try:
+            with show_warnings():
+                _dispatch(words)
+        except SystemExit as ended:  # after --help
+            code = ended.code if isinstance(ended.code, int) else 0
         flush_streams()
     except (Exception, KeyboardInterrupt) as error:
         ignore_signals()

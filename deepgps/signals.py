@@ -4,6 +4,7 @@ Python's own way is an exception anywhere, and a traceback from each process. He
 answers. Until its packages are imported nothing has begun, and it leaves at once; after that ``Stopped`` is raised.
 """
 
+import _thread
 import os
 import signal
 import sys
@@ -94,7 +95,7 @@ def find_stop(error: BaseException | None) -> Stopped | None:
 def _repeat(number: int) -> None:
     while isinstance(signal.getsignal(number), Stop):
         time.sleep(AGAIN_S)
-        os.kill(os.getpid(), number)
+        _thread.interrupt_main(number)  # a true signal could meet a handler that a library has set meanwhile
 
 
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:

@@ -3,11 +3,12 @@
 import os
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
 from multiprocessing.resource_tracker import ensure_running
+from typing import Any
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """The signals that end a command."""
@@ -19,19 +20,20 @@ class Worker(SpawnProcess):
     """A process that ignores the signals of a terminal from its first instruction on."""
 
     def start(self) -> None:
-        ensure_running()  # its own start would unblock the signals
-        with uninterrupted():  # a worker that was started by half would end with a traceback
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, OF_A_TERMINAL)  # which the new process inherits
-            try:
-                super().start()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        _start_tracker()
+        with uninterrupted(), _blocked(OF_A_TERMINAL):  # a worker that was started by half would end with a traceback
+            super().start()
 
 
 class Workers(SpawnContext):
     """The context of multiprocessing that starts such processes."""
 
     Process = Worker
+
+    def get_context(self, method: str | None = None) -> Any:
+        """This context, as every lock and queue asks for it before it is made."""
+        _start_tracker()
+        return super().get_context(method)
 
 
 WORKERS = Workers()
@@ -62,6 +64,22 @@ def uninterrupted() -> Iterator[None]:
             signal.signal(number, handler)
         for number in came:
             signal.raise_signal(number)
+
+
+def _start_tracker() -> None:
+    """Start the process that multiprocessing has beside a command: it ignores all signals of a terminal but SIGHUP."""
+    with uninterrupted(), _blocked((signal.SIGHUP,)):
+        ensure_running()
+
+
+@contextmanager
+def _blocked(signals: Iterable[signal.Signals]) -> Iterator[None]:
+    """Block signals in this thread, and for good in the processes that it starts meanwhile."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _wait_and_end() -> None:
