@@ -92,10 +92,11 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
             np.ascontiguousarray(images[: count - number * length]).tofile(file)
     shift = np.array([source.reading[:, 0].max() + 1, length, 0, 0])
     reading = np.concatenate([source.reading + number * shift for number in range(copies)])
-    write_array(folder / "reading.npy", reading[reading[:, 1] < count])
-    write_array(folder / "time.npy", np.zeros(0))
+    reading = reading[reading[:, 1] < count]
+    write_array(folder / "reading.npy", reading)
+    write_array(folder / "time.npy", np.arange(float(len(reading))))
     write_array(folder / "test" / "observation.npy", np.zeros((0, 1, *images.shape[1:]), images.dtype))
-    write_json(folder / "manifest.json", dict(source.manifest))
+    write_json(folder / "manifest.json", {**source.manifest, "sha256": {}})  # nobody keeps it
 
 
 def measure_peak(training: Training) -> int:

@@ -2,6 +2,7 @@
 
 import fcntl
 import platform
+import re
 import shutil
 import subprocess
 import time
@@ -63,7 +64,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
     with lock(folder):
         if fresh or not (folder / "scenario.yaml").is_file():
             clear(folder, "scenario.yaml")
-        sweep(folder)
+        sweep(folder, re.compile(".*"))
         path = folder / "scenario.yaml"
         begun = path.is_file()
         if begun and open_run(folder) != scenario:

@@ -5,6 +5,7 @@ are. What is done is a file in a folder named by a hash of all it depends on: no
 that was killed, or that has grown, does what is missing, under this engine or another.
 """
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -65,7 +66,7 @@ def carry_out(
     with lock(folder):
         if fresh or not (folder / MARK).is_file():
             clear(folder, MARK)
-        sweep(folder)
+        sweep(folder, re.compile(".*"))
         write_text(folder / MARK, write_out(study))
         missing = find_missing(study, plans, folder)
         unrecorded = record_all(plans, missing, folder, progress)

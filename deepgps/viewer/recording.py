@@ -22,7 +22,8 @@ from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from deepgps.viewer.training import Data, log_training
-from sim.records import FreeSpace, open_recording, open_truth, sha256
+from sim.files import sha256
+from sim.records import FreeSpace, open_recording, open_truth
 
 RECORDING = "recording.rrd"
 

@@ -15,7 +15,8 @@ from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_setting
 from deepgps.viewer.sliders import Step
 from sim.errors import InputError
-from sim.records import FreeSpace, open_truth, sha256
+from sim.files import sha256
+from sim.records import FreeSpace, open_truth
 
 
 def is_study(folder: Path) -> bool:
