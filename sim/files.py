@@ -8,6 +8,7 @@ in a file ``<name>.sha256`` beside them.
 import errno
 import hashlib
 import json
+import logging
 import os
 import re
 import shutil
@@ -22,10 +23,12 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError, one_line
 
+log = logging.getLogger(__name__)
 PART = ".deepgps-part"
-"""End of the names of files that are being written: ``<name>.<process>.deepgps-part``."""
+"""End of the names of files and folders that are being written: ``<name>.<process>.deepgps-part``."""
 CHECKSUM = "checksum"
 SUM = ".sha256"
+LINES = "# sha256 of the lines below: "
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -91,10 +94,12 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON file that ``write_json`` made; files of earlier versions have no checksum, and are taken as they are.
 
     Raises:
-        DamagedError: The file is cut off or has changed.
+        DamagedError: The file is missing, is cut off or has changed.
     """
     try:
         value = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        raise DamagedError(f"{path} is missing") from None
     except (ValueError, RecursionError) as error:
         raise damaged(path, f"it is not JSON: {error}") from None
     if not isinstance(value, dict):
@@ -129,17 +134,24 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """Read all arrays of a file that ``write_arrays`` made, each compared with its checksum.
 
     Raises:
-        DamagedError: The file is cut off or has changed.
+        DamagedError: The file is missing, is cut off or has changed.
     """
     try:
-        with ZipFile(path) as archive:
-            if any(entry.compress_type != ZIP_STORED for entry in archive.infolist()):
+        data = path.read_bytes()
+        with ZipFile(BytesIO(data)) as archive:
+            entries = archive.infolist()
+            # The last 22 bytes count the entries; zipfile itself does not miss one that has been lost.
+            if len(entries) != int.from_bytes(data[-12:-10], "little"):
+                raise damaged(path, "an array is missing")
+            if any(entry.compress_type != ZIP_STORED for entry in entries):
                 raise damaged(path, "its arrays are compressed")
             # Reading an entry whole compares its CRC-32, before NumPy believes anything of it.
-            stored = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
-        return {name: np.load(BytesIO(data), allow_pickle=False) for name, data in stored.items()}
-    except (DamagedError, FileNotFoundError):
+            stored = {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
+        return {name: np.load(BytesIO(array), allow_pickle=False) for name, array in stored.items()}
+    except DamagedError:
         raise
+    except FileNotFoundError:
+        raise DamagedError(f"{path} is missing") from None
     except Exception as error:  # zipfile, struct and NumPy raise a dozen kinds
         raise damaged(path, one_line(error)) from None
 
@@ -169,6 +181,19 @@ def check_sha256(path: Path, expected: str) -> None:
         raise damaged(path)
 
 
+def write_lines(path: Path, text: str) -> None:
+    """Write a text file, such as YAML, beneath a comment that holds its checksum."""
+    write_text(path, f"{LINES}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
+
+
+def check_lines(path: Path) -> None:
+    """Compare a text file with the checksum in its first line, where there is one; raises DamagedError."""
+    head, _, text = path.read_bytes().partition(b"\n")
+    expected = head.decode(errors="replace").removeprefix(LINES)
+    if head.startswith(b"#") and expected != hashlib.sha256(text).hexdigest():
+        raise damaged(path)
+
+
 def write_sum(path: Path) -> None:
     """Write the checksum of a file beside it, in the format of sha256sum."""
     write_text(path.with_name(path.name + SUM), f"{sha256(path)}  {path.name}\n")
@@ -180,10 +205,20 @@ def drop_sum(path: Path) -> None:
 
 
 def check_sum(path: Path) -> None:
-    """Compare a file with the checksum beside it, where there is one; raises DamagedError."""
+    """Compare a file with the checksum beside it, where there are both; raises DamagedError."""
     beside = path.with_name(path.name + SUM)
-    if beside.is_file():
+    if beside.is_file() and path.is_file():
         check_sha256(path, beside.read_text(errors="replace").partition(" ")[0])
+
+
+def is_intact(path: Path) -> bool:
+    """Whether a file is there, and as its checksum beside it says; says so of one that has to be made again."""
+    try:
+        check_sum(path)
+    except DamagedError as error:
+        log.warning("%s; it is made again", error)
+        return False
+    return path.is_file()
 
 
 def link_file(source: Path, target: Path) -> None:
@@ -204,13 +239,25 @@ def remove_files(folder: Path, ours: re.Pattern[str]) -> None:
     """
     for path in list_files(folder, ours):
         path.unlink(missing_ok=True)
-        _remove_empty(path.parent, folder)
+        remove_empty(path.parent, folder.parent)
+    remove_empty(folder, folder.parent)
+
+
+def remove_empty(folder: Path, top: Path) -> None:
+    """Remove a folder and those above it up to ``top``, which stays, as far as they are empty."""
+    while folder != top:
+        try:
+            folder.rmdir()
+        except OSError:
+            return
+        folder = folder.parent
 
 
 def sweep(folder: Path, ours: re.Pattern[str]) -> None:
     """Remove what a killed process left half-written of files below a folder whose paths in it match."""
     for path in list_files(folder, ours, parts_only=True):
         path.unlink(missing_ok=True)
+        remove_empty(path.parent, folder)
 
 
 def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) -> list[Path]:
@@ -220,9 +267,9 @@ def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) ->
         here = Path(place)
         links = [name for name in folders if (here / name).is_symlink()]
         for name in [*names, *links]:
-            whole = _WRITING.sub("", name)
-            inside = (here / whole).relative_to(folder).as_posix()
-            if ours.fullmatch(inside) and (whole != name or not parts_only):
+            inside = (here / name).relative_to(folder).as_posix()
+            whole = _WRITING.sub("", inside)
+            if ours.fullmatch(whole) and (whole != inside or not parts_only):
                 found.append(here / name)
     return found
 
@@ -233,7 +280,7 @@ def check_overwrite(path: Path, is_ours: Callable[[bytes], bool]) -> None:
         raise InputError(f"{path} exists, and deepgps did not write it: choose another name, or move it away")
 
 
-_WRITING = re.compile(rf"\.\d+{re.escape(PART)}$")
+_WRITING = re.compile(rf"\.\d+{re.escape(PART)}(?=/|$)")
 
 
 @lru_cache(maxsize=4096)
@@ -243,16 +290,6 @@ def _sha256_once(path: Path, inode: int, size: int, changed_ns: int) -> str:
 
 def _digest_json(value: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(value, indent=1).encode()).hexdigest()
-
-
-def _remove_empty(folder: Path, top: Path) -> None:
-    """Remove a folder and those above it up to ``top``, which stays, as far as they are empty."""
-    while folder != top:
-        try:
-            folder.rmdir()
-        except OSError:
-            return
-        folder = folder.parent
 
 
 def _sync_folder(folder: Path) -> None:

@@ -182,7 +182,7 @@ def test_every_figure_can_be_computed_again_from_the_error_field(finished):
 @pytest.mark.slow
 def test_done_work_is_not_done_again(finished, mini):
     run, _ = finished
-    before = {path: path.stat().st_mtime_ns for path in run.rglob("*") if path.name != ".lock"}
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*") if path.name != ".deepgps"}
     done = deepgps("run", str(mini), "--out", str(run), cwd=run.parent)
     assert done.returncode == 0
     assert "DeepGPS" in done.stdout
@@ -195,7 +195,7 @@ def test_a_folder_of_another_run_is_not_touched(finished, mini):
     run, _ = finished
     done = deepgps("run", str(mini), "--seed", "7", "--out", str(run), cwd=run.parent)
     assert done.returncode == 2
-    assert "holds a run of another scenario; --fresh replaces it" in done.stderr
+    assert "holds a run of another scenario (a recording, trained" in done.stderr
 
 
 @pytest.mark.slow

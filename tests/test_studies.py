@@ -17,7 +17,7 @@ from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.recording import find_recording
 from sim.errors import InputError
-from sim.files import read_json, write_json
+from sim.files import read_json, write_arrays, write_json
 from sim.paths import STUDIES
 from sim.records import check_recording
 
@@ -49,7 +49,7 @@ def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
     """The same with a run more and one that fails: folder, what it said, its errors, when older files were written."""
     study, out, _ = finished
     write_study(study.parent, cases=[*STUDY["cases"], *MORE])
-    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".lock"}
+    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".deepgps"}
     process = start(study, out)
     said, errors = process.communicate(timeout=120)
     assert process.returncode == 1
@@ -186,7 +186,9 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
     for plan in plans:
         if plan.scenario.seed == 5:
             write_json(tmp_path / "runs" / plan.run / "metrics.json", {})
+            write_arrays(tmp_path / "runs" / plan.run / "error_field.npz", {})
     assert list_seeds() == []
+    (tmp_path / "study.yaml").touch()
     assert set(list_seeds(fresh=True)) == {0, 5}
 
 
@@ -321,7 +323,8 @@ def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     process = start(write_study(tmp_path), tmp_path / "other")
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert errors == f"error: --out {tmp_path / 'other'} is neither empty nor a study folder\n"
+    assert errors.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
+    assert errors.count("\n") == 1
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
 
 

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
-from sim.files import write_atomic
+from sim.files import check_sum, drop_sum, write_atomic, write_sum
 
 
 def save_recording(
@@ -40,11 +40,14 @@ def save_recording(
             stream.flush()
             stream.disconnect()
 
+    drop_sum(path)
     write_atomic(path, write)
+    write_sum(path)
 
 
 def holds(path: Path, number: str) -> bool:
     """Whether a whole recording of this id stands there."""
     with suppress(InputError):
+        check_sum(path)
         return [one.recording_id for one in open_rrd(path).recordings()] == [number]
     return False
