@@ -36,7 +36,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
     [
         ("", "mine.yaml is empty"),
         ("- 1", "mine.yaml holds a list; a settings file is a mapping"),
-        ("room: !!python/object/apply:os.system [ls]", "line 1: could not determine a constructor"),
+        ("room: !!python/object/apply:os.system [ls]", "line 1: the tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed"),
         ("room: {kind: attic}", "room.kind 'attic': must be 'living_room', 'bedroom'"),
         ("room: {sed: 3}", "room.sed: there is no such setting, did you mean seed?"),
         ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
@@ -75,7 +75,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("image: {exposure: 0}", "image.exposure 0: must be greater than 0"),
         ("image: {vignetting: 1}", "image.vignetting 1: must be less than or equal to 0.99"),
         ("use: {light: 1.5}", "use.light 1.5: must be less than or equal to 1"),
-        ("seed: {", "line 1"),
+        ("seed: {", "line 2: did not find expected node content"),
         ("seed: 1\nseed: 2", "line 2: seed stands twice"),
         ("name: ../up", "name '../up': string should match pattern"),
     ],
