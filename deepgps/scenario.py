@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
+from os.path import exists, isfile
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
@@ -16,7 +17,7 @@ from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.records import SCHEMA
 from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
-from sim.user_input import is_file, quote, read_file, shorten
+from sim.user_input import quote, read_file, shorten
 
 MethodName = Literal[
     "deepgps",
@@ -121,11 +122,11 @@ def find_settings(kind: str, folder: Path, source: str) -> Path:
     """
     path = Path(source)
     if path.suffix in {".yaml", ".yml"} or "/" in source:
-        if not is_file(path):
-            raise InputError(f"{kind} {shorten(source, 300)}: {_say_missing(path)}")
+        if not isfile(path):
+            raise InputError(f"{kind} {shorten(source, 300)}: {'it is no file' if exists(path) else 'no such file'}")
         return path
     path = folder / f"{source}.yaml"
-    if not is_file(path):
+    if not isfile(path):
         raise InputError(f"{kind} {quote(source)} does not exist; there are {', '.join(names_in(folder))}, or a path")
     return path
 
@@ -151,7 +152,7 @@ def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collectio
 
 
 def describe_problems(error: ValidationError, kind: type[Group]) -> str:
-    """The first wrong fields of a group of this kind in one line: name, value and what is allowed; and how many more."""
+    """The first wrong fields of a group of this kind in one line, each with its value and what is allowed."""
     problems = error.errors(include_url=False)
     return join_problems([_describe(problem, kind) for problem in problems[:MOST_PROBLEMS]], len(problems))
 
@@ -168,7 +169,7 @@ def write_out(scenario: Scenario) -> str:
 
 def read_room(path: str) -> bytes | None:
     """The bytes of a room's file, or None where there is no file; raises InputError where it cannot be read."""
-    return read_file(Path(path), LARGEST_MJCF, f"room.mjcf {shorten(path, 300)}") if is_file(Path(path)) else None
+    return read_file(Path(path), LARGEST_MJCF, f"room.mjcf {shorten(path, 300)}") if isfile(Path(path)) else None
 
 
 def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
@@ -233,10 +234,3 @@ def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
     names = list(group.model_fields)
     close = difflib.get_close_matches(str(loc[-1])[:60], names, n=1, cutoff=0.65)
     return f", did you mean {close[0]}?" if close else f"; there are {', '.join(names)}"
-
-
-def _say_missing(path: Path) -> str:
-    try:
-        return "it is no file" if path.exists() else "no such file"
-    except (OSError, ValueError):
-        return "no such file"

@@ -27,14 +27,6 @@ def shorten(text: str, most: int = 80) -> str:
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in short)
 
 
-def is_file(path: Path) -> bool:
-    """Whether a path leads to a plain file; a name that no file can have does not."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
 def read_file(path: Path, largest: int, what: str) -> bytes:
     """Read a plain file without waiting for a pipe or reading a device.
 
@@ -53,13 +45,15 @@ def read_file(path: Path, largest: int, what: str) -> bytes:
     except (OSError, ValueError) as error:
         raise InputError(f"{what} cannot be read: {getattr(error, 'strerror', None) or error}") from None
     try:
-        with os.fdopen(handle, "rb") as file:
-            state = os.fstat(file.fileno())
-            if not stat.S_ISREG(state.st_mode):
-                kind = "a folder" if stat.S_ISDIR(state.st_mode) else "a pipe or a device"
-                raise InputError(f"{what} is {kind}, not a file")
-            if state.st_size > largest:
-                raise InputError(f"{what} has {state.st_size} bytes; at most {largest} are read")
+        state = os.fstat(handle)
+        if not stat.S_ISREG(state.st_mode):
+            kind = "a folder" if stat.S_ISDIR(state.st_mode) else "a pipe or a device"
+            raise InputError(f"{what} is {kind}, not a file")
+        if state.st_size > largest:
+            raise InputError(f"{what} has {state.st_size} bytes; at most {largest} are read")
+        with open(handle, "rb", closefd=False) as file:
             return file.read(largest)
     except OSError as error:
         raise InputError(f"{what} cannot be read: {error.strerror}") from None
+    finally:
+        os.close(handle)

@@ -202,4 +202,4 @@ def test_text_in_another_encoding_is_refused(tmp_path):
 
 def test_a_missing_file_is_named(tmp_path):
     assert _refusal(tmp_path / "none.xml") == "no such file"
-    assert _refusal(tmp_path) == "no such file"
+    assert _refusal(tmp_path) == f"{tmp_path.name} is a folder, not a file"

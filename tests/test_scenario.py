@@ -36,7 +36,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
     [
         ("", "mine.yaml is empty"),
         ("- 1", "mine.yaml holds a list; a settings file is a mapping"),
-        ("room: !!python/object/apply:os.system [ls]", "line 1: the tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed"),
+        (
+            "room: !!python/object/apply:os.system [ls]",
+            "line 1: the tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed",
+        ),
         ("room: {kind: attic}", "room.kind 'attic': must be 'living_room', 'bedroom'"),
         ("room: {sed: 3}", "room.sed: there is no such setting, did you mean seed?"),
         ("rooom: {}", "rooom: there is no such setting, did you mean room?"),

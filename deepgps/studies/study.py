@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import product
+from os.path import isfile
 from pathlib import Path
 from typing import Any, Literal
 
@@ -29,7 +30,7 @@ from deepgps.scenario import (
 from sim.errors import InputError
 from sim.paths import SCENARIOS, STUDIES
 from sim.settings import Group
-from sim.user_input import is_file, quote, shorten
+from sim.user_input import quote, shorten
 
 ReportName = Literal[
     "plain",
@@ -151,7 +152,9 @@ class Study(Variation):
         for name in (*self.target, *self.paper):
             if name not in known:
                 has = f"has {', '.join(known)}" if known else "has none"
-                raise ValueError(f"target and paper: {shorten(name)} is no figure of the report {self.report}, which {has}")
+                raise ValueError(
+                    f"target and paper: {shorten(name)} is no figure of the report {self.report}, which {has}"
+                )
         return self
 
 
@@ -261,7 +264,7 @@ def _seek_scenarios(study: Study, folder: Path) -> Study:
 
     def seek(source: str) -> str:
         beside = folder / source
-        return str(beside) if beside.suffix in {".yaml", ".yml"} and is_file(beside) else source
+        return str(beside) if beside.suffix in {".yaml", ".yml"} and isfile(beside) else source
 
     cases = [{**case, "scenario": seek(case["scenario"])} if "scenario" in case else case for case in study.cases]
     axes = {name: tuple(map(seek, values)) if name == "scenario" else values for name, values in study.axes.items()}
