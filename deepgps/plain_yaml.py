@@ -14,7 +14,7 @@ from sim.user_input import quote, read_file, shorten
 
 LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
 DEEPEST = 32
-MOST_VALUES = 200_000
+MOST_VALUES = 120_000
 LONGEST_NUMBER = 100
 LARGEST_TEXT = 4 * LARGEST_FILE  # characters, with aliases written out
 _TAG = "tag:yaml.org,2002:"
@@ -130,7 +130,7 @@ def _judge_one(node: yaml.Node) -> None:
     if isinstance(node, yaml.MappingNode):
         _judge_keys(node)
     elif isinstance(node, yaml.ScalarNode) and node.tag == _TEXT:
-        if any("\ud800" <= letter <= "\udfff" for letter in node.value):
+        if not node.value.isascii() and node.value.encode(errors="replace").decode() != node.value:
             raise _Refusal(node, f"{_show(node)} has half of a character in it")
     elif isinstance(node, yaml.ScalarNode) and len(node.value) > LONGEST_NUMBER:
         raise _Refusal(node, f"{_show(node)} is longer than {LONGEST_NUMBER} characters")

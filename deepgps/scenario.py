@@ -147,13 +147,16 @@ def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collectio
     except ValidationError as error:
         problems = error.errors(include_url=False)
         ours = all(".".join(map(str, problem["loc"])) in overrides for problem in problems)
-        text = describe_problems(error, Scenario)
+        text = _describe_all(problems, Scenario)
         raise InputError(text if ours else f"{shorten(str(origin), 300)}: {text}") from None
 
 
 def describe_problems(error: ValidationError, kind: type[Group]) -> str:
     """The first wrong fields of a group of this kind in one line, each with its value and what is allowed."""
-    problems = error.errors(include_url=False)
+    return _describe_all(error.errors(include_url=False), kind)
+
+
+def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group]) -> str:
     return join_problems([_describe(problem, kind) for problem in problems[:MOST_PROBLEMS]], len(problems))
 
 

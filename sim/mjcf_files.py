@@ -3,7 +3,7 @@
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from os.path import exists, isdir, isfile
+from os.path import exists, isdir, isfile, realpath
 from pathlib import Path
 
 from sim.errors import InputError
@@ -13,7 +13,7 @@ from sim.user_input import read_file, shorten
 MOST_ELEMENTS = 100_000
 MOST_ATTRIBUTES = 1_000_000
 MOST_FILES = 200
-MOST_CHECKS = 50_000
+MOST_CHECKS = 20_000
 LARGEST_ASSETS = 2 * 1024**3
 """Bytes of all files that a room draws on."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
@@ -58,6 +58,7 @@ class Files:
         self.what = f"room.mjcf {shorten(str(path), 300)}"
         self.folder = path.resolve().parent
         self.documents: dict[Path, Document] = {}
+        self._found: dict[str, list[Path]] = {}
         self._elements = self._attributes = self._checks = 0
         self.main = self._read_document(path, [])
         root = self.main.roots[path.resolve()]
@@ -85,13 +86,19 @@ class Files:
 
     def find(self, element: ET.Element, name: str) -> list[Path]:
         """Existing files that an element's attribute can mean, all in the room's own folder."""
-        value, found = element.get(name, ""), []
+        value = element.get(name, "")
+        if value not in self._found:
+            self._found[value] = self._find_all(value, f"{element.tag} {name}")
+        return self._found[value]
+
+    def _find_all(self, value: str, name: str) -> list[Path]:
+        found = []
         for base in self._places:
             # With strippath, MuJoCo takes the last part of a path alone.
             for part in dict.fromkeys((value, Path(value).name)):
-                path = self._inside(part, base, f"{element.tag} {name}")
+                path = self._inside(part, base, name)
                 if exists(path) and not isfile(path) and not isdir(path):
-                    raise InputError(f"{self.what}: {element.tag} {name} {shorten(value)} is a pipe or a device")
+                    raise InputError(f"{self.what}: {name} {shorten(value)} is a pipe or a device")
                 found += [path] if isfile(path) else []
         return list(dict.fromkeys(found))
 
@@ -187,8 +194,8 @@ class Files:
         if Path(value).is_absolute() or "\\" in value or ":" in value or not value.isprintable():
             raise InputError(f"{what}: must be a path relative to the room's own folder")
         try:
-            target = (base / value).resolve()
-        except (OSError, RuntimeError):  # a link that leads to itself, a name that is too long
+            target = Path(realpath(base / value))
+        except (OSError, ValueError):
             raise InputError(f"{what}: cannot be found") from None
         if ".." in Path(value).parts or not target.is_relative_to(self.folder):
             raise InputError(f"{what}: lies outside the room's own folder")

@@ -32,7 +32,7 @@ class RoomSettings(Group):
     """Extent along x [m]; none: the kind's own."""
     depth_m: Metres | None = None
     """Extent along y [m]; none: the kind's own."""
-    mjcf: str | None = Field(default=None, max_length=4096)
+    mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
     """A room of your own: path of an MJCF file, used in place of kind, shape, seed and size."""
 
 

@@ -80,6 +80,8 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     ),
 }
 MOST_RUNS = 10_000
+MOST_WRONG = 500
+"""Wrong runs after which no more are planned."""
 STRIDE = 100
 """Runs that are planned between two reports of progress."""
 Point = dict[str, Any]
@@ -214,7 +216,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:
         raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MOST_RUNS}")
-    plan_one, plans, problems = _make_planner(study), [], {}
+    plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
     for done, (seed, varied) in enumerate(_points(study)):
         if done % STRIDE == 0:
             progress("plan", done, total)
@@ -222,9 +224,14 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
             plans.append(plan_one(seed, varied))
         except InputError as error:
             problems[str(error)] = None
-    progress("plan", total, total)
+            wrong += 1
+        if wrong >= MOST_WRONG:
+            break
     if problems:
-        raise InputError(f"study {study.name}: {join_problems(list(problems)[:MOST_PROBLEMS], len(problems))}")
+        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MOST_WRONG else ""
+        text = join_problems(list(problems)[:MOST_PROBLEMS], len(problems))
+        raise InputError(f"study {study.name}: {text}{stopped}")
+    progress("plan", total, total)
     _refuse_twins(study, plans)
     return plans
 
