@@ -2,6 +2,7 @@
 
 import re
 import xml.etree.ElementTree as ET
+from pathlib import Path
 from typing import NamedTuple
 
 from sim.asset_headers import count_triangles, measure_picture, measure_terrain
@@ -30,6 +31,7 @@ _WILD = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?|0x.*)", re.IGNORECASE)
 class Cost(NamedTuple):
     """What a room would hold once it is built."""
 
+    elements: int = 0
     bodies: int = 0
     geoms: int = 0
     copies: int = 0
@@ -45,19 +47,24 @@ class Cost(NamedTuple):
 
 
 MOST = Cost(
+    elements=200_000,
     bodies=8_000,
     geoms=20_000,
-    copies=6_000,
+    copies=10_000,
     texture_bytes=2_000_000_000,
     cells=16_000_000,
     triangles=10_000_000,
 )
 """Times that MuJoCo takes grow with the square of bodies and copies: two seconds at these."""
 _NAMES = Cost(  # pyright: ignore[reportArgumentType]
-    "bodies", "geoms", "copies by replicate, composite and attach", "bytes of textures", "cells of terrain", "triangles"
+    "elements",
+    "bodies",
+    "geoms",
+    "copies by replicate, composite and attach",
+    "bytes of textures",
+    "cells of terrain",
+    "triangles",
 )
-
-_EACH = {"body": Cost(bodies=1), "composite": Cost(bodies=1), "geom": Cost(geoms=1)}
 
 
 def refuse_excess(files: Files) -> None:
@@ -75,6 +82,7 @@ class _Scales:
     def __init__(self, files: Files) -> None:
         self.files, self.what = files, files.what
         self.known: dict[int, Cost] = {}
+        self.pictures: dict[Path, tuple[int, int]] = {}
         # A texture without a size or a type of its own has those of a default: of which, is left open.
         defaults = [
             each for element in files.elements() if element.tag == "default" for each in element.iter("texture")
@@ -99,20 +107,20 @@ class _Scales:
             count = 1
             for word in element.get("count", "1").split():
                 count *= max(1, int(word))
-            made = cost.bodies + cost.geoms + 1
-            cost = cost.times(count)._replace(copies=cost.copies * count + made * count)
+            cost = cost.times(count)
+            cost = cost._replace(copies=cost.copies + cost.elements - count)
         # Later parts are only larger: what is too much here is too much in all, and the numbers stay small.
         _refuse_large(cost, self.what)
         return cost
 
     def _weigh_one(self, element: ET.Element, document: Document) -> Cost:
-        cost = _EACH.get(element.tag, Cost())
+        cost = Cost(elements=1, bodies=element.tag in {"body", "composite"}, geoms=element.tag == "geom")
         if element.tag == "texture":
-            cost = Cost(texture_bytes=self._weigh_texture(element))
+            cost = cost._replace(texture_bytes=self._weigh_texture(element))
         elif element.tag == "hfield":
-            cost = Cost(cells=self._weigh_terrain(element))
+            cost = cost._replace(cells=self._weigh_terrain(element))
         elif element.tag == "mesh":
-            cost = Cost(triangles=self._weigh_mesh(element))
+            cost = cost._replace(triangles=self._weigh_mesh(element))
         elif element.tag == "attach":
             cost = self._weigh_attached(element.get("model"), document)
         return cost
@@ -123,7 +131,7 @@ class _Scales:
         if not costs:
             raise InputError(f"{self.what}: attach model {quote(name)}: no file has that model")
         cost = Cost(*(max(parts) for parts in zip(*costs, strict=True)))
-        return cost._replace(copies=cost.copies + cost.bodies + cost.geoms)
+        return cost._replace(copies=cost.copies + cost.elements)
 
     def _weigh_texture(self, element: ET.Element) -> int:
         what = f"{self.what}: texture {shorten(element.get('name', ''))}"
@@ -132,7 +140,9 @@ class _Scales:
         references, bytes_ = list_references(element), 0
         for name, _ in references:
             for path in self.files.find(element, name):
-                size = measure_picture(path, what) or (0, 0)
+                if path not in self.pictures:
+                    self.pictures[path] = measure_picture(path, what) or (0, 0)
+                size = self.pictures[path]
                 _refuse_side(max(size), what)
                 bytes_ += size[0] * size[1] * channels + path.stat().st_size
         if references:
