@@ -56,14 +56,9 @@ MOST = Cost(
     triangles=10_000_000,
 )
 """Times that MuJoCo takes grow with the square of bodies and copies: two seconds at these."""
-_NAMES = Cost(  # pyright: ignore[reportArgumentType]
-    "elements",
-    "bodies",
-    "geoms",
-    "copies by replicate, composite and attach",
-    "bytes of textures",
-    "cells of terrain",
-    "triangles",
+_NAMES = (
+    *("elements", "bodies", "geoms", "copies by replicate, composite and attach"),
+    *("bytes of textures", "cells of terrain", "triangles"),
 )
 
 
@@ -144,7 +139,7 @@ class _Scales:
                     self.pictures[path] = measure_picture(path, what) or (0, 0)
                 size = self.pictures[path]
                 _refuse_side(max(size), what)
-                bytes_ += size[0] * size[1] * channels + path.stat().st_size
+                bytes_ += size[0] * size[1] * channels if any(size) else path.stat().st_size
         if references:
             return bytes_ * faces // max(1, len(references))
         width = _count(element, "width", self.what) or self.width

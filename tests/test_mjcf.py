@@ -230,7 +230,7 @@ TEXTURE = '<asset><texture name="t" type="2d" file="a.png"/></asset>'
     ("body", "head", "text"),
     [
         (f'<replicate count="1000000000">{GEOM}</replicate>', "", "replicate count 1000000000 must be a whole number"),
-        ('<replicate count="1000">' * 3 + GEOM + "</replicate>" * 3, "", "more than 20000 geoms"),
+        ('<replicate count="1000">' * 3 + GEOM + "</replicate>" * 3, "", "more than 200000 elements"),
         (f'<replicate count="9999">{GEOM}<site/></replicate>', "", "more than 10000 copies by replicate"),
         ('<replicate count="999999"><light/></replicate>', "", "more than 200000 elements"),
         (f'<replicate count="1e9">{GEOM}</replicate>', "", "replicate count 1e9 must be a whole number"),
@@ -316,7 +316,9 @@ def test_sizes_that_claim_memory_are_left_out_and_no_warning_is_written(tmp_path
 def test_honest_rooms_are_below_every_limit(tmp_path):
     """Two million triangles, 5,000 geoms, a hundred textures of 2048 pixels."""
     (tmp_path / "m.obj").write_text("v 0 0 0\n" * 100_000 + "f 1 2 3\n" * 200_000)
-    (tmp_path / "t.png").write_bytes(_picture(2048, 2048, bytes(2048 * (3 * 2048 + 1))))
+    (tmp_path / "t.png").write_bytes(
+        _picture(2048, 2048, bytes(2048 * (3 * 2048 + 1)), _chunk(b"eXIf", bytes(12_000_000)))
+    )
     meshes = "".join(f'<mesh name="m{number}" file="m.obj"/>' for number in range(10))
     textures = "".join(f'<texture name="t{number}" type="2d" file="t.png"/>' for number in range(100))
     geoms = "".join(f'<geom name="g{number}" size="0.1" pos="{number / 7} 0 1e-12"/>' for number in range(5000))
