@@ -17,6 +17,7 @@ from sim.errors import DamagedError, InputError, one_line
 from sim.files import (
     check_sha256,
     damaged,
+    list_files,
     read_arrays,
     read_json,
     remove_files,
@@ -241,8 +242,8 @@ def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Ma
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
-    files = sorted(path for path in folder.rglob("*") if path.suffix in {".npy", ".npz", ".glb"})
-    checksums = {path.relative_to(folder).as_posix(): sha256(path) for path in files}
+    names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
+    checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name) and name != "manifest.json"}
     write_json(folder / "manifest.json", {"schema": SCHEMA, **manifest, "sha256": checksums})
 
 
