@@ -3,7 +3,6 @@
 import shutil
 import time
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +13,7 @@ from deepgps.features import describe
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
 from sim.files import read_json, write_array, write_json
+from sim.processes import WORKERS
 from sim.records import Recording, open_recording
 
 LOOK_EVERY_S = 0.01
@@ -101,7 +101,7 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
 
 def measure_peak(training: Training) -> int:
     """The most anonymous memory [bytes] that a process of its own needs for a training."""
-    process = get_context("spawn").Process(target=train_once, args=(training,))
+    process = WORKERS.Process(target=train_once, args=(training,))
     process.start()
     most = 0
     while process.is_alive():

@@ -1,13 +1,17 @@
-"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong."""
+"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong.
+
+A signal ends it with 128 and the signal's number. Output that nobody reads any more is dropped, and changes no exit
+code: the work under way is worth more than the pipe.
+"""
 
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 
-from rich.console import Console
-
+from deepgps.begin import BEGUN, IS_WORKER
 from deepgps.cli_arguments import (
     BenchArguments,
     NoArguments,
@@ -20,14 +24,18 @@ from deepgps.cli_arguments import (
     parse_scenario,
     parse_seeds,
 )
+from deepgps.faults import explain, working_in
+from deepgps.outlets import flush_streams
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
+from deepgps.signals import ignore_signals, stop_at_signals
+from deepgps.terminal import console, errors, print_error, show_warnings, warn_plainly
 from sim.errors import InputError, WorkError
 from sim.files import check_overwrite
 from sim.paths import STUDIES
 
-console = Console(highlight=False)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+if IS_WORKER:
+    warn_plainly()  # a worker has no progress bars
 
 
 def run_command(words: Sequence[str]) -> None:
@@ -40,9 +48,13 @@ def run_command(words: Sequence[str]) -> None:
     folder = arguments.out or default_folder(scenario)
     _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     place = find_place(folder, arguments.fresh)
-    with show_progress() as progress, _watch(arguments, scenario, place, progress) as report:
+    with (
+        working_in(folder),
+        show_progress(errors) as progress,
+        _watch(arguments, scenario, place, progress) as report,
+    ):
         run(scenario, folder, arguments.fresh, report)
-    print_report(folder, console)
+    print_report(folder, console, time.monotonic() - BEGUN)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
 
@@ -58,7 +70,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         place = find_place(folder, arguments.fresh)
         with (
-            show_progress() as progress,
+            working_in(folder),
+            show_progress(errors) as progress,
             _watch(arguments, scenario, place, progress) as report,
             claim(scenario, folder, arguments.fresh) as place,
         ):
@@ -75,24 +88,28 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.studies.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
-    from deepgps.studies.report import check_publish, publish, report_study
     from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     study = load_study(arguments.study, arguments.tiny, arguments.full)
-    plans = plan_runs(study)
+    with show_progress(errors) as progress:
+        plans = plan_runs(study, progress)
+    # These import torch and matplotlib, which takes longer than to tell what is wrong in a study.
+    from deepgps.studies.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
+    from deepgps.studies.report import check_publish, publish, report_study
+
     folder = arguments.out or default_folder(study)
     _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
     if arguments.publish:
         check_publish(arguments.publish / study.name)
     with (
+        working_in(folder),
         open_engine(arguments.engine, arguments.address) as run_all,
         claim_study(study, folder, arguments.fresh) as place,
     ):
-        with show_progress() as progress:
+        with show_progress(errors) as progress:
             failures = carry_out(study, plans, place, run_all, progress)
         console.print(report_study(study, plans, failures, place), markup=False, soft_wrap=True)
         if arguments.publish:
@@ -139,7 +156,7 @@ def rooms_command(words: Sequence[str]) -> None:
     from sim.gallery import draw_gallery, is_gallery
 
     check_overwrite(arguments.out, is_gallery)
-    with show_progress() as progress:
+    with show_progress(errors) as progress:
         draw_gallery(kinds, seeds, arguments.out, progress)
     console.print(f"wrote {arguments.out}")
 
@@ -155,7 +172,7 @@ def bench_command(words: Sequence[str]) -> None:
     check_overwrite(arguments.out, is_bench)
     before = find_before(arguments.against)
     size = choose_size(arguments.tiny, arguments.memory_samples)
-    with show_progress() as progress:
+    with show_progress(errors) as progress:
         rows = run_bench(size, arguments.out, not arguments.tiny, draw_poses, measure_rendering, progress)
     console.print(tabulate(rows, before))
     console.print("\n".join(["", *list_notes(rows), ""]), style="dim", markup=False)
@@ -179,7 +196,6 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the cures stand above")
 
 
-CONTINUED = ("run", "collect", "train", "evaluate", "study")
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": run_command,
     "collect": stage_command("collect"),
@@ -210,21 +226,24 @@ def main(words: Sequence[str] | None = None) -> None:
     words = sys.argv[1:] if words is None else words
     # Read when torch is imported: threads that spin while they wait make a busy machine five times slower.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    stop_at_signals()
+    code = 0
     try:
-        _dispatch(words)
-    except InputError as error:
-        errors.print(f"[red]error:[/red] {_plain(error)}")
-        sys.exit(2)
-    except WorkError as error:
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except OSError as error:  # a full disk, a folder without permission
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
-        errors.print(f"interrupted{again}")
-        sys.exit(130)
+        try:
+            with show_warnings():
+                _dispatch(words)
+        except SystemExit as ended:  # after --help
+            code = ended.code if isinstance(ended.code, int) else 0
+        flush_streams()
+    except (Exception, KeyboardInterrupt) as error:
+        ignore_signals()
+        code, kind, text = explain(error, words)
+        print_error(kind, text)
+        with suppress(OSError):
+            flush_streams()
+    ignore_signals()
+    if code:
+        sys.exit(code)
 
 
 def _dispatch(words: Sequence[str]) -> None:
@@ -248,11 +267,7 @@ def _watch(
     os.environ.setdefault("RUST_LOG", "off")
     from deepgps.viewer.live import show_live
 
-    return show_live(" ".join(arguments.live), scenario, folder, progress, _warn)
-
-
-def _warn(text: str) -> None:
-    errors.print(f"[yellow]warning:[/yellow] {_plain(text)}")
+    return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
@@ -268,11 +283,6 @@ def _choose_renderer() -> None:
     from sim.gl import choose_backend
 
     choose_backend()
-
-
-def _plain(error: Exception | str) -> str:
-    """One line that rich takes as it is."""
-    return " ".join(str(error).split()).replace("[", "\\[")
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -54,6 +55,11 @@ def deepgps(*words: str, cwd: Path, **environment: str) -> subprocess.CompletedP
     return subprocess.run(
         command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
     )
+
+
+def drop_progress(said: str) -> list[str]:
+    """The lines on standard error but those of the progress."""
+    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
 
 
 def assert_one_clear_line(done: subprocess.CompletedProcess[str], code: int, message: str, folder: Path) -> None:
