@@ -46,7 +46,7 @@ ONE_LINE_ERRORS = [
 FILES = [
     ("", "is empty; a settings file is a mapping"),
     ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
-    ("a: !!python/object/apply:os.system [ls]", "line 1: could not determine a constructor"),
+    ("a: !!python/object/apply:os.system [ls]", "is not allowed; write a number or text as it is"),
 ]
 
 
