@@ -17,6 +17,7 @@ from sim.errors import DamagedError, InputError, one_line
 from sim.files import (
     check_sha256,
     damaged,
+    list_files,
     read_arrays,
     read_json,
     remove_files,
@@ -176,12 +177,12 @@ def work_folder(folder: Path) -> Path:
 
 def is_whole(folder: Path) -> bool:
     """Whether a recording is finished, and nothing is left of its making."""
-    return (folder / "manifest.json").is_file() and not work_folder(folder).exists()
+    return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
 
 
 def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
     """States and readings of one chunk of a drive that is being recorded, and its images."""
-    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npy"
+    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -241,8 +242,8 @@ def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Ma
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
-    files = sorted(path for path in folder.rglob("*") if path.suffix in {".npy", ".npz", ".glb"})
-    checksums = {path.relative_to(folder).as_posix(): sha256(path) for path in files}
+    names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
+    checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name)}
     write_json(folder / "manifest.json", {"schema": SCHEMA, **manifest, "sha256": checksums})
 
 
