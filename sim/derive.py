@@ -109,21 +109,17 @@ def _read_again(
 
 def _check(base: Recording, settings: SimSettings, seed: int) -> None:
     other = SimSettings.model_validate(base.manifest["settings"])
-    samples, folder = settings.drive.samples, base.folder
+    samples, at = settings.drive.samples, base.folder
     if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
-        raise InputError(f"{folder} is a recording of another drive: more than encoder, image and drive.samples differ")
+        raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
     if other.image != ImageSettings():
-        raise InputError(
-            f"{folder} has faults in its images, which cannot be taken away: nothing can be derived from it"
-        )
+        raise InputError(f"{at} has faults in its images, which cannot be taken away: nothing can be derived from it")
     if other.drive.samples < samples:
-        raise InputError(f"{folder} has {other.drive.samples} samples, too few for drive.samples {samples}")
+        raise InputError(f"{at} has {other.drive.samples} samples, too few for drive.samples {samples}")
     if other.drive.samples > samples and not can_be_cut(settings):
-        raise InputError(
-            f"{folder} has {other.drive.samples} samples, of which {samples} are no recording of their own"
-        )
+        raise InputError(f"{at} has {other.drive.samples} samples, of which {samples} are no recording of their own")
     if base.manifest["readings_lost"]:
-        raise InputError(f"{folder} has lost readings, whose times are not known: nothing can be derived from it")
+        raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
 
 
 def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:

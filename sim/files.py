@@ -21,7 +21,6 @@ from typing import IO, Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
-
 from numpy.lib import format as npy
 
 from sim.errors import DamagedError, InputError, WorkError, one_line

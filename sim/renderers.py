@@ -170,7 +170,7 @@ class Renderers:
             self._take(worker, told)
         return True
 
-    def _take(self, worker: _Worker, told: float | None | Exception) -> None:
+    def _take(self, worker: _Worker, told: float | Exception | None) -> None:
         """A sign of life with its longest silence [s], a part that is finished, or why it could not be."""
         if isinstance(told, UnsteadyError):
             self._draw_again(worker, told)
