@@ -3,9 +3,10 @@
 import ctypes
 import os
 import signal
+import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing import parent_process
 from multiprocessing.context import SpawnContext, SpawnProcess
@@ -46,18 +47,46 @@ def usable_cores() -> int:
 
 
 def end_with_parent() -> None:
-    """In a worker: end it when its parent is gone, also where the worker is stopped or hangs.
-
-    Linux kills the worker when the thread that started it ends; elsewhere a thread of its own waits for the parent.
-    """
+    """In a worker of multiprocessing: end it when its parent is gone, also where it is stopped or hangs."""
     parent = parent_process()
-    if parent is None:
-        return
+    if parent is not None:
+        end_with(parent.pid or 0)
+        threading.Thread(target=_wait_and_end, daemon=True).start()  # where there is no such call
+
+
+def end_with(parent: int) -> None:
+    """Let Linux kill this process when the thread that started it ends, even if this one is stopped then.
+
+    Args:
+        parent: Number of the process that started this one; if it is gone already, so is this one.
+    """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-        if os.getppid() != parent.pid:  # it was gone before the kernel was asked
+        if os.getppid() != parent:
             os._exit(1)
-    threading.Thread(target=_wait_and_end, daemon=True).start()
+
+
+def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> subprocess.Popen[bytes]:
+    """Start Python on a line of code in a process that ends with this one and ignores the signals of a terminal.
+
+    A process of multiprocessing imports the main module first, and until then it may outlive its parent.
+
+    Args:
+        code: What it runs.
+        words: What it finds in ``sys.argv[1:]``.
+        handles: Open files that it gets.
+    """
+    first = (
+        "import sys; n = int(sys.argv.pop(1)); sys.path[:] = sys.argv[1:1 + n]; del sys.argv[1:1 + n]; "
+        f"from sim.processes import end_with; end_with({os.getpid()}); "
+    )
+    command = [sys.executable, "-c", first + code, str(len(sys.path)), *sys.path, *words]
+    with uninterrupted():
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, OF_A_TERMINAL)  # which the new process inherits
+        try:
+            return subprocess.Popen(command, stdin=subprocess.DEVNULL, pass_fds=handles)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

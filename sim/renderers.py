@@ -9,23 +9,25 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
+from subprocess import Popen
 from typing import Self
 
 import numpy as np
 
 from sim.errors import WorkError
-from sim.processes import WORKERS, end_with_parent
+from sim.processes import start_process
 from sim.settings import SimSettings
 
 DEATHS = 3
 """How often renderers may die or hang."""
 TRIES = 3
 """How often a part is drawn, at most, whose images differ when they are drawn twice."""
-FLOOR_S, PATIENCE = 20.0, 10.0
+FLOOR_S, PATIENCE = 10.0, 8.0
 """A worker hangs that is silent for the first and so many times the longest silence that ended."""
 BEAT_S = 0.5
 """So often a worker gives a sign of life, unless an image takes longer."""
@@ -69,7 +71,7 @@ Draw = Callable[[Part, Callable[[], None]], None]
 
 @dataclass(eq=False)
 class _Worker:
-    process: BaseProcess
+    process: Popen[bytes]
     pipe: Connection
     parts: deque[Part] = field(default_factory=deque)
     silent_s: float = 0.0
@@ -200,7 +202,7 @@ class Renderers:
             worker.process.kill()
         if lost:
             time.sleep(0.2)  # what kills several at once counts once
-            lost += [one for one in self._workers if one not in lost + hung and not one.process.is_alive()]
+            lost += [one for one in self._workers if one not in lost + hung and one.process.poll() is not None]
         self.deaths += 1
         why = "a rendering process died" if lost else f"a rendering process gave no sign of life for {limit_s:.0f} s"
         if self.deaths > DEATHS:
@@ -211,45 +213,58 @@ class Renderers:
             self._remove(worker)
 
     def _start(self) -> _Worker:
-        pipe, end = WORKERS.Pipe()
-        process = WORKERS.Process(target=work, args=(self._draw, end), daemon=True)
-        process.start()
+        pipe, end = Pipe()
+        code = "from sim.renderers import work; work(int(sys.argv[1]))"
+        process = start_process(code, [str(end.fileno())], [end.fileno()])
         end.close()
+        pipe.send(self._draw)
         self._workers.append(_Worker(process, pipe))
         return self._workers[-1]
 
     def _remove(self, worker: _Worker) -> None:
-        worker.process.join()
+        worker.process.wait()
         worker.pipe.close()
         self._workers = [one for one in self._workers if one is not worker]
 
 
-def work(draw: Draw, pipe: Connection) -> None:
-    """In a process of its own: draw the parts that come through ``pipe``, and tell how it goes."""
-    end_with_parent()
-    last = time.monotonic()
-    longest_s = 0.0
-    told = last
+def work(handle: int) -> None:
+    """In a process of its own: draw the parts that come through a pipe, and tell how it goes.
 
-    def beat() -> None:
-        nonlocal last, longest_s, told
+    Args:
+        handle: The pipe's; first comes what draws, then one part after another.
+    """
+    pipe = Connection(handle)
+    with suppress(EOFError, BrokenPipeError):  # the parent is gone
+        draw: Draw = pipe.recv()
+        pulse = _Pulse(pipe)
+        while True:
+            part: Part = pipe.recv()
+            pulse.start()
+            pipe.send(_try_to_draw(draw, part, pulse.beat))
+
+
+def _try_to_draw(draw: Draw, part: Part, beat: Callable[[], None]) -> Exception | None:
+    try:
+        draw(part, beat)
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        return error
+    return None
+
+
+class _Pulse:
+    """Tells now and then that a worker draws, and the longest silence between two images."""
+
+    def __init__(self, pipe: Connection) -> None:
+        self._pipe, self._longest_s = pipe, 0.0
+        self.start()
+
+    def start(self) -> None:
+        self._last = self._told = time.monotonic()
+
+    def beat(self) -> None:
         now = time.monotonic()
-        longest_s, last = max(longest_s, now - last), now
-        if now - told >= BEAT_S:
-            pipe.send(longest_s)
-            told = now
-
-    while True:
-        try:
-            part = pipe.recv()
-        except EOFError:
-            return
-        last = time.monotonic()
-        try:
-            draw(part, beat)
-            beat()
-            pipe.send(None)
-        except Exception as error:
-            error.add_note("".join(traceback.format_exception(error)))
-            pipe.send(error)
-        told = time.monotonic()
+        self._longest_s, self._last = max(self._longest_s, now - self._last), now
+        if now - self._told >= BEAT_S:
+            self._pipe.send(self._longest_s)
+            self._told = now
