@@ -95,7 +95,9 @@ def find_stop(error: BaseException | None) -> Stopped | None:
 def _repeat(number: int) -> None:
     while isinstance(signal.getsignal(number), Stop):
         time.sleep(AGAIN_S)
-        _thread.interrupt_main(signal.Signals(number))  # a true signal could meet a handler that a library has set meanwhile
+        _thread.interrupt_main(
+            signal.Signals(number)
+        )  # a true signal could meet a handler that a library has set meanwhile
 
 
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:

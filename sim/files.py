@@ -9,17 +9,20 @@ import errno
 import hashlib
 import json
 import logging
+import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
+from numpy.lib import format as npy
 
 from sim.errors import DamagedError, InputError, WorkError, one_line
 
@@ -30,6 +33,8 @@ CHECKSUM = "checksum"
 SUM = ".sha256"
 LINES = "# sha256 of the lines below: "
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+PROBE = 1 << 20
+"""Bytes by which a file is made to grow, at most, to find out whether the disk is full."""
 
 
 def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> None:
@@ -41,7 +46,7 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
         size: How many bytes it is going to write, where that is known.
 
     Raises:
-        WorkError: The disk is full; says how much is needed and how much is free.
+        WorkError: The disk is full, and then it says how much is needed and how much is free; or it fails.
     """
     part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its own
     try:
@@ -51,12 +56,26 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
             os.fsync(file.fileno())
         part.replace(path)
         _sync_folder(path.parent)
-    except OSError as error:
-        if error.errno not in NO_SPACE:
-            raise
-        needed = max(size, part.stat().st_size if part.is_file() else 0)
+    except (InputError, WorkError):
         part.unlink(missing_ok=True)
-        raise WorkError(describe_lack(path, needed, error)) from None
+        raise
+    except Exception as error:
+        needed = max(size, part.stat().st_size if part.is_file() else 0)
+        lack = _find_lack(part, error, max(size, PROBE))
+        with suppress(OSError):
+            part.unlink()
+        if lack:
+            raise WorkError(describe_lack(path, needed, lack)) from None
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            raise WorkError(f"{path} cannot be written: {error.strerror}") from None
+        raise
+
+
+def check_space(path: Path, needed: int) -> None:
+    """Raise WorkError where so many bytes [needed] cannot be written at ``path``, before anything is."""
+    place = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
+    if shutil.disk_usage(place).free < needed:
+        raise WorkError(describe_lack(path, needed, OSError(errno.ENOSPC, "")))
 
 
 def describe_lack(path: Path, needed: int, error: OSError) -> str:
@@ -118,6 +137,33 @@ def write_array(path: Path, array: np.ndarray) -> None:
             np.save(file, array, allow_pickle=False)
 
     write_atomic(path, write, array.nbytes)
+
+
+def write_blocks(path: Path, shape: tuple[int, ...], dtype: np.dtype, blocks: Iterable[np.ndarray]) -> None:
+    """Write one ``.npy`` file atomically, block after block: the same bytes as ``write_array`` of the whole.
+
+    Nothing is mapped to memory, for a full disk ends a process that writes to such memory.
+
+    Args:
+        path: The file.
+        shape: Shape of the whole array.
+        dtype: Its type.
+        blocks: Its rows in order, some at a time.
+    """
+    size = math.prod(shape) * dtype.itemsize
+
+    def write(part: Path) -> None:
+        with part.open("wb") as file:
+            header = {"descr": npy.dtype_to_descr(dtype), "fortran_order": False, "shape": shape}
+            npy.write_array_header_1_0(file, header)
+            end = file.tell() + size
+            _reserve(file, end)
+            for block in blocks:
+                file.write(np.ascontiguousarray(block, dtype).data)
+            if file.tell() != end:
+                raise ValueError(f"{path}: blocks of {file.tell() - end + size} bytes for an array of {size}")
+
+    write_atomic(path, write, size)
 
 
 def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
@@ -290,6 +336,28 @@ def _sha256_once(path: Path, inode: int, size: int, changed_ns: int) -> str:
 
 def _digest_json(value: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(value, indent=1).encode()).hexdigest()
+
+
+def _reserve(file: IO[bytes], size: int) -> None:
+    """Claim the space of a file that is being written, so that a full disk is found at once."""
+    try:
+        os.posix_fallocate(file.fileno(), 0, size)
+    except (OSError, AttributeError) as error:  # a file system or a platform that cannot: writing finds out
+        if isinstance(error, OSError) and error.errno in NO_SPACE:
+            raise
+
+
+def _find_lack(part: Path, error: Exception, size: int) -> OSError | None:
+    """The error of a full disk, if that is why writing failed: many libraries raise one of their own instead."""
+    if isinstance(error, OSError) and error.errno:
+        return error if error.errno in NO_SPACE else None
+    try:
+        with part.open("ab") as file:
+            for _ in range(0, size, PROBE):
+                file.write(bytes(PROBE))
+    except OSError as found:
+        return found if found.errno in NO_SPACE else None
+    return None
 
 
 def _sync_folder(folder: Path) -> None:

@@ -177,12 +177,12 @@ def work_folder(folder: Path) -> Path:
 
 def is_whole(folder: Path) -> bool:
     """Whether a recording is finished, and nothing is left of its making."""
-    return (folder / "manifest.json").is_file() and not work_folder(folder).exists()
+    return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
 
 
 def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
     """States and readings of one chunk of a drive that is being recorded, and its images."""
-    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npy"
+    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
