@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps import deepgps
 from deepgps.bench_rows import Row
 from deepgps.features import describe
+from deepgps.methods import METHODS
+from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
 from sim.files import read_json, write_array, write_json
@@ -113,7 +114,7 @@ def measure_peak(training: Training) -> int:
 
 def train_once(training: Training) -> None:
     """Train in the way of the method, from the recording on."""
-    deepgps.fit(open_recording(training.recording), training.settings, 0, training.folder / "deepgps")
+    METHODS["deepgps"](open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
 
 
 def read_anonymous(process: int | None) -> int:

@@ -17,6 +17,7 @@ from deepgps.data import dead_reckon
 from deepgps.positioner import load_positioner
 from deepgps.scenario import MethodName, Scenario
 from deepgps.segment_errors import judge_encoders
+from deepgps.train import use_threads
 from sim.files import read_json, write_arrays
 from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
@@ -71,6 +72,11 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
     Returns:
         The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
     """
+    with use_threads(scenario.learn.train.threads):
+        return _measure(run, scenario)
+
+
+def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     labels, side_m = open_labels(run / "recording"), truth.free_space.shorter_side_m
     fields, label_fields, methods = {}, {}, {}
