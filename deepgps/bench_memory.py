@@ -80,7 +80,7 @@ def measure_memory(
 def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     """Write a recording of ``count`` observations: the drive again and again, each time as new segments.
 
-    It has what training reads, and neither times nor a test grid nor truth.
+    It has what training reads, and neither a test grid nor truth.
     """
     folder.mkdir(parents=True)
     images = source.observation
@@ -91,10 +91,14 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
         np.lib.format.write_array_header_1_0(file, head)
         for number in range(copies):
             np.ascontiguousarray(images[: count - number * length]).tofile(file)
-    shift = np.array([source.reading[:, 0].max() + 1, length, 0, 0])
+    first, last = source.reading[0], source.reading[-1]
+    shift = np.array([last[0] + 1, length, *(last - first)[2:]])
     reading = np.concatenate([source.reading + number * shift for number in range(copies)])
-    write_array(folder / "reading.npy", reading[reading[:, 1] < count])
-    write_array(folder / "time.npy", np.zeros(0))
+    longer_s = source.time[-1] - source.time[0] + 1.0
+    time_s = np.concatenate([source.time + number * longer_s for number in range(copies)])
+    kept = reading[:, 1] < count
+    write_array(folder / "reading.npy", reading[kept])
+    write_array(folder / "time.npy", time_s[kept])
     write_array(folder / "test" / "observation.npy", np.zeros((0, 1, *images.shape[1:]), images.dtype))
     write_json(folder / "manifest.json", dict(source.manifest))
 

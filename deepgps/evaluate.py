@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from deepgps.alignment import AlignmentKind, fit_alignment
 from deepgps.data import dead_reckon
 from deepgps.positioner import load_positioner
+from deepgps.readings import count_readings, keep_plausible
 from deepgps.scenario import MethodName, Scenario
 from deepgps.segment_errors import judge_encoders
 from deepgps.train import use_threads
@@ -77,7 +78,8 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
 
 
 def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    recording = keep_plausible(open_recording(run / "recording"))
+    truth = open_truth(run / "recording")
     labels, side_m = open_labels(run / "recording"), truth.free_space.shorter_side_m
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
@@ -104,6 +106,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
         "samples": len(recording.observation),
         "segments": recording.manifest["segments"],
         "distance_driven_m": recording.manifest["distance_driven_m"],
+        **count_readings(recording),
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),

@@ -1,4 +1,4 @@
-"""The methods by name, each with a fixed number of threads: the same bytes on any number of cores."""
+"""The methods by name. Each learns only from readings that can be, and gives the same bytes on any number of cores."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -7,6 +7,7 @@ from pathlib import Path
 from deepgps import deepgps, explicit, knn, odometry, pca_knn, posenet
 from deepgps.positioner import Positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import keep_plausible
 from deepgps.settings import LearnSettings
 from deepgps.train import use_threads
 from sim.records import Recording
@@ -15,14 +16,14 @@ Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
 
 
 def guard(fit: Fit) -> Fit:
-    """The same method with its threads fixed."""
+    """The same method with readings that cannot be left out and its threads fixed."""
 
     @wraps(fit)
     def fit_guarded(
         recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
     ) -> Positioner:
         with use_threads(settings.train.threads):
-            return fit(recording, settings, seed, folder, progress)
+            return fit(keep_plausible(recording), settings, seed, folder, progress)
 
     return fit_guarded
 

@@ -214,7 +214,7 @@ def train(
 def use_threads(count: int) -> Iterator[None]:
     """Fix the threads for a while, so that each sum has one order: torch uses this many, NumPy and SciPy one.
 
-    OpenBLAS shares its work out by the cores that it finds, and two of its threads do not even repeat their own results.
+    OpenBLAS shares its work out by the cores that it finds, and two of its threads do not even repeat their own sums.
     Libraries that are loaded only later, as scikit-learn is, keep their threads.
     """
     before = torch.get_num_threads()

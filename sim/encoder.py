@@ -4,11 +4,17 @@ The drive uses the joint sensors themselves; the ticks of a recording are derive
 a study over encoder faults repeats only this file, never the drive or the images.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from sim.errors import InputError
 from sim.settings import EncoderSettings
 
 Constants = dict[str, float]
+LARGE = 2**40
+"""Ticks from which on metres, which are no integers, begin to lose them."""
 
 
 def read_encoders(
@@ -87,6 +93,22 @@ def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m:
     }
 
 
+def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
+    """Odometry constants of a recording; raises InputError naming the first that cannot be."""
+    odometry = manifest.get("odometry")
+    if not isinstance(odometry, Mapping):
+        odometry = {}
+    for name in ("wheel_radius_m", "track_m", "ticks_per_rev"):
+        if not _is_number(odometry.get(name)) or odometry[name] <= 0:
+            raise InputError(f"manifest: odometry.{name} must be a number above zero, and is {odometry.get(name)!r}")
+    if odometry["ticks_per_rev"] < 1:
+        raise InputError(f"manifest: odometry.ticks_per_rev must be at least 1, and is {odometry['ticks_per_rev']!r}")
+    for name in ("gap_noise", "slip_per_m"):
+        if not _is_number(odometry.get(name, 0.0)) or odometry.get(name, 0.0) < 0:
+            raise InputError(f"manifest: odometry.{name} must be a number, zero or more, and is {odometry[name]!r}")
+    return odometry
+
+
 def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarray:
     """Whole ticks (R, 2) int64 of angles (R, 2) [rad]: floor or nearest of angle x ticks_per_rev / 2 pi."""
     turns = np.asarray(wheel_angle) * (settings.ticks_per_rev / (2 * np.pi))
@@ -98,6 +120,14 @@ def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: i
     return np.asarray(ticks) * (2 * np.pi * wheel_radius_m / ticks_per_rev)
 
 
+def count_from_first(ticks: np.ndarray) -> np.ndarray:
+    """Cumulative ticks (R, 2) int64 counted from the first reading if they are so large that metres would lose them.
+
+    Smaller ones stay as they are. A counter that overflows 64 bits on the way is taken to go on.
+    """
+    return ticks - ticks[:1] if len(ticks) and (np.abs(ticks.astype(float)) >= LARGE).any() else ticks
+
+
 def keep_readings(count: int, lost: float, rng: np.random.Generator) -> np.ndarray:
     """Mask (count,) bool of the readings that arrive; each is lost with probability ``lost``."""
     return rng.random(count) >= lost
@@ -106,3 +136,7 @@ def keep_readings(count: int, lost: float, rng: np.random.Generator) -> np.ndarr
 def _accumulate(wheel_angle: np.ndarray, gap: np.ndarray) -> np.ndarray:
     start = wheel_angle[:1]
     return np.concatenate([start, start + np.cumsum(gap, axis=0)])
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
