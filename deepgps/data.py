@@ -62,7 +62,7 @@ def read_segments(recording: Recording) -> Segments:
     A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading.
 
     Raises:
-        InputError: when no segment has two readings, or the odometry constants are missing.
+        InputError: No segment has two readings, no wheel turned, or the odometry constants are missing.
     """
     travelled = travel(recording.reading[:, 2:], recording.manifest).mean(axis=1)
     runs = find_runs(recording)
@@ -75,6 +75,8 @@ def read_segments(recording: Recording) -> Segments:
     for row, run in enumerate(kept):
         index[row, : len(run)] = recording.reading[run, 1]
         distance[row, : len(run)] = np.abs(travelled[run] - travelled[run[0]])
+    if not distance.any():
+        raise InputError(f"{recording.folder}: no wheel turned on any segment, so there is no distance to learn from")
     return Segments(
         index=torch.from_numpy(index),
         distance=torch.from_numpy(distance.astype(np.float32)),

@@ -5,7 +5,8 @@ from functools import wraps
 from pathlib import Path
 
 from deepgps import deepgps, explicit, knn, odometry, pca_knn, posenet
-from deepgps.positioner import Positioner
+from deepgps.features import check_observations
+from deepgps.positioner import Positioner, is_finished
 from deepgps.progress import Report, ignore
 from deepgps.readings import keep_plausible
 from deepgps.settings import LearnSettings
@@ -16,14 +17,17 @@ Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
 
 
 def guard(fit: Fit) -> Fit:
-    """The same method with readings that cannot be left out and its threads fixed."""
+    """The same method with its threads fixed, and what it learns from checked."""
 
     @wraps(fit)
     def fit_guarded(
         recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
     ) -> Positioner:
         with use_threads(settings.train.threads):
-            return fit(keep_plausible(recording), settings, seed, folder, progress)
+            if not is_finished(folder):
+                recording = keep_plausible(recording)
+                check_observations(recording.observation)
+            return fit(recording, settings, seed, folder, progress)
 
     return fit_guarded
 

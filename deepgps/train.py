@@ -23,7 +23,7 @@ from torch import nn
 from deepgps.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
-from sim.errors import InputError
+from sim.errors import InputError, WorkError
 from sim.files import write_arrays
 
 SNAPSHOT_SAMPLES = 2000
@@ -169,6 +169,9 @@ def train(
 
     Returns:
         Seconds of training, earlier parts of a cut-off training counted in.
+
+    Raises:
+        WorkError: The training diverged.
     """
     with use_threads(settings.threads):
         device = choose_device(settings.device)
@@ -197,6 +200,7 @@ def train(
             optimiser.step()
             running += value.detach()
             if (step + 1) % every == 0:
+                _check_finite(running, step + 1, settings)
                 history.add_loss(step + 1, running.item() / every)
                 running.zero_()
                 progress(label, step + 1, settings.steps, history.tables)
@@ -204,7 +208,9 @@ def train(
             if (step + 1) % (every * max(1, settings.checkpoint_steps // every)) == 0 or step + 1 == settings.steps:
                 seconds = time.perf_counter() - start
                 save_checkpoint(folder, step + 1, network, optimiser, generator, history.arrays, seconds)
-        history.add_snapshot(settings.steps, predict(network, inputs, history.index))
+        last = predict(network, inputs, history.index)
+        _check_finite(last, settings.steps, settings)
+        history.add_snapshot(settings.steps, last)
         write_arrays(folder / "history.npz", history.tables())
         network.eval()
         return seconds
@@ -224,6 +230,14 @@ def use_threads(count: int) -> Iterator[None]:
             yield
         finally:
             torch.set_num_threads(before)
+
+
+def _check_finite(found: torch.Tensor, step: int, settings: TrainSettings) -> None:
+    if not found.isfinite().all():
+        raise WorkError(
+            f"training diverged before step {step}: its loss or predictions are no finite numbers; "
+            f"learn.train.learning_rate {settings.learning_rate:g} may be too large"
+        )
 
 
 def schedule(step: int, steps: int) -> float:

@@ -13,6 +13,14 @@ from sim.errors import InputError
 from sim.settings import EncoderSettings
 
 Constants = dict[str, float]
+RANGES = {
+    "wheel_radius_m": (1e-6, 1e6),
+    "track_m": (1e-6, 1e6),
+    "ticks_per_rev": (1.0, 1e9),
+    "gap_noise": (0.0, 1e3),
+    "slip_per_m": (0.0, 1e3),
+}
+"""Odometry constants that can be; what may be zero may also be missing."""
 LARGE = 2**40
 """Ticks from which on metres, which are no integers, begin to lose them."""
 
@@ -98,14 +106,10 @@ def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
     odometry = manifest.get("odometry")
     if not isinstance(odometry, Mapping):
         odometry = {}
-    for name in ("wheel_radius_m", "track_m", "ticks_per_rev"):
-        if not _is_number(odometry.get(name)) or odometry[name] <= 0:
-            raise InputError(f"manifest: odometry.{name} must be a number above zero, and is {odometry.get(name)!r}")
-    if odometry["ticks_per_rev"] < 1:
-        raise InputError(f"manifest: odometry.ticks_per_rev must be at least 1, and is {odometry['ticks_per_rev']!r}")
-    for name in ("gap_noise", "slip_per_m"):
-        if not _is_number(odometry.get(name, 0.0)) or odometry.get(name, 0.0) < 0:
-            raise InputError(f"manifest: odometry.{name} must be a number, zero or more, and is {odometry[name]!r}")
+    for name, (low, high) in RANGES.items():
+        value = odometry.get(name, 0.0 if low == 0.0 else None)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+            raise InputError(f"manifest: odometry.{name} must be a number from {low:g} to {high:g}, and is {value!r}")
     return odometry
 
 
@@ -136,7 +140,3 @@ def keep_readings(count: int, lost: float, rng: np.random.Generator) -> np.ndarr
 def _accumulate(wheel_angle: np.ndarray, gap: np.ndarray) -> np.ndarray:
     start = wheel_angle[:1]
     return np.concatenate([start, start + np.cumsum(gap, axis=0)])
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value)
