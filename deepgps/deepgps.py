@@ -24,6 +24,7 @@ from deepgps.network import count_parameters
 from deepgps.noise import expect_errors, find_believed, trust_pairs, trust_places
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.settings import LearnSettings, LiftSettings, Start
 from deepgps.train import Batch, Loss, derive_seed, make_generator, predict, train
 from deepgps.turns import find_hand, read_turns, straighten
@@ -102,6 +103,7 @@ def _fit(
             "parameters": count_parameters(chosen.positioner.network),
             "attempts": len(attempts),
             "fold": {"found": chosen.signs.folded(settings.fold), **asdict(chosen.signs)},
+            **count_readings(recording),
             "segments_skipped": material.segments.skipped,
             "segments_doubted": len(material.segments.count) - len(find_believed(material.segments).count),
         }

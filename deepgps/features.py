@@ -30,6 +30,10 @@ from sim.files import check_sha256, read_json, write_bytes, write_json
 
 log = logging.getLogger(__name__)
 CHUNK = 64  # what a processor's cache holds
+LARGEST = 1e9
+"""Numbers beyond this are no observations; their squares would leave the range of float32."""
+ALIKE = 1e-6
+"""Part of their size by which descriptions must differ in all: less is the rounding of float32."""
 TABLE, KEY = "features.safetensors", "features.key"
 
 
@@ -64,6 +68,23 @@ class Features:
             described = describe(observation[start : start + CHUNK], self.frequencies, self.edges, heading)
             torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
         return found
+
+
+def check_observations(observation: np.ndarray, name: str = "observation.npy") -> None:
+    """Raise InputError where observations cannot be learned from: not numbers, not finite, or far too large."""
+    if observation.dtype.kind not in "uif":
+        raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
+    if observation.dtype.kind != "f":
+        return
+    wrong = 0
+    for start in range(0, len(observation), CHUNK):
+        part = np.asarray(observation[start : start + CHUNK])
+        able = np.abs(part) <= LARGEST  # NaN is not
+        wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
+    if wrong:
+        raise InputError(
+            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
+        )
 
 
 def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -151,6 +172,7 @@ def fit_features(
     described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
     mean = described.mean(dim=0)
     described -= mean
+    _check_variety(described, mean)
     basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
     basis = basis @ _slow_axes(described @ basis, sample, settings.components)
     projected = described @ basis
@@ -170,6 +192,7 @@ def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
     described = describe(observation, 0)
     mean = described.mean(dim=0)
     described -= mean
+    _check_variety(described, mean)
     size = described.square().mean().sqrt().clamp_min(1e-12)
     basis = torch.eye(described.shape[1]) / size
     return Features(tuple(observation.shape[1:]), 0, mean, basis), described / size
@@ -233,6 +256,12 @@ def _describe_all(
     return described
 
 
+def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
+    apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
+    if apart <= ALIKE * size:
+        raise InputError(f"observation.npy: all {len(centred)} observations look alike, so none tells where it was")
+
+
 @lru_cache(maxsize=8)
 def _waves(sectors: int, frequencies: int) -> torch.Tensor:
     # Cosines, then sines, of each frequency (sectors, 2 frequencies + 2): of a few frequencies a product with these is
@@ -261,6 +290,8 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
     first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
     bend = x[first] - 2.0 * x[middle] + x[last]
     noise = bend.T @ bend / len(bend)
+    if not noise.any():
+        return torch.eye(x.shape[1])[:, :count].float()  # nothing bends, so nothing is slower than the rest
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
     ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
     # Each axis has bends of size 1; a fourth root more keeps the slowest in front and damps what is nearly noise.

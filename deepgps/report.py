@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from deepgps.readings import describe_readings
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
 
@@ -120,6 +121,8 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
             f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
             f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
         )
+    if left_out := describe_readings(metrics.get("readings", {})):
+        sentences.insert(1, left_out)
     return sentences
 
 

@@ -14,6 +14,7 @@ import rerun as rr
 
 from deepgps import error_field, figures, style
 from deepgps.error_field import WorstField
+from deepgps.readings import keep_plausible
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.drive import find_cameras, log_drive
 from deepgps.viewer.encoders import log_encoders
@@ -34,7 +35,7 @@ def write_recording(run: Path) -> Path:
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """
     metrics, fields, histories = read_metrics(run), error_field.read_fields(run), figures.read_histories(run)
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     drive_s = float(recording.time[-1] - recording.time[0])
     blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording), drive_s)
 
