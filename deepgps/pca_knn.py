@@ -11,6 +11,7 @@ import numpy as np
 
 from deepgps.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.scan_neighbour import ScanPositioner
 from deepgps.settings import LearnSettings
 from deepgps.train import derive_seed
@@ -49,6 +50,7 @@ def fit(
         progress("pca_knn", min(first + CHUNK, count), count)
     stored = sum(tensor.numel() for tensor in positioner.tensors().values())
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    training |= count_readings(recording)
     save_positioner(folder, positioner, training)
     return positioner
 

@@ -9,9 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sim.errors import InputError
+from deepgps.readings import describe_readings
+from sim.errors import DamagedError, InputError
 from sim.files import read_json
 
+MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
 TITLES = {
     "deepgps": "DeepGPS",
     "deepgps_aware": "DeepGPS, noise-aware",
@@ -55,8 +57,8 @@ def read_metrics(run: Path) -> dict[str, Any]:
         raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
     try:
         metrics = read_json(path)
-    except ValueError as error:
-        raise InputError(f"{path} is not JSON: {error}") from None
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} holds no methods: it is no run's metrics.json")
     return metrics
@@ -119,6 +121,8 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
             f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
             f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
         )
+    if left_out := describe_readings(metrics.get("readings", {})):
+        sentences.insert(1, left_out)
     return sentences
 
 
