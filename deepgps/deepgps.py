@@ -6,7 +6,7 @@ more output dimensions than two ("lifting"), which are flattened later. A fold f
 then by lifting.
 """
 
-import shutil
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -29,9 +29,10 @@ from deepgps.settings import LearnSettings, LiftSettings, Start
 from deepgps.train import Batch, Loss, derive_seed, make_generator, predict, train
 from deepgps.turns import find_hand, read_turns, straighten
 from sim.errors import InputError
-from sim.files import write_bytes
+from sim.files import remove_files, write_bytes
 from sim.records import Recording
 
+ATTEMPT = re.compile(r"history\.npz|checkpoint\.pt")
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
 FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 # How far predictions may stay from the first map unpunished [m]: about what it is wrong by, of ends at single places.
@@ -107,8 +108,8 @@ def _fit(
             "segments_doubted": len(material.segments.count) - len(find_believed(material.segments).count),
         }
         save_positioner(folder, chosen.positioner, training)
-    for left in folder.glob("attempt*"):
-        shutil.rmtree(left)
+    for number in range(settings.fold.restarts + 1):
+        remove_files(_attempt_folder(folder, number), ATTEMPT)
     return load_positioner(folder)
 
 

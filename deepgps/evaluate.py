@@ -15,13 +15,13 @@ from scipy.spatial import KDTree
 from deepgps.alignment import AlignmentKind, fit_alignment
 from deepgps.data import dead_reckon
 from deepgps.features import check_observations
-from deepgps.positioner import load_positioner
+from deepgps.positioner import load_positioner, read_training
 from deepgps.readings import count_readings, keep_plausible
 from deepgps.scenario import MethodName, Scenario
 from deepgps.segment_errors import judge_encoders
 from deepgps.train import use_threads
 from sim.errors import InputError, WorkError
-from sim.files import read_json, write_arrays
+from sim.files import write_arrays
 from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
@@ -94,7 +94,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "scale": scale,
             **measure_grid(fields[method], scenario),
             "alignment": ALIGNMENT[method],
-            **read_json(run / method / "training.json"),
+            **read_training(run / method),
         }
         if labels is not None:
             label_fields[method], scale = measure_field(maps, method, labels)

@@ -12,19 +12,23 @@ vary much over the room and bend little between three consecutive readings of on
 aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
 """
 
+import hashlib
+import logging
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
 
 from deepgps.data import Segments, spread
 from deepgps.settings import FeatureSettings
-from sim.errors import InputError
-from sim.files import write_atomic, write_bytes
+from sim.errors import DamagedError, InputError
+from sim.files import check_sha256, read_json, write_bytes, write_json
 
+log = logging.getLogger(__name__)
 CHUNK = 64  # what a processor's cache holds
 LARGEST = 1e9
 """Numbers beyond this are no observations; their squares would leave the range of float32."""
@@ -202,21 +206,38 @@ def cached_features(
     settings: FeatureSettings,
     generator: torch.Generator,
 ) -> tuple[Features, torch.Tensor]:
-    """As ``fit_features``, but taken from a folder where they were left with the same ``key``."""
-    shape, path = tuple(observation.shape[1:]), folder / TABLE
-    if has_features(folder) and (folder / KEY).read_text() == key:
-        found = load_file(path)
-        return Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges")), found[
-            "features"
-        ]
-    (folder / KEY).unlink(missing_ok=True)
-    fitted, features = fit_features(observation, segments, settings, generator)
-    tensors = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
-    if fitted.edges is not None:
-        tensors["edges"] = fitted.edges
-    write_atomic(path, lambda part: save_file(tensors, part))
-    write_bytes(folder / KEY, key.encode())
-    return fitted, features
+    """As ``fit_features``, but taken from a folder where they were left undamaged with the same ``key``."""
+    found = _read_features(folder, key)
+    if found is None:
+        (folder / KEY).unlink(missing_ok=True)
+        fitted, features = fit_features(observation, segments, settings, generator)
+        found = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+        if fitted.edges is not None:
+            found["edges"] = fitted.edges
+        table = save(found)
+        write_bytes(folder / TABLE, table)
+        write_json(folder / KEY, {"key": key, "sha256": hashlib.sha256(table).hexdigest()})
+    shape = tuple(observation.shape[1:])
+    fitted = Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges"))
+    return fitted, found["features"]
+
+
+def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
+    """Features that were left in a folder with this key; none where there are others, or they are damaged."""
+    if not has_features(folder):
+        return None
+    try:
+        return load_file(folder / TABLE) if check_features(folder) == key else None
+    except (DamagedError, SafetensorError) as error:
+        log.warning("%s; the features are made again", error)
+        return None
+
+
+def check_features(folder: Path) -> str:
+    """The key of the features in a folder, which are compared with their checksum; raises DamagedError."""
+    stored = read_json(folder / KEY)
+    check_sha256(folder / TABLE, str(stored.get("sha256")))
+    return str(stored.get("key"))
 
 
 def has_features(folder: Path) -> bool:

@@ -23,7 +23,8 @@ from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from deepgps.viewer.training import Data, log_training
-from sim.records import FreeSpace, open_recording, open_truth, sha256
+from sim.files import is_intact, sha256
+from sim.records import FreeSpace, open_recording, open_truth
 
 RECORDING = "recording.rrd"
 
@@ -58,7 +59,7 @@ def find_recording(run: Path) -> Path:
     """A run's recording, written if it is missing and checked to be whole; raises InputError."""
     read_metrics(run)
     path = run / RECORDING
-    if not path.is_file():
+    if not is_intact(path):
         return write_recording(run)
     open_rrd(path)
     return path
