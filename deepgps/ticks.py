@@ -154,7 +154,7 @@ def find_jumps(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, pace: P
 
     def fits(first: np.ndarray, second: np.ndarray) -> np.ndarray:
         gap, seconds = ticks[second] - ticks[first], time[second] - time[first]
-        return pace.fits(gap, seconds, segment[first] == segment[second]).all(axis=1)
+        return np.asarray(pace.fits(gap, seconds, segment[first] == segment[second]).all(axis=1))
 
     count = len(ticks)
     jumped, broken, block = np.zeros(count, bool), np.zeros(count, bool), 0

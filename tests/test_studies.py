@@ -271,7 +271,10 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     assert verdicts["RMS / PoseNet's RMS"][:4] == ["1.00", "1.50", "<= 1.05", "met"]
     assert verdicts["PoseNet, RMS"][:2] == ["2.0 cm", "2.0 cm"]
     assert verdicts["rooms with RMS below PoseNet's"][0] == "50.0 %"
-    assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS, 0 by median, 0 by max." in lines
+    assert (
+        "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1), 0 by max (p = 1)."
+        in lines
+    )
 
 
 @pytest.mark.parametrize("name", ["precision", "seeds", "strategies", "networks", "mds"])
