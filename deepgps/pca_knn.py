@@ -29,7 +29,7 @@ def fit(
     """Store the scans of all positions at random headings in ``folder``; done work is loaded.
 
     Raises:
-        InputError: The recording holds no scans.
+        InputError: The recording holds no scans, or all of them are the same.
     """
     if is_finished(folder):
         return load_positioner(folder)
@@ -38,6 +38,8 @@ def fit(
     start = time.perf_counter()
     scans, rng = np.asarray(recording.observation), np.random.default_rng(derive_seed(seed, "features"))
     count, kept, rays = scans.shape
+    if (scans == scans[:1]).all():
+        raise InputError(f"observation.npy: all {count} observations look alike, so none tells where it was")
     turns = draw_turns(count, kept * rays, settings.pca.headings, rng)
     places = open_truth(recording.folder).pose[:, :2].astype(float)
     mean, axes = find_axes(scans, turns, settings.pca.components)

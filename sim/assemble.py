@@ -145,10 +145,10 @@ def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
 
 def read_part(path: Path) -> dict[str, np.ndarray]:
     """Read a file of a recording under way; raises DamagedError, and then has removed it."""
+    if not path.is_file():
+        raise DamagedError(f"{path} is missing")
     try:
         return read_arrays(path)
-    except FileNotFoundError:
-        raise DamagedError(f"{path} is missing") from None
     except DamagedError as error:
         log.warning("%s; it is made again", error)
         path.unlink()
