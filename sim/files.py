@@ -12,6 +12,7 @@ import math
 import os
 import re
 import shutil
+import struct
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import lru_cache
@@ -181,6 +182,8 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         with ZipFile(path) as archive:
             if any(entry.compress_type != ZIP_STORED for entry in archive.infolist()):
                 raise damaged(path, "its arrays are compressed")
+            if not _is_gapless(archive):
+                raise damaged(path, "its list of arrays has changed")
             # Reading an entry whole compares its CRC-32, before NumPy believes anything of it.
             stored = {name.removesuffix(".npy"): archive.read(name) for name in archive.namelist()}
         return {name: np.load(BytesIO(data), allow_pickle=False) for name, data in stored.items()}
@@ -299,6 +302,18 @@ def _remove_empty(folder: Path, top: Path) -> None:
         except OSError:
             return
         folder = folder.parent
+
+
+def _is_gapless(archive: ZipFile) -> bool:
+    """Whether its entries fill an archive: one bit that changes in the directory at its end can hide some of them."""
+    file, end = archive.fp, 0
+    assert file is not None
+    for entry in sorted(archive.infolist(), key=lambda one: one.header_offset):
+        if entry.header_offset != end:
+            return False
+        file.seek(end + 26)  # where a header has the lengths of the two fields that follow it
+        end += 30 + sum(struct.unpack("<HH", file.read(4))) + entry.compress_size
+    return end == archive.start_dir
 
 
 def _reserve(file: IO[bytes], size: int) -> None:
