@@ -6,18 +6,27 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.faults import bits, bombs, fresh, users
+from tests.faults import bits, bombs, cores, disk, endings, fresh, kills, readings, users, web
 from tests.faults.attack import Result, Test, carry_out
 from tests.faults.material import Material, make_material
 from tests.faults.page import write_page
 
 SCALES = {"quick": 0.2, "full": 3.0}
-ON_RUNS = {"users": users.list_tests, "fresh": fresh.list_tests, "bits": bits.list_tests}
+ON_RUNS: dict[str, Callable[[Material], Sequence[Test | Result]]] = {
+    "users": users.list_tests,
+    "fresh": fresh.list_tests,
+    "bits": bits.list_tests,
+    "disk": disk.list_tests,
+    "kills": kills.list_tests,
+    "cores": cores.list_tests,
+    "endings": endings.list_tests,
+    "web": web.list_tests,
+}
 """Families that break runs which are made first."""
-ALONE = {"bombs": bombs.list_tests}
+ALONE: dict[str, Callable[[], Sequence[Test | Result]]] = {"bombs": bombs.list_tests, "readings": readings.list_tests}
 FAMILIES = (*ON_RUNS, *ALONE)
 
 

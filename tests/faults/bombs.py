@@ -79,7 +79,7 @@ def judge(name: str, ended: Ended, start: Ended | None, folder: Path) -> Verdict
     """
     more_s, more_mb = (0.0, 0.0) if start is None else (ended.cpu_s - start.cpu_s, ended.peak_mb - start.peak_mb)
     detail = f"{name}: {more_s:+.1f} s, {more_mb:+.0f} MB, {ended.said} characters: {ended.show()}"
-    lines = [line for line in ended.err.splitlines() if line.strip()]
+    lines = ended.complaints
     litter = [name for name in ("MUJOCO_LOG.TXT", "out") if ended.code and os.path.lexists(folder / name)]
     faults = {
         ended.fell: ended.fell,

@@ -1,6 +1,7 @@
 """A command of the product in a process of its own: watched, limited in time and memory, and never left behind."""
 
 import os
+import re
 import resource
 import shlex
 import signal
@@ -23,6 +24,7 @@ LEAVE_S = 5.0
 """How long a command's processes may take to go after it has ended."""
 LONGEST = 200_000
 TICK_S = 0.01
+PROGRESS = re.compile(r"[^:]{1,80}: [\d,]+ of [\d,]+ \(\d+ %\)")
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,17 @@ class Ended:
     def problems(self) -> list[str]:
         """The lines that say why it failed."""
         return [line for line in self.err.splitlines() if line.startswith(("error:", "failed:"))]
+
+    @property
+    def progress(self) -> list[str]:
+        """The lines that say how far it is."""
+        return [line for line in self.err.splitlines() if PROGRESS.match(line)]
+
+    @property
+    def complaints(self) -> list[str]:
+        """All else that it complained about, without warnings."""
+        lines = [line for line in self.err.splitlines() if line.strip() and not PROGRESS.match(line)]
+        return [line for line in lines if not line.startswith("warning:")]
 
     @property
     def fell(self) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 
 BY_BYTES = {".npy", ".npz", ".safetensors", ".key", ".glb", ".png", ".parquet", ".yaml", ".md"}
 TIME = re.compile(r"^(Time:|look at it:|.* is done:|copied to)")
-SECONDS = re.compile(r"\.(train_s|collect_s|timing_s\b.*)$")
+UNSTEADY = re.compile(r"\.(train_s|collect_s|timing_s\b.*|environment\b.*|renderer_deaths)$")
 LAST_COLUMN = re.compile(r"(\bS?E2\s+)[\d.]+\s*$")
 Print = dict[str, str]
 """A value for each name: a file's checksum by its path, a figure of a JSON file by its path and key."""
@@ -34,7 +34,7 @@ def take(folder: Path) -> Print:
 
 def same_in(first: Print, second: Print) -> Print:
     """The part of a fingerprint that is the same in two clean runs: without times and what depends on them."""
-    return {name: value for name, value in first.items() if second.get(name) == value and not SECONDS.search(name)}
+    return {name: value for name, value in first.items() if second.get(name) == value and not UNSTEADY.search(name)}
 
 
 def differences(expected: Print, found: Print, without: frozenset[str] = frozenset()) -> list[str]:

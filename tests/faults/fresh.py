@@ -2,13 +2,13 @@
 
 import os
 import random
-import time
 from pathlib import Path
 
 from tests.faults.attack import Case, Test, Verdict
 from tests.faults.command import Ended, Running, deepgps, finish, kill, kill_all, start
 from tests.faults.fingerprint import Print, differences, take
 from tests.faults.material import Material, Run, copy
+from tests.faults.moments import wait_for_moment
 from tests.faults.tree import Looks, find_lost, look
 
 FAULTS = (
@@ -69,8 +69,8 @@ def _attack_wrong(old: Run):
         ended = deepgps(command, old.source, "--out", "run", "--fresh", *fault, cwd=case.folder)
         if lost := find_lost(before, folder):
             return Verdict("lost a file", False, f"{len(lost)}: {'; '.join(lost[:5])}: {ended.show()}")
-        if ended.fell or ended.code == 0 or len(ended.problems) != 1:
-            return Verdict(ended.fell or f"{len(ended.problems)} lines", False, ended.show())
+        if ended.fell or ended.code == 0 or len(ended.complaints) != 1:
+            return Verdict(ended.fell or f"{len(ended.complaints)} lines", False, ended.show())
         return Verdict("refused, all there", True)
 
     return attempt
@@ -81,23 +81,21 @@ def _attack_killed(old: Run, new: Run):
         folder = copy(old.stages["finished"], case.folder / "run")
         mine = plant_in_run(folder, case.rng)
         running = start(["run", new.source, "--out", "run", "--fresh"], cwd=case.folder)
-        after = case.rng.uniform(0.05, 1.05) * new.seconds
-        _kill_after(running, after)
+        moment = wait_for_moment(running, case.folder, new.clean, case.rng)
+        _end(running)
         state = _tell_state(folder, old, new)
         if state == "between":  # healed by the next command, if it is
             deepgps("evaluate", old.source, "--out", "run", cwd=case.folder)
             state = _tell_state(folder, old, new)
         if lost := find_lost(mine, folder):
-            return Verdict("lost a file", False, f"killed after {after:.2f} s: {'; '.join(lost[:5])}")
+            return Verdict("lost a file", False, f"killed {moment}: {'; '.join(lost[:5])}")
         if state == "between":
             wrong = differences(old.clean, take(folder))
-            told = f"killed after {after:.2f} s, of {len(old.clean)} differ {len(wrong)}, as {', '.join(wrong[:4])}"
+            told = f"killed {moment}, of {len(old.clean)} differ {len(wrong)}, as {', '.join(wrong[:4])}"
             return Verdict("old run lost before the new one was whole", False, told)
         ended = deepgps("run", new.source, "--out", "run", "--fresh", cwd=case.folder)
         verdict = _judge_done(ended, folder, mine, new.clean)
-        return Verdict(
-            f"{state} run whole, then {verdict.kind}", verdict.held, f"killed after {after:.2f} s; {verdict.detail}"
-        )
+        return Verdict(f"{state} run whole, then {verdict.kind}", verdict.held, f"killed {moment}; {verdict.detail}")
 
     return attempt
 
@@ -109,9 +107,11 @@ def _attack_study(material: Material):
         path = folder / case.rng.choice(["thesis.txt", "recordings/mine.npy", "figures/mine.png"])
         path.write_bytes(b"mine")
         words = ["study", str(study.source), "--out", "study", "--fresh"]
-        _kill_after(start(words, cwd=case.folder), case.rng.uniform(1.0, 6.0))
+        running = start(words, cwd=case.folder)
+        moment = wait_for_moment(running, case.folder, study.clean, case.rng)
+        _end(running)
         if not path.is_file():
-            return Verdict("lost a file", False, f"{path.relative_to(folder)} after a kill")
+            return Verdict("lost a file", False, f"{path.relative_to(folder)} after a kill {moment}")
         if wrong := differences(study.clean, take(folder)):
             return Verdict(
                 "old study lost before the new one was whole", False, f"{len(wrong)}, as {', '.join(wrong[:4])}"
@@ -122,8 +122,7 @@ def _attack_study(material: Material):
     return attempt
 
 
-def _kill_after(running: Running, seconds: float) -> Ended:
-    time.sleep(seconds)
+def _end(running: Running) -> Ended:
     kill(running)
     kill_all(running)
     return finish(running)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -60,14 +61,12 @@ class Run:
         stages: Folder of the run as it was at each stage.
         clean: What a run holds that nothing happened to, as far as it is the same every time.
         printed: What ``deepgps run`` prints of it, without times.
-        seconds: How long ``deepgps run`` took.
     """
 
     source: str
     stages: dict[str, Path]
     clean: Print
     printed: list[str]
-    seconds: float
 
     def after(self, command: str) -> Print:
         """What a run holds once this command has ended."""
@@ -112,7 +111,7 @@ def copy(source: Path, target: Path) -> Path:
     return target
 
 
-def write_scenario(kind: str, folder: Path, **changes: float) -> str:
+def write_scenario(kind: str, folder: Path, **changes: Any) -> str:
     """Write the scenario of a kind of run to a folder; returns the path of its file."""
     base, settings = SCENARIOS[kind]
     values = yaml.safe_load((REPOSITORY / "assets" / "scenarios" / f"{base}.yaml").read_text())
@@ -152,14 +151,14 @@ def _make_run(kind: str, place: Path) -> Run:
     printed = figures_printed(first.out)
     if figures_printed(second.out) != printed:
         raise RuntimeError(f"two clean runs print different figures: {first.out} {second.out}")
-    return Run(source, stages, same_in(take(place / "first"), take(work)), printed, first.wall_s)
+    return Run(source, stages, same_in(take(place / "first"), take(work)), printed)
 
 
 def _make_other(place: Path) -> Run:
     source = write_scenario("landmarks", place, seed=1)
     ended = [must_end(deepgps("run", source, "--out", name, cwd=place)) for name in ("first", "second")]
     clean = same_in(take(place / "first"), take(place / "second"))
-    return Run(source, {"finished": place / "first"}, clean, figures_printed(ended[0].out), ended[1].wall_s)
+    return Run(source, {"finished": place / "first"}, clean, figures_printed(ended[0].out))
 
 
 def _cut_off(command: str, source: str, out: Path, reached: Callable[[], bool]) -> Path | None:

@@ -66,8 +66,8 @@ def judge(before: dict[str, str], home: Path, ended: Ended) -> Verdict:
         return Verdict("lost a file", False, f"{'; '.join(lost[:8])}: {ended.show()}")
     if ended.fell:
         return Verdict(ended.fell, False, ended.show())
-    if ended.code and len(ended.problems) != 1:
-        return Verdict(f"refused in {len(ended.problems)} lines", False, ended.show())
+    if ended.code and len(ended.complaints) != 1:
+        return Verdict(f"refused in {len(ended.complaints)} lines", False, ended.show())
     return Verdict("done, all there" if ended.code == 0 else "refused, all there", True)
 
 
