@@ -23,7 +23,7 @@ from deepgps.progress import Report, ignore
 from deepgps.run import collect, describe_environment, stage_times, train
 from deepgps.scenario import Scenario, load_scenario
 from sim.errors import InputError, WorkError
-from sim.files import read_json
+from sim.files import read_arrays, read_json
 from sim.records import open_recording
 from sim.settings import GridSettings, SimSettings
 
@@ -193,7 +193,7 @@ def measure_pictures(
     scenario: Scenario, size: Size, demo: Path, draw_poses: DrawPoses, measure_rendering: MeasureRendering
 ) -> list[Row]:
     """Drawing, and how steady predictions are over really drawn headings."""
-    cell = np.load(demo / "error_field.npz")["truth"]
+    cell = read_arrays(demo / "error_field.npz")["truth"]
     place = cell[np.linspace(0, len(cell) - 1, size.places).round().astype(int)]
     yaw = np.arange(size.headings) * 2.0 * np.pi / size.headings
     poses = np.concatenate([place.repeat(size.headings, axis=0), np.tile(yaw, len(place))[:, None]], axis=1)

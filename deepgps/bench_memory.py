@@ -3,17 +3,18 @@
 import shutil
 import time
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
 
-from deepgps import deepgps
 from deepgps.bench_rows import Row
 from deepgps.features import describe
+from deepgps.methods import METHODS
+from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
 from sim.files import read_json, write_array, write_json
+from sim.processes import WORKERS
 from sim.records import Recording, open_recording
 
 LOOK_EVERY_S = 0.01
@@ -79,7 +80,7 @@ def measure_memory(
 def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     """Write a recording of ``count`` observations: the drive again and again, each time as new segments.
 
-    It has what training reads, and neither times nor a test grid nor truth.
+    It has what training reads, and neither a test grid nor truth.
     """
     folder.mkdir(parents=True)
     images = source.observation
@@ -90,17 +91,21 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
         np.lib.format.write_array_header_1_0(file, head)
         for number in range(copies):
             np.ascontiguousarray(images[: count - number * length]).tofile(file)
-    shift = np.array([source.reading[:, 0].max() + 1, length, 0, 0])
+    first, last = source.reading[0], source.reading[-1]
+    shift = np.array([last[0] + 1, length, *(last - first)[2:]])
     reading = np.concatenate([source.reading + number * shift for number in range(copies)])
-    write_array(folder / "reading.npy", reading[reading[:, 1] < count])
-    write_array(folder / "time.npy", np.zeros(0))
+    longer_s = source.time[-1] - source.time[0] + 1.0
+    time_s = np.concatenate([source.time + number * longer_s for number in range(copies)])
+    kept = reading[:, 1] < count
+    write_array(folder / "reading.npy", reading[kept])
+    write_array(folder / "time.npy", time_s[kept])
     write_array(folder / "test" / "observation.npy", np.zeros((0, 1, *images.shape[1:]), images.dtype))
-    write_json(folder / "manifest.json", dict(source.manifest))
+    write_json(folder / "manifest.json", {**source.manifest, "sha256": {}})  # nobody keeps it
 
 
 def measure_peak(training: Training) -> int:
     """The most anonymous memory [bytes] that a process of its own needs for a training."""
-    process = get_context("spawn").Process(target=train_once, args=(training,))
+    process = WORKERS.Process(target=train_once, args=(training,))
     process.start()
     most = 0
     while process.is_alive():
@@ -113,7 +118,7 @@ def measure_peak(training: Training) -> int:
 
 def train_once(training: Training) -> None:
     """Train in the way of the method, from the recording on."""
-    deepgps.fit(open_recording(training.recording), training.settings, 0, training.folder / "deepgps")
+    METHODS["deepgps"](open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
 
 
 def read_anonymous(process: int | None) -> int:

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from deepgps import deepgps
 from deepgps.bench_rows import Row
 from deepgps.evaluate import measure_part
+from deepgps.methods import METHODS
 from deepgps.progress import Report
 from deepgps.scenario import Scenario
 from sim.files import read_json
@@ -26,7 +26,7 @@ def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, prog
     """
     train = scenario.learn.train.model_copy(update={"steps": steps, "snapshots": 2, "device": "cpu"})
     settings = scenario.learn.model_copy(update={"train": train})
-    deepgps.fit(open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
+    METHODS["deepgps"](open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
     took_s = read_json(folder / "deepgps" / "training.json")["train_s"]
     ours = read_json(demo / "metrics.json")["methods"]["deepgps"]
     found = measure_part(demo, folder / "deepgps", "deepgps", EVERY)

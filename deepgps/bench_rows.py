@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from sim.errors import InputError
-from sim.files import write_json
+from sim.files import read_json, write_json
 
 SCHEMA = 2
 KEPT = Path("runs") / "bench"
@@ -94,14 +94,21 @@ def read_bench(path: Path) -> dict[str, float | None]:
     """Figures of a bench by name; raises InputError where the file is missing or no bench."""
     if not path.is_file():
         raise InputError(f"bench {path}: no such file")
+    if not is_bench(path.read_bytes()):
+        raise InputError(f"{path} is no bench: deepgps bench writes one")
+    bench = read_json(path)
+    if bench["schema"] != SCHEMA:
+        raise InputError(f"{path}: schema {bench['schema']!r}, but this version reads schema {SCHEMA}")
+    return {row["name"]: row["value"] for row in bench["rows"]}
+
+
+def is_bench(data: bytes) -> bool:
+    """Whether these are the contents of a bench."""
     try:
-        bench = json.loads(path.read_text(encoding="utf-8"))
-        schema, found = bench["schema"], {row["name"]: row["value"] for row in bench["rows"]}
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{path} is no bench: deepgps bench writes one") from None
-    if schema != SCHEMA:
-        raise InputError(f"{path}: schema {schema!r}, but this version reads schema {SCHEMA}")
-    return found
+        bench = json.loads(data)
+        return "schema" in bench and all({"name", "value"} <= set(row) for row in bench["rows"])
+    except (ValueError, KeyError, TypeError, RecursionError):
+        return False
 
 
 def find_before(against: str | None) -> dict[str, float | None] | None:

@@ -1,15 +1,18 @@
 """The state of a training on disk, so that a run cut off anywhere continues to the same weights."""
 
+import logging
+from io import BytesIO
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
+from zipfile import ZipFile
 
 import torch
 from torch import nn
 
-from sim.errors import InputError
-from sim.files import write_atomic
+from sim.errors import DamagedError, InputError, one_line
+from sim.files import damaged, write_bytes
 
+log = logging.getLogger(__name__)
 NAME = "checkpoint.pt"
 
 
@@ -31,7 +34,9 @@ def save_checkpoint(
         "history": history,
         "seconds": seconds,
     }
-    write_atomic(folder / NAME, lambda part: torch.save(state, part))
+    buffer = BytesIO()
+    torch.save(state, buffer)
+    write_bytes(folder / NAME, buffer.getvalue())
 
 
 def load_checkpoint(
@@ -43,20 +48,42 @@ def load_checkpoint(
 ) -> tuple[int, float]:
     """Restore a training in place; returns steps done and seconds they took, zeros where there is no checkpoint.
 
+    A damaged checkpoint is removed, so that training starts from its first step.
+
     Raises:
-        InputError: when the checkpoint is broken or was made by a training of another network.
+        InputError: The checkpoint was made by a training of another network.
     """
     path = folder / NAME
     if not path.is_file():
         return 0, 0.0
-    device = next(network.parameters()).device
     try:
-        state: dict[str, Any] = torch.load(path, map_location=device, weights_only=True)
+        state = _read(path, next(network.parameters()).device)
+    except DamagedError as error:
+        log.warning("%s; training starts from its first step", error)
+        path.unlink()
+        return 0, 0.0
+    try:
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
-    except (RuntimeError, KeyError, ValueError, EOFError, UnpicklingError):
-        raise InputError(f"{path} is broken or of another training; without it training begins anew") from None
+    except (RuntimeError, KeyError, ValueError):
+        raise InputError(
+            f"{path} belongs to another training; without it this one starts from its first step"
+        ) from None
     generator.set_state(state["generator"].cpu())
     for name, values in state["history"].items():
         history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]
     return int(state["step"]), float(state["seconds"])
+
+
+def _read(path: Path, device: torch.device) -> dict[str, Any]:
+    """Contents of a checkpoint; raises DamagedError. It is a zip file, whose CRC-32 torch does not compare."""
+    data = path.read_bytes()
+    try:
+        with ZipFile(BytesIO(data)) as archive:
+            wrong = archive.testzip()
+        state = torch.load(BytesIO(data), map_location=device, weights_only=True)
+    except Exception as error:  # zipfile, pickle and torch raise a dozen kinds
+        raise damaged(path, one_line(error)) from None
+    if wrong is not None:
+        raise damaged(path)
+    return state

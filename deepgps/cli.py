@@ -1,13 +1,17 @@
-"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong."""
+"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong.
+
+A signal ends it with 128 and the signal's number. Output that nobody reads any more is dropped, and changes no exit
+code: the work under way is worth more than the pipe.
+"""
 
 import os
 import sys
+import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 
-from rich.console import Console
-
+from deepgps.begin import BEGUN, IS_WORKER
 from deepgps.cli_arguments import (
     BenchArguments,
     NoArguments,
@@ -20,26 +24,37 @@ from deepgps.cli_arguments import (
     parse_scenario,
     parse_seeds,
 )
+from deepgps.faults import explain, working_in
+from deepgps.outlets import flush_streams
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
+from deepgps.signals import ignore_signals, stop_at_signals
+from deepgps.terminal import console, errors, print_error, show_warnings, warn_plainly
 from sim.errors import InputError, WorkError
+from sim.files import check_overwrite
 from sim.paths import STUDIES
 
-console = Console(highlight=False)
-errors = Console(stderr=True, highlight=False, soft_wrap=True)
+if IS_WORKER:
+    warn_plainly()  # a worker has no progress bars
 
 
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive, see, learn, measure, show."""
     from deepgps.report import print_report
-    from deepgps.run import default_folder, list_undriven, run
+    from deepgps.run import list_undriven, run
+    from deepgps.run_folder import default_folder, find_place
 
     arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
     _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
-    with show_progress() as progress, _watch(arguments, scenario, folder, progress) as report:
+    place = find_place(folder, arguments.fresh)
+    with (
+        working_in(folder),
+        show_progress(errors) as progress,
+        _watch(arguments, scenario, place, progress) as report,
+    ):
         run(scenario, folder, arguments.fresh, report)
-    print_report(folder, console)
+    print_report(folder, console, time.monotonic() - BEGUN)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
 
@@ -47,20 +62,23 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and what it needs."""
 
     def command(words: Sequence[str]) -> None:
-        from deepgps.run import STAGES, ask_for_device, claim, default_folder, list_undriven
+        from deepgps.run import STAGES, ask_for_device, list_undriven
+        from deepgps.run_folder import claim, default_folder, find_place
 
         arguments, scenario = parse_scenario(stage, words, HELP[stage])
         folder = arguments.out or default_folder(scenario)
         _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+        place = find_place(folder, arguments.fresh)
         with (
-            show_progress() as progress,
-            _watch(arguments, scenario, folder, progress) as report,
-            claim(scenario, folder, arguments.fresh),
+            working_in(folder),
+            show_progress(errors) as progress,
+            _watch(arguments, scenario, place, progress) as report,
+            claim(scenario, folder, arguments.fresh) as place,
         ):
             if stage != "collect":  # who only collects may train on another machine
-                ask_for_device(scenario, folder)
+                ask_for_device(scenario, place)
             for name, work in STAGES.items():
-                work(scenario, folder, report)
+                work(scenario, place, report)
                 if name == stage:
                     break
         console.print(f"{stage} is done: {folder}", soft_wrap=True)
@@ -70,36 +88,46 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: every recording and run that is missing, one table of all, its report and figures."""
-    from deepgps.studies.engine import carry_out, default_folder, list_undriven, open_engine
-    from deepgps.studies.report import publish, report_study
     from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     study = load_study(arguments.study, arguments.tiny, arguments.full)
-    plans = plan_runs(study)
+    with show_progress(errors) as progress:
+        plans = plan_runs(study, progress)
+    # These import torch and matplotlib, which takes longer than to tell what is wrong in a study.
+    from deepgps.studies.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
+    from deepgps.studies.report import check_publish, publish, report_study
+
     folder = arguments.out or default_folder(study)
     _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
-    with open_engine(arguments.engine, arguments.address) as run_all, show_progress() as progress:
-        failures = carry_out(study, plans, folder, arguments.fresh, run_all, progress)
-    console.print(report_study(study, plans, failures, folder), markup=False, soft_wrap=True)
     if arguments.publish:
-        publish(folder, arguments.publish / study.name)
-        console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
-    done = [folder / "runs" / plan.run for plan in plans if plan.run not in failures]
-    if done:
-        from deepgps.viewer.study import write_study
+        check_publish(arguments.publish / study.name)
+    with (
+        working_in(folder),
+        open_engine(arguments.engine, arguments.address) as run_all,
+        claim_study(study, folder, arguments.fresh) as place,
+    ):
+        with show_progress(errors) as progress:
+            failures = carry_out(study, plans, place, run_all, progress)
+        console.print(report_study(study, plans, failures, place), markup=False, soft_wrap=True)
+        if arguments.publish:
+            publish(place, arguments.publish / study.name)
+            console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
+        if len(failures) < len(plans):
+            from deepgps.viewer.study import write_study
 
-        write_study(folder)
-        console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {done[0]}", soft_wrap=True)
-    if failures:
-        raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {folder / 'table.md'} says why")
+            write_study(place)
+        if failures:
+            raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {place / 'table.md'} says why")
+    run = folder / "runs" / plans[0].run
+    console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {run}", soft_wrap=True)
 
 
 def view_command(words: Sequence[str]) -> None:
     """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
-    from deepgps.run import open_run
+    from deepgps.run_folder import open_run
 
     arguments = parse(ViewArguments, "view", words, view_command.__doc__)
     folders = arguments.runs
@@ -125,9 +153,10 @@ def rooms_command(words: Sequence[str]) -> None:
     arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
     kinds, seeds = parse_kinds(arguments.kinds), parse_seeds(arguments.seeds)
     _choose_renderer()
-    from sim.gallery import draw_gallery
+    from sim.gallery import draw_gallery, is_gallery
 
-    with show_progress() as progress:
+    check_overwrite(arguments.out, is_gallery)
+    with show_progress(errors) as progress:
         draw_gallery(kinds, seeds, arguments.out, progress)
     console.print(f"wrote {arguments.out}")
 
@@ -137,12 +166,13 @@ def bench_command(words: Sequence[str]) -> None:
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
     _choose_renderer()
     from deepgps.bench import choose_size, run_bench
-    from deepgps.bench_rows import find_before, list_notes, tabulate
+    from deepgps.bench_rows import find_before, is_bench, list_notes, tabulate
     from sim.bench import draw_poses, measure_rendering
 
+    check_overwrite(arguments.out, is_bench)
     before = find_before(arguments.against)
     size = choose_size(arguments.tiny, arguments.memory_samples)
-    with show_progress() as progress:
+    with show_progress(errors) as progress:
         rows = run_bench(size, arguments.out, not arguments.tiny, draw_poses, measure_rendering, progress)
     console.print(tabulate(rows, before))
     console.print("\n".join(["", *list_notes(rows), ""]), style="dim", markup=False)
@@ -166,7 +196,6 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the cures stand above")
 
 
-CONTINUED = ("run", "collect", "train", "evaluate", "study")
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": run_command,
     "collect": stage_command("collect"),
@@ -197,21 +226,24 @@ def main(words: Sequence[str] | None = None) -> None:
     words = sys.argv[1:] if words is None else words
     # Read when torch is imported: threads that spin while they wait make a busy machine five times slower.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    stop_at_signals()
+    code = 0
     try:
-        _dispatch(words)
-    except InputError as error:
-        errors.print(f"[red]error:[/red] {_plain(error)}")
-        sys.exit(2)
-    except WorkError as error:
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except OSError as error:  # a full disk, a folder without permission
-        errors.print(f"[red]failed:[/red] {_plain(error)}")
-        sys.exit(1)
-    except KeyboardInterrupt:
-        again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
-        errors.print(f"interrupted{again}")
-        sys.exit(130)
+        try:
+            with show_warnings():
+                _dispatch(words)
+        except SystemExit as ended:  # after --help
+            code = ended.code if isinstance(ended.code, int) else 0
+        flush_streams()
+    except (Exception, KeyboardInterrupt) as error:
+        ignore_signals()
+        code, kind, text = explain(error, words)
+        print_error(kind, text)
+        with suppress(OSError):
+            flush_streams()
+    ignore_signals()
+    if code:
+        sys.exit(code)
 
 
 def _dispatch(words: Sequence[str]) -> None:
@@ -235,11 +267,7 @@ def _watch(
     os.environ.setdefault("RUST_LOG", "off")
     from deepgps.viewer.live import show_live
 
-    return show_live(" ".join(arguments.live), scenario, folder, progress, _warn)
-
-
-def _warn(text: str) -> None:
-    errors.print(f"[yellow]warning:[/yellow] {_plain(text)}")
+    return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
@@ -255,11 +283,6 @@ def _choose_renderer() -> None:
     from sim.gl import choose_backend
 
     choose_backend()
-
-
-def _plain(error: Exception | str) -> str:
-    """One line that rich takes as it is."""
-    return " ".join(str(error).split()).replace("[", "\\[")
 
 
 if __name__ == "__main__":

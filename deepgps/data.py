@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from deepgps.train import Batch
-from sim.encoder import ticks_to_distance
+from sim.encoder import count_from_first, read_odometry, ticks_to_distance
 from sim.errors import InputError
 from sim.records import Recording
 
@@ -62,7 +62,7 @@ def read_segments(recording: Recording) -> Segments:
     A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading.
 
     Raises:
-        InputError: when no segment has two readings, or the odometry constants are missing.
+        InputError: No segment has two readings, no wheel turned, or the odometry constants are missing.
     """
     travelled = travel(recording.reading[:, 2:], recording.manifest).mean(axis=1)
     runs = find_runs(recording)
@@ -75,6 +75,8 @@ def read_segments(recording: Recording) -> Segments:
     for row, run in enumerate(kept):
         index[row, : len(run)] = recording.reading[run, 1]
         distance[row, : len(run)] = np.abs(travelled[run] - travelled[run[0]])
+    if not distance.any():
+        raise InputError(f"{recording.folder}: no wheel turned on any segment, so there is no distance to learn from")
     return Segments(
         index=torch.from_numpy(index),
         distance=torch.from_numpy(distance.astype(np.float32)),
@@ -112,9 +114,9 @@ def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tu
 
 
 def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
-    """Way of each wheel [m] from its cumulative ticks, both (R, 2)."""
+    """Way of each wheel [m] from its cumulative ticks, both (R, 2); only differences of ways mean anything."""
     odometry = read_odometry(manifest)
-    return ticks_to_distance(ticks, odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
+    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
 
 
 def dead_reckon(recording: Recording) -> np.ndarray:
@@ -154,11 +156,3 @@ def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, to
         last[index] = row
         first[index] = torch.where(first[index] < 0, row, first[index])
     return first, last
-
-
-def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
-    odometry = manifest.get("odometry", {})
-    for name in ("wheel_radius_m", "track_m", "ticks_per_rev"):
-        if not isinstance(odometry.get(name), int | float):
-            raise InputError(f"manifest: odometry.{name} must be a number, and is {odometry.get(name)!r}")
-    return odometry

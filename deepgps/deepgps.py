@@ -6,7 +6,7 @@ more output dimensions than two ("lifting"), which are flattened later. A fold f
 then by lifting.
 """
 
-import shutil
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,13 +24,15 @@ from deepgps.network import count_parameters
 from deepgps.noise import expect_errors, find_believed, trust_pairs, trust_places
 from deepgps.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.settings import LearnSettings, LiftSettings, Start
 from deepgps.train import Batch, Loss, derive_seed, make_generator, predict, train
 from deepgps.turns import find_hand, read_turns, straighten
 from sim.errors import InputError
-from sim.files import write_bytes
+from sim.files import remove_files, write_bytes
 from sim.records import Recording
 
+ATTEMPT = re.compile(r"history\.npz|checkpoint\.pt")
 IMITATE = 0.2  # fraction of the steps in which the first map is imitated, less and less
 FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
 # How far predictions may stay from the first map unpunished [m]: about what it is wrong by, of ends at single places.
@@ -101,12 +103,13 @@ def _fit(
             "parameters": count_parameters(chosen.positioner.network),
             "attempts": len(attempts),
             "fold": {"found": chosen.signs.folded(settings.fold), **asdict(chosen.signs)},
+            **count_readings(recording),
             "segments_skipped": material.segments.skipped,
             "segments_doubted": len(material.segments.count) - len(find_believed(material.segments).count),
         }
         save_positioner(folder, chosen.positioner, training)
-    for left in folder.glob("attempt*"):
-        shutil.rmtree(left)
+    for number in range(settings.fold.restarts + 1):
+        remove_files(_attempt_folder(folder, number), ATTEMPT)
     return load_positioner(folder)
 
 

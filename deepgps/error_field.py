@@ -3,10 +3,8 @@
 Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 from matplotlib import ticker
@@ -15,8 +13,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
+from deepgps.report import MEASURE_AGAIN
 from deepgps.style import PAPER, SCREEN, Floor, count_by_decades
-from sim.errors import InputError
+from sim.errors import DamagedError, InputError
+from sim.files import damaged, read_arrays
 from sim.records import FreeSpace, open_truth
 
 # Logarithmic, since errors of one centimetre and of one metre stand in one picture.
@@ -47,10 +47,13 @@ def read_fields(run: Path) -> dict[str, WorstField]:
     path = run / "error_field.npz"
     if not path.is_file():
         raise InputError(f"{run} is no whole run: error_field.npz is missing")
-    data = read_arrays(path)
+    try:
+        data = read_arrays(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     missing = {"truth", "heading"} - set(data)
     if missing:
-        raise InputError(f"{path} cannot be read: it has no {' and no '.join(sorted(missing))}")
+        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     methods = (name for name in data if name not in {"truth", "heading"})
     return {name: worst_heading(data["truth"], data[name]) for name in methods}
 
@@ -157,12 +160,3 @@ def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndar
     corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
     low, high = space.origin + corner * space.cell_m
     return low - margin_m, high + margin_m
-
-
-def read_arrays(path: Path, names: Sequence[str] = ()) -> dict[str, np.ndarray]:
-    """Arrays of an ``.npz`` file, all of them or those of these names; raises InputError where they cannot be read."""
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in names or arrays.files}
-    except (KeyError, ValueError, OSError, BadZipFile) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None

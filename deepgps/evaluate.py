@@ -14,10 +14,14 @@ from scipy.spatial import KDTree
 
 from deepgps.alignment import AlignmentKind, fit_alignment
 from deepgps.data import dead_reckon
-from deepgps.positioner import load_positioner
+from deepgps.features import check_observations
+from deepgps.positioner import load_positioner, read_training
+from deepgps.readings import count_readings, keep_plausible
 from deepgps.scenario import MethodName, Scenario
 from deepgps.segment_errors import judge_encoders
-from sim.files import read_json, write_arrays
+from deepgps.train import use_threads
+from sim.errors import InputError, WorkError
+from sim.files import write_arrays
 from sim.records import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
@@ -71,8 +75,15 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
     Returns:
         The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
     """
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
-    labels, side_m = open_labels(run / "recording"), truth.free_space.shorter_side_m
+    with use_threads(scenario.learn.train.threads):
+        return _measure(run, scenario)
+
+
+def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
+    recording = keep_plausible(open_recording(run / "recording"))
+    truth = open_truth(run / "recording")
+    _check_tests(recording, truth)
+    labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
         maps = predict(run / method, recording)
@@ -83,7 +94,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
             "scale": scale,
             **measure_grid(fields[method], scenario),
             "alignment": ALIGNMENT[method],
-            **read_json(run / method / "training.json"),
+            **read_training(run / method),
         }
         if labels is not None:
             label_fields[method], scale = measure_field(maps, method, labels)
@@ -98,6 +109,7 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
         "samples": len(recording.observation),
         "segments": recording.manifest["segments"],
         "distance_driven_m": recording.manifest["distance_driven_m"],
+        **count_readings(recording),
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
@@ -111,7 +123,30 @@ def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]
     positioner = load_positioner(folder)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    return positioner(recording.observation), positioner(images).reshape(cells, headings, 2)
+    training, test = positioner(recording.observation), positioner(images)
+    if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
+        raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
+    return training, test.reshape(cells, headings, 2)
+
+
+def _check_tests(recording: Recording, truth: Truth) -> None:
+    check_observations(recording.test_observation, "test/observation.npy")
+    for name, observed, known in (
+        ("observation.npy", recording.observation.shape[:1], truth.pose.shape[:1]),
+        ("test/observation.npy", recording.test_observation.shape[:2], truth.test_pose.shape[:2]),
+    ):
+        if observed != known:
+            raise InputError(f"{recording.folder}: {name} has {observed} observations, but the truth {known} poses")
+        if 0 in observed:
+            raise InputError(f"{recording.folder}: {name} holds no observation, so nothing can be measured")
+
+
+def _find_labels(folder: Path) -> Labels | None:
+    """A recording's labels, if there are any to measure against in training and test."""
+    labels = open_labels(folder)
+    if labels is None or not np.isfinite(labels.pose).all(axis=1).any():
+        return None
+    return labels if np.isfinite(labels.test_pose).all(axis=(1, 2)).any() else None
 
 
 def measure_field(

@@ -21,6 +21,7 @@ from deepgps.data import Segments, read_segments
 from deepgps.isomap import scale_classically
 from deepgps.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.settings import LearnSettings
 from deepgps.train import derive_seed
 from deepgps.triangulate import LandmarkPositioner, find_seen, triangulate
@@ -164,6 +165,7 @@ def _fit(
         "parameters": len(solution.x),
         "residual_rms_m": float(np.sqrt(np.mean(solution.fun**2))),
         "converged": bool(solution.success),
+        **count_readings(recording),
     }
     save_positioner(folder, LandmarkPositioner(landmark, reach_m), training)
     progress(folder.name, 1, 1)

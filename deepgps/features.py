@@ -12,20 +12,28 @@ vary much over the room and bend little between three consecutive readings of on
 aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
 """
 
+import hashlib
+import logging
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors.torch import load_file, save_file
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
 
 from deepgps.data import Segments, spread
 from deepgps.settings import FeatureSettings
-from sim.errors import InputError
-from sim.files import write_atomic, write_bytes
+from sim.errors import DamagedError, InputError
+from sim.files import check_sha256, read_json, write_bytes, write_json
 
+log = logging.getLogger(__name__)
 CHUNK = 64  # what a processor's cache holds
+LARGEST = 1e9
+"""Numbers beyond this are no observations; their squares would leave the range of float32."""
+ALIKE = 1e-6
+"""Part of their size by which descriptions must differ in all: less is the rounding of float32."""
 TABLE, KEY = "features.safetensors", "features.key"
 
 
@@ -60,6 +68,23 @@ class Features:
             described = describe(observation[start : start + CHUNK], self.frequencies, self.edges, heading)
             torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
         return found
+
+
+def check_observations(observation: np.ndarray, name: str = "observation.npy") -> None:
+    """Raise InputError where observations cannot be learned from: not numbers, not finite, or far too large."""
+    if observation.dtype.kind not in "uif":
+        raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
+    if observation.dtype.kind != "f":
+        return
+    wrong = 0
+    for start in range(0, len(observation), CHUNK):
+        part = np.asarray(observation[start : start + CHUNK])
+        able = np.abs(part) <= LARGEST  # NaN is not
+        wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
+    if wrong:
+        raise InputError(
+            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
+        )
 
 
 def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -147,6 +172,7 @@ def fit_features(
     described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
     mean = described.mean(dim=0)
     described -= mean
+    _check_variety(described, mean)
     basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
     basis = basis @ _slow_axes(described @ basis, sample, settings.components)
     projected = described @ basis
@@ -166,6 +192,7 @@ def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
     described = describe(observation, 0)
     mean = described.mean(dim=0)
     described -= mean
+    _check_variety(described, mean)
     size = described.square().mean().sqrt().clamp_min(1e-12)
     basis = torch.eye(described.shape[1]) / size
     return Features(tuple(observation.shape[1:]), 0, mean, basis), described / size
@@ -179,21 +206,38 @@ def cached_features(
     settings: FeatureSettings,
     generator: torch.Generator,
 ) -> tuple[Features, torch.Tensor]:
-    """As ``fit_features``, but taken from a folder where they were left with the same ``key``."""
-    shape, path = tuple(observation.shape[1:]), folder / TABLE
-    if has_features(folder) and (folder / KEY).read_text() == key:
-        found = load_file(path)
-        return Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges")), found[
-            "features"
-        ]
-    (folder / KEY).unlink(missing_ok=True)
-    fitted, features = fit_features(observation, segments, settings, generator)
-    tensors = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
-    if fitted.edges is not None:
-        tensors["edges"] = fitted.edges
-    write_atomic(path, lambda part: save_file(tensors, part))
-    write_bytes(folder / KEY, key.encode())
-    return fitted, features
+    """As ``fit_features``, but taken from a folder where they were left undamaged with the same ``key``."""
+    found = _read_features(folder, key)
+    if found is None:
+        (folder / KEY).unlink(missing_ok=True)
+        fitted, features = fit_features(observation, segments, settings, generator)
+        found = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+        if fitted.edges is not None:
+            found["edges"] = fitted.edges
+        table = save(found)
+        write_bytes(folder / TABLE, table)
+        write_json(folder / KEY, {"key": key, "sha256": hashlib.sha256(table).hexdigest()})
+    shape = tuple(observation.shape[1:])
+    fitted = Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges"))
+    return fitted, found["features"]
+
+
+def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
+    """Features that were left in a folder with this key; none where there are others, or they are damaged."""
+    if not has_features(folder):
+        return None
+    try:
+        return load_file(folder / TABLE) if check_features(folder) == key else None
+    except (DamagedError, SafetensorError) as error:
+        log.warning("%s; the features are made again", error)
+        return None
+
+
+def check_features(folder: Path) -> str:
+    """The key of the features in a folder, which are compared with their checksum; raises DamagedError."""
+    stored = read_json(folder / KEY)
+    check_sha256(folder / TABLE, str(stored.get("sha256")))
+    return str(stored.get("key"))
 
 
 def has_features(folder: Path) -> bool:
@@ -210,6 +254,12 @@ def _describe_all(
         part = chosen[start : start + CHUNK]
         described[start : start + CHUNK] = describe(observation[part], frequencies, edges)
     return described
+
+
+def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
+    apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
+    if apart <= ALIKE * size:
+        raise InputError(f"observation.npy: all {len(centred)} observations look alike, so none tells where it was")
 
 
 @lru_cache(maxsize=8)
@@ -240,6 +290,8 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
     first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
     bend = x[first] - 2.0 * x[middle] + x[last]
     noise = bend.T @ bend / len(bend)
+    if not noise.any():
+        return torch.eye(x.shape[1])[:, :count].float()  # nothing bends, so nothing is slower than the rest
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
     ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
     # Each axis has bends of size 1; a fourth root more keeps the slowest in front and damps what is nearly noise.

@@ -11,10 +11,11 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from deepgps.error_field import WorstField, add_scale, draw_field, draw_room, limits, read_arrays, read_fields
+from deepgps.error_field import WorstField, add_scale, draw_field, draw_room, limits, read_fields
+from deepgps.readings import keep_plausible
 from deepgps.report import method_title, read_metrics
 from deepgps.style import LINES, smooth, to_png
-from sim.files import write_bytes
+from sim.files import read_arrays, write_bytes
 from sim.records import FreeSpace, Truth, open_recording, open_truth
 
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
@@ -32,7 +33,7 @@ def draw_figures(run: Path) -> list[Path]:
 def make_figures(run: Path) -> dict[str, Figure]:
     """Every figure of a run by its name."""
     metrics, fields, histories = read_metrics(run), read_fields(run), read_histories(run)
-    truth, recording = open_truth(run / "recording"), open_recording(run / "recording")
+    truth, recording = open_truth(run / "recording"), keep_plausible(open_recording(run / "recording"))
     space = truth.free_space
     figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
     figures["error_fields"] = draw_comparison(space, fields, metrics)

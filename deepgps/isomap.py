@@ -134,7 +134,7 @@ def _join(first: np.ndarray, second: np.ndarray, length: np.ndarray, count: int)
     low, high = np.minimum(first, second), np.maximum(first, second)
     order = np.lexsort((length, high, low))
     low, high, length = low[order], high[order], length[order].clip(1e-6)
-    fresh = np.concatenate([[True], (np.diff(low) != 0) | (np.diff(high) != 0)])
+    fresh = np.append(np.ones(len(low[:1]), bool), (np.diff(low) != 0) | (np.diff(high) != 0))
     return csr_array((length[fresh], (low[fresh], high[fresh])), shape=(count, count))
 
 

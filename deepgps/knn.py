@@ -7,6 +7,7 @@ from deepgps.labels import read_places
 from deepgps.material import prepare
 from deepgps.positioner import NeighbourPositioner, Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.settings import LearnSettings
 from sim.records import Recording
 
@@ -24,6 +25,7 @@ def fit(
     positioner = NeighbourPositioner(material.projection, features, places, settings.neighbours)
     stored = features.numel() + places.numel()
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    training |= count_readings(recording)
     save_positioner(folder, positioner, training)
     progress("knn", 1, 1)
     return load_positioner(folder)

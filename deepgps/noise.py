@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepgps.data import Segments, find_runs, read_odometry, travel
-from sim.encoder import ticks_to_distance
+from deepgps.data import Segments, find_runs, travel
+from sim.encoder import read_odometry, ticks_to_distance
 from sim.records import Recording
 from sim.settings import EncoderSettings
 

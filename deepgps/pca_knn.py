@@ -11,6 +11,7 @@ import numpy as np
 
 from deepgps.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
+from deepgps.readings import count_readings
 from deepgps.scan_neighbour import ScanPositioner
 from deepgps.settings import LearnSettings
 from deepgps.train import derive_seed
@@ -28,7 +29,7 @@ def fit(
     """Store the scans of all positions at random headings in ``folder``; done work is loaded.
 
     Raises:
-        InputError: The recording holds no scans.
+        InputError: The recording holds no scans, or all of them are the same.
     """
     if is_finished(folder):
         return load_positioner(folder)
@@ -37,6 +38,8 @@ def fit(
     start = time.perf_counter()
     scans, rng = np.asarray(recording.observation), np.random.default_rng(derive_seed(seed, "features"))
     count, kept, rays = scans.shape
+    if (scans == scans[:1]).all():
+        raise InputError(f"observation.npy: all {count} observations look alike, so none tells where it was")
     turns = draw_turns(count, kept * rays, settings.pca.headings, rng)
     places = open_truth(recording.folder).pose[:, :2].astype(float)
     mean, axes = find_axes(scans, turns, settings.pca.components)
@@ -49,6 +52,7 @@ def fit(
         progress("pca_knn", min(first + CHUNK, count), count)
     stored = sum(tensor.numel() for tensor in positioner.tensors().values())
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    training |= count_readings(recording)
     save_positioner(folder, positioner, training)
     return positioner
 

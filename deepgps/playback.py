@@ -9,7 +9,7 @@ from matplotlib.colors import hsv_to_rgb, to_rgb
 
 from deepgps.error_field import limits
 from deepgps.style import SCREEN
-from sim.encoder import ticks_to_distance
+from sim.encoder import count_from_first, ticks_to_distance
 from sim.errors import InputError
 from sim.lens import make_lens, project_polar, round_rays
 from sim.records import FreeSpace, Recording
@@ -105,7 +105,8 @@ def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarra
     """
     odometry = recording.manifest["odometry"]
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
-    way = ticks_to_distance(ticks, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
+    counted = count_from_first(ticks)
+    way = ticks_to_distance(counted, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
     start, place = find_starts(segment), pose[observation, :2]
     encoder = way - way[start]
     true = np.linalg.norm(place - place[start], axis=1)

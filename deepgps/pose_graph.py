@@ -108,6 +108,6 @@ def _solve(
     jacobian = csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
     weighted = jacobian.multiply(np.concatenate([trust, trust])[:, None]).tocsc()
     normal = (jacobian.T @ weighted).tocsc()
-    # The whole map may move and turn freely, and what no link reaches stays.
-    damped = normal + DAMPING * normal.diagonal().max() * eye_array(shape[1], format="csc")
+    # The whole map may move and turn freely, and what no link reaches stays, even if there is no link at all.
+    damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(shape[1], format="csc")
     return -splu(damped).solve(weighted.T @ apart.T.ravel())

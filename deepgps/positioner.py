@@ -1,6 +1,6 @@
 """What a method learned: from observations to positions, saved as weights and JSON, loaded from its folder alone."""
 
-import json
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,10 +19,11 @@ from deepgps.scan_neighbour import NAMES, ScanPositioner
 from deepgps.settings import NetworkSettings
 from deepgps.train import Inputs
 from deepgps.triangulate import LandmarkPositioner
-from sim.errors import InputError, one_line
-from sim.files import read_json, write_bytes, write_json
+from sim.errors import DamagedError, InputError, one_line
+from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
 
 SCHEMA = 1
+INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 CHUNK = 500
 LARGEST_TABLE = 16_000_000
 """Distances between observations and stored neighbours that are held at once, at most."""
@@ -100,33 +101,52 @@ Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | Scan
 
 def is_finished(folder: Path) -> bool:
     """Whether a method's folder holds a whole positioner."""
-    return (folder / "positioner.json").is_file()
+    return (folder / INDEX).is_file()
 
 
 def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str, Any]) -> None:
     """Write ``weights.safetensors``, ``training.json`` (what the training was) and, last, ``positioner.json``."""
     tensors, description = _take_apart(positioner)
-    write_bytes(folder / "weights.safetensors", save({name: t.contiguous() for name, t in tensors.items()}))
+    weights = save({name: t.contiguous() for name, t in tensors.items()})
+    write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
-    write_json(folder / "positioner.json", {"schema": SCHEMA, **description})
+    write_json(folder / INDEX, {"schema": SCHEMA, **description, "sha256": hashlib.sha256(weights).hexdigest()})
 
 
 def load_positioner(folder: Path) -> Positioner:
-    """Load what ``save_positioner`` wrote; raises InputError where it is missing or broken."""
-    path = folder / "positioner.json"
+    """Load what ``save_positioner`` wrote; raises InputError where it is missing or damaged."""
+    path = folder / INDEX
     if not path.is_file():
-        raise InputError(f"{folder} holds no trained method: it has no positioner.json")
+        raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
     try:
-        description = read_json(path)
+        description = check_positioner(folder)
         if description["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
-        return _put_together(description, load_file(folder / "weights.safetensors"))
+        return _put_together(description, load_file(folder / WEIGHTS))
+    except DamagedError as error:
+        raise DamagedError(f"{error}; delete {folder} and train the method again") from None
     except InputError:
         raise
-    except (json.JSONDecodeError, ValidationError, KeyError, TypeError) as error:
-        raise InputError(f"{path} is broken: {one_line(error)[:200]}") from None
+    except (ValidationError, KeyError, TypeError, AttributeError) as error:
+        raise damaged(path, one_line(error)) from None
     except (SafetensorError, OSError, RuntimeError) as error:
-        raise InputError(f"{folder / 'weights.safetensors'} is broken: {one_line(error)[:200]}") from None
+        raise damaged(folder / WEIGHTS, one_line(error)) from None
+
+
+def check_positioner(folder: Path) -> dict[str, Any]:
+    """What a trained method is, its weights compared with their checksum; raises DamagedError."""
+    description = read_json(folder / INDEX)
+    if "sha256" in description:  # earlier versions wrote none
+        check_sha256(folder / WEIGHTS, str(description.pop("sha256")))
+    return description
+
+
+def read_training(folder: Path) -> dict[str, Any]:
+    """What the training of a method was, from its folder; raises DamagedError."""
+    try:
+        return read_json(folder / "training.json")
+    except DamagedError as error:
+        raise DamagedError(f"{error}; delete {folder} and train the method again") from None
 
 
 def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:

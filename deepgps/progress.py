@@ -1,10 +1,15 @@
 """Progress of long work: a function told (what, steps done, steps in all), and how to see what there is so far."""
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Look = Callable[[], Mapping[str, np.ndarray]]
 """Makes arrays of what there is so far; called by whoever wants to see it."""
@@ -21,9 +26,80 @@ def ignore(label: str, done: int, total: int, look: Look | None = None) -> None:
 
 
 @contextmanager
-def show_progress() -> Iterator[Report]:
-    """A bar with rate and time left for each label; nothing where the output is no terminal."""
-    from rich.console import Console
+def show_progress(console: "Console") -> Iterator[Report]:
+    """A bar with rate and time left for each label; plain lines where the console is no terminal."""
+    if console.is_terminal:
+        with _show_bars(console) as report:
+            yield report
+    else:
+        yield Lines(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
+
+
+@dataclass
+class _Stage:
+    """What was said of a label: steps done at first and at last, and when [s]."""
+
+    first: int
+    begun: float
+    said: int
+    at: float
+
+
+class Lines:
+    """Says how far each label is: at its first and last step, at every tenth, and once a minute in long work.
+
+    Args:
+        say: Told each line.
+        clock: Seconds since some moment.
+    """
+
+    PERIOD_S = 60.0
+
+    def __init__(self, say: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
+        self._say, self._clock = say, clock
+        self._stages: dict[str, _Stage] = {}
+
+    def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None:
+        """Tell what is done of a label."""
+        now, stage = self._clock(), self._stages.get(label)
+        if stage is None:
+            self._stages[label] = _Stage(done, now, done, now)
+            self._say(f"{label}: {done:,} of {total:,}{_write_share(done, total)}")
+        elif done != stage.said and (
+            done >= total or 10 * done // total > 10 * stage.said // total or now - stage.at >= self.PERIOD_S
+        ):
+            self._say(
+                f"{label}: {done:,} of {total:,}{_write_share(done, total)}{_write_speed(stage, now, done, total)}"
+            )
+            stage.said, stage.at = done, now
+
+
+def _write_share(done: int, total: int) -> str:
+    return f" ({100 * done // total} %)" if total else ""
+
+
+def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:
+    """The rate and the time left, or at the end the time that it took."""
+    seconds = now - stage.begun
+    if seconds <= 0 or done <= stage.first:
+        return ""
+    rate = (done - stage.first) / seconds
+    end = f"took {write_time(seconds)}" if done >= total else f"{write_time((total - done) / rate)} left"
+    return f", {rate:,.0f}/s, {end}" if rate >= 10 else f", {rate:.2g}/s, {end}"
+
+
+def write_time(seconds: float) -> str:
+    """A duration as people write it: seconds, minutes, hours."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02} min"
+
+
+@contextmanager
+def _show_bars(console: "Console") -> Iterator[Report]:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -33,7 +109,6 @@ def show_progress() -> Iterator[Report]:
         TimeRemainingColumn,
     )
 
-    console = Console(stderr=True)
     columns = [
         TextColumn("{task.description}"),
         BarColumn(),
@@ -42,7 +117,7 @@ def show_progress() -> Iterator[Report]:
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     ]
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+    with Progress(*columns, console=console) as bars:
         tasks = {}
 
         def report(label: str, done: int, total: int, look: Look | None = None) -> None:

@@ -9,9 +9,11 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from sim.errors import InputError
+from deepgps.readings import describe_readings
+from sim.errors import DamagedError, InputError
 from sim.files import read_json
 
+MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
 TITLES = {
     "deepgps": "DeepGPS",
     "deepgps_aware": "DeepGPS, noise-aware",
@@ -55,8 +57,8 @@ def read_metrics(run: Path) -> dict[str, Any]:
         raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
     try:
         metrics = read_json(path)
-    except ValueError as error:
-        raise InputError(f"{path} is not JSON: {error}") from None
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} holds no methods: it is no run's metrics.json")
     return metrics
@@ -73,19 +75,41 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
     return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
 
 
-def describe(metrics: Mapping[str, Any]) -> list[str]:
-    """What was driven, what was seen and where the time went, a sentence each."""
+def describe_time(times: Mapping[str, float]) -> str:
+    """Where the time went, in a sentence."""
+    parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
+    return f"Time: {parts}; {sum(times.values()):.1f} s in all, over all sittings."
+
+
+def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of each stage of a run in all sittings; where ``timing.json`` cannot be read, those in the metrics."""
+    try:
+        stored = {name: float(value) for name, value in read_json(run / "timing.json").items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return dict(metrics["timing_s"])
+    times: dict[str, float] = {}
+    for name, seconds in stored.items():
+        stage = name.partition(" ")[0]  # a method's training has its own name
+        times[stage] = times.get(stage, 0.0) + seconds
+    return times
+
+
+def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
+    """What was driven, what was seen and where the time went, a sentence each.
+
+    Args:
+        metrics: Contents of ``metrics.json``.
+        times: Seconds of each stage; none: as far as the metrics have them, without ``show``.
+    """
     coverage = metrics["coverage"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
     places = "test samples" if _is_held_out(metrics) else "reachable test positions"
-    timing = {name: float(value) for name, value in metrics["timing_s"].items()}
-    parts = ", ".join(f"{name} {value:.1f} s" for name, value in timing.items())
     sentences = [
         f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
         f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
         f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) lie within "
         "0.25 m of an observation the robot learned from.",
-        f"Time: {parts}; {sum(timing.values()):.1f} s in all.",
+        describe_time(metrics["timing_s"] if times is None else times),
     ]
     if trajectory := metrics.get("trajectory"):
         drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
@@ -97,6 +121,8 @@ def describe(metrics: Mapping[str, Any]) -> list[str]:
             f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
             f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
         )
+    if left_out := describe_readings(metrics.get("readings", {})):
+        sentences.insert(1, left_out)
     return sentences
 
 
@@ -135,8 +161,17 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def print_report(run: Path, console: Console) -> None:
-    """Print a run's table and the sentences under it; raises InputError where the folder is no run."""
+def print_report(run: Path, console: Console, sitting_s: float | None = None) -> None:
+    """Print a run's table and the sentences under it.
+
+    Args:
+        run: The run folder.
+        console: Where to.
+        sitting_s: Seconds since the command began, with its start and with what lies between the stages.
+
+    Raises:
+        InputError: The folder is no run.
+    """
     metrics = read_metrics(run)
     headings, rows = tabulate(metrics)
     title = f"{metrics['scenario']}, seed {metrics['seed']}"
@@ -148,8 +183,10 @@ def print_report(run: Path, console: Console) -> None:
         table.add_row(*row, style="bold" if row[0] == TITLES["deepgps"] else None)
     console.print(table)
     console.print()
-    for sentence in describe(metrics):
+    for sentence in describe(metrics, read_times(run, metrics)):
         console.print(sentence, highlight=False)
+    if sitting_s is not None:
+        console.print(f"This sitting took {sitting_s:.1f} s by the clock.", highlight=False)
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

@@ -1,24 +1,25 @@
 """A run: collect, train, evaluate, show. Each stage skips what is done and continues what was cut off."""
 
-import fcntl
+import logging
 import platform
-import shutil
 import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from deepgps.progress import Report
-from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
-from sim.errors import InputError
-from sim.files import PART, read_json, sweep, write_json, write_text
+from deepgps.run_folder import claim, find_place
+from deepgps.scenario import Scenario
+from sim.errors import DamagedError
+from sim.files import is_intact, read_arrays, read_json, write_json
 from sim.processes import usable_cores
 from sim.records import is_whole, read_manifest
 from sim.settings import WorldName
 
+log = logging.getLogger(__name__)
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
 
 
@@ -28,94 +29,24 @@ def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict
     Args:
         scenario: What to run.
         folder: The run folder.
-        fresh: Whether to throw away what stands there and begin anew.
+        fresh: Whether to replace a run that is there, once the new one is complete.
         progress: Told how far each stage is.
 
     Returns:
         The contents of ``metrics.json``.
     """
-    with claim(scenario, folder, fresh):
-        ask_for_device(scenario, folder)
-        collect(scenario, folder, progress)
-        train(scenario, folder, progress)
-        metrics = evaluate(scenario, folder, progress)
-        show(scenario, folder, progress)
+    with claim(scenario, folder, fresh) as place:
+        ask_for_device(scenario, place)
+        collect(scenario, place, progress)
+        train(scenario, place, progress)
+        metrics = evaluate(scenario, place, progress)
+        show(scenario, place, progress)
     return metrics
 
 
-def default_folder(scenario: Scenario) -> Path:
-    """Where a run lies when the user names no folder: runs/<scenario>/seed<seed>-<hash>."""
-    return Path("runs") / scenario.name / f"seed{scenario.seed}-{digest(scenario)}"
-
-
-def open_run(folder: Path) -> Scenario:
-    """Scenario of an existing run folder; raises InputError where the folder is no run."""
-    path = folder / "scenario.yaml"
-    if not path.is_file():
-        raise InputError(f"{folder} is no run folder: it has no scenario.yaml")
-    return check_scenario(read_yaml(path), path)
-
-
-@contextmanager
-def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[None]:
-    """Hold a run folder for one process at a time and for one scenario."""
-    new = [path for path in folder.parents if not path.exists()]
-    with lock(folder):
-        if fresh or not (folder / "scenario.yaml").is_file():
-            clear(folder, "scenario.yaml")
-        sweep(folder)
-        path = folder / "scenario.yaml"
-        begun = path.is_file()
-        if begun and open_run(folder) != scenario:
-            raise InputError(f"--out {folder} holds a run of another scenario; --fresh replaces it")
-        if not begun:
-            write_text(path, write_out(scenario))
-        try:
-            yield
-        except InputError:
-            # Wrong input leaves nothing behind, unless it shows so late that there is work to lose.
-            if not begun and not _holds_work(folder):
-                shutil.rmtree(folder)
-                for parent in new:
-                    with suppress(OSError):  # another run may have begun in it
-                        parent.rmdir()
-            raise
-
-
-@contextmanager
-def lock(folder: Path) -> Iterator[None]:
-    """Keep other processes out of a folder; the lock of a dead process is free."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = (folder / ".lock").open("w")
-    except OSError as error:
-        raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise InputError(f"--out {folder} is in use by another run") from None
-        yield
-
-
-def clear(folder: Path, mark: str) -> None:
-    """Empty a folder that the file ``mark`` tells to be ours; raises InputError for one that holds something else."""
-    for part in folder.glob(f"{mark}.*{PART}"):  # killed while it wrote its first file
-        part.unlink()
-    others = [path for path in folder.iterdir() if path.name != ".lock"]
-    if others and not (folder / mark).is_file():
-        kind = mark.removesuffix(".yaml").replace("scenario", "run")
-        raise InputError(f"--out {folder} is neither empty nor a {kind} folder")
-    for path in sorted(others, key=lambda path: path.name == mark):  # killed meanwhile, the folder is still ours
-        if path.is_dir() and not path.is_symlink():  # the runs of a study share recordings by links
-            shutil.rmtree(path)
-        else:
-            path.unlink()
-
-
 def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
-    """The scenario, if a run of it must still drive and look; what stands needs neither MuJoCo nor a renderer."""
-    return [] if is_whole(folder / "recording") and not fresh else [scenario]
+    """The scenario, if a run of it must still drive and look; what is recorded needs neither MuJoCo nor a renderer."""
+    return [] if is_whole(find_place(folder, fresh) / "recording") else [scenario]
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
@@ -161,7 +92,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     from deepgps.evaluate import evaluate as measure
 
     path = folder / "metrics.json"
-    if not path.is_file():
+    if not is_measured(folder):
         with timed(folder, "evaluate"):
             progress("evaluate", 0, 1)
             measured = measure(folder, scenario)
@@ -178,13 +109,27 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     from deepgps.viewer.recording import write_recording
 
     path = folder / "recording.rrd"
-    if not path.is_file():
+    if not is_intact(path):
         with timed(folder, "show"):
             progress("show", 0, 2)
             draw_figures(folder)
             progress("show", 1, 2)
             write_recording(folder)
             progress("show", 2, 2)
+
+
+def is_measured(folder: Path) -> bool:
+    """Whether a run holds its figures and error fields undamaged."""
+    if not (folder / "metrics.json").is_file():
+        return False
+    try:
+        metrics = read_json(folder / "metrics.json")
+        for name in ("error_field.npz", "label_field.npz")[: 2 if "labels" in metrics else 1]:
+            read_arrays(folder / name)
+    except DamagedError as error:
+        log.warning("%s; the methods are measured again", error)
+        return False
+    return True
 
 
 @contextmanager
@@ -201,7 +146,7 @@ def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
 
 def stage_times(folder: Path) -> dict[str, float]:
     """Seconds of collecting, training and evaluating, without what was done elsewhere, as a study's recordings are."""
-    times = read_json(folder / "timing.json")
+    times = _read_times(folder)
     parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in STAGES}
     return {name: round(sum(seconds), 2) for name, seconds in parts.items() if seconds}
 
@@ -218,18 +163,22 @@ def describe_environment(folder: Path) -> dict[str, Any]:
     }
 
 
+def _read_times(folder: Path) -> dict[str, float]:
+    """Seconds of a run's stages so far."""
+    path = folder / "timing.json"
+    try:
+        return read_json(path) if path.is_file() else {}
+    except DamagedError as error:
+        log.warning("%s; seconds are counted from zero", error)
+        return {}
+
+
 def _add_time(folder: Path, stage: str, seconds: float) -> None:
     path = folder / "timing.json"
-    times = read_json(path) if path.is_file() else {}
+    times = _read_times(folder)
     write_json(path, {**times, stage: round(times.get(stage, 0.0) + seconds, 2)})
-    with (folder / "log.txt").open("a", encoding="utf-8") as log:
-        log.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
-
-
-def _holds_work(folder: Path) -> bool:
-    """Whether a training stands, or a recording that is the run's own and no link to a study's."""
-    recording = folder / "recording"
-    return any(folder.glob("*/positioner.json")) or (is_whole(recording) and not recording.is_symlink())
+    with (folder / "log.txt").open("a", encoding="utf-8") as file:
+        file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {stage}: {seconds:.1f} s\n")
 
 
 def _git_revision() -> str:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 from sim.errors import InputError
 
@@ -38,7 +39,8 @@ class ScanPositioner:
             )
         if not len(observations):
             return np.zeros((0, 2))
-        nearest = pairwise_distances_argmin(self.project(np.asarray(observations[:, 0])), self.known)
+        with threadpool_limits(1):  # which of two equal neighbours is found depends on how the work is shared out
+            nearest = pairwise_distances_argmin(self.project(np.asarray(observations[:, 0])), self.known)
         return self.places[nearest // self.headings]
 
     def project(self, scans: np.ndarray) -> np.ndarray:

@@ -2,19 +2,22 @@
 
 import difflib
 import hashlib
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
+from os.path import exists, isfile
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
+from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.records import SCHEMA
-from sim.settings import NO_FAULTS, Group, SimSettings
+from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
+from sim.user_input import quote, read_file, shorten
 
 MethodName = Literal[
     "deepgps",
@@ -28,7 +31,12 @@ MethodName = Literal[
     "explicit_mds",
     "pca_knn",
 ]
-LARGEST_FILE = 1_000_000  # bytes; a scenario has a few hundred
+MOST_VALUES = 1000
+"""Keys and values in a scenario's file; all settings there are make 250."""
+DEEPEST = 8
+"""Groups in groups that the name of a setting passes."""
+MOST_PROBLEMS = 5
+"""Wrong settings that one message describes; it counts the others."""
 
 
 class Scenario(SimSettings):
@@ -91,10 +99,18 @@ def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
         InputError: Names the field, the value and what is allowed.
     """
     path = find_settings("scenario", SCENARIOS, source)
-    values = read_yaml(path)
-    values.setdefault("name", path.stem)
+    return override_scenario(read_yaml(path, MOST_VALUES), path, overrides)
+
+
+def override_scenario(values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any]) -> Scenario:
+    """Make a scenario of the plain values that a file holds, which stay as they are, and of overrides.
+
+    Raises:
+        InputError: Names the field, the value and what is allowed.
+    """
+    values = {"name": path.stem, **values}
     for dotted, value in overrides.items():
-        _set(values, dotted, value)
+        values = _set(values, dotted, dotted.split("."), value)
     return check_scenario(values, path, overrides)
 
 
@@ -106,33 +122,18 @@ def find_settings(kind: str, folder: Path, source: str) -> Path:
     """
     path = Path(source)
     if path.suffix in {".yaml", ".yml"} or "/" in source:
-        if not path.is_file():
-            raise InputError(f"{kind} {source}: no such file")
+        if not isfile(path):
+            raise InputError(f"{kind} {shorten(source, 300)}: {'it is no file' if exists(path) else 'no such file'}")
         return path
     path = folder / f"{source}.yaml"
-    if not path.is_file():
-        raise InputError(f"{kind} {source!r} does not exist; there are {', '.join(names_in(folder))}, or a path")
+    if not isfile(path):
+        raise InputError(f"{kind} {quote(source)} does not exist; there are {', '.join(names_in(folder))}, or a path")
     return path
 
 
 def names_in(folder: Path) -> list[str]:
     """Names of the settings files in a folder."""
     return sorted(path.stem for path in folder.glob("*.yaml"))
-
-
-def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML mapping with nothing but plain values in it; raises InputError."""
-    if path.stat().st_size > LARGEST_FILE:
-        raise InputError(f"{path} has {path.stat().st_size} bytes; a settings file has at most {LARGEST_FILE}")
-    try:
-        values = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from None
-    if values is None:
-        raise InputError(f"{path} is empty; a settings file is a mapping, such as 'seed: 0'")
-    if not isinstance(values, dict):
-        raise InputError(f"{path} holds a {type(values).__name__}; a settings file is a mapping, such as 'seed: 0'")
-    return values
 
 
 def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collection[str] = ()) -> Scenario:
@@ -144,15 +145,24 @@ def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collectio
     try:
         return Scenario.model_validate(values)
     except ValidationError as error:
-        problems = error.errors()
+        problems = error.errors(include_url=False)
         ours = all(".".join(map(str, problem["loc"])) in overrides for problem in problems)
-        text = describe_problems(error, Scenario)
-        raise InputError(text if ours else f"{origin}: {text}") from None
+        text = _describe_all(problems, Scenario)
+        raise InputError(text if ours else f"{shorten(str(origin), 300)}: {text}") from None
 
 
 def describe_problems(error: ValidationError, kind: type[Group]) -> str:
-    """Every wrong field of a group of this kind in one line: its name, its value and what is allowed."""
-    return "; ".join(_describe(problem, kind) for problem in error.errors())
+    """The first wrong fields of a group of this kind in one line, each with its value and what is allowed."""
+    return _describe_all(error.errors(include_url=False), kind)
+
+
+def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group]) -> str:
+    return join_problems([_describe(problem, kind) for problem in problems[:MOST_PROBLEMS]], len(problems))
+
+
+def join_problems(first: Sequence[str], count: int) -> str:
+    """The first of ``count`` problems in one line, and how many more there are."""
+    return "; ".join([*first, *([f"and {count - len(first)} more"] if count > len(first) else [])])
 
 
 def write_out(scenario: Scenario) -> str:
@@ -160,26 +170,24 @@ def write_out(scenario: Scenario) -> str:
     return yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
 
 
-def digest(scenario: Scenario) -> str:
-    """Eight hexadecimal digits of the resolved scenario, the schema and the room file, if one is used."""
-    return _hash(_dump(scenario), scenario.room.mjcf)
+def read_room(path: str) -> bytes | None:
+    """The bytes of a room's file, or None where there is no file; raises InputError where it cannot be read."""
+    return read_file(Path(path), LARGEST_MJCF, f"room.mjcf {shorten(path, 300)}") if isfile(Path(path)) else None
 
 
-def digest_recording(scenario: Scenario) -> str:
+def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
+    """Eight hexadecimal digits of the resolved scenario, the schema and the room file, if one is used.
+
+    Args:
+        scenario: The scenario.
+        read: How to read the room's file; who hashes many scenarios of one room reads it once.
+    """
+    return _hash(_dump(scenario), scenario.room.mjcf, read)
+
+
+def digest_recording(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
     """The same of the part that decides the recording."""
-    return _hash(f"{scenario.seed} {_dump(scenario.sim)}", scenario.room.mjcf)
-
-
-class _Loader(yaml.SafeLoader):
-    """Plain values only, and no key twice: YAML would silently keep the last."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        keys = [self.construct_object(key, deep=True) for key, _ in node.value]
-        for index, key in enumerate(keys):
-            if key in keys[:index]:
-                mark = node.value[index][0].start_mark
-                raise yaml.constructor.ConstructorError(None, None, f"{key} stands twice", mark)
-        return super().construct_mapping(node, deep)
+    return _hash(f"{scenario.seed} {_dump(scenario.sim)}", scenario.room.mjcf, read)
 
 
 def _dump(settings: SimSettings) -> str:
@@ -188,43 +196,44 @@ def _dump(settings: SimSettings) -> str:
     return settings.model_dump_json(exclude={name for name, off in NO_FAULTS.items() if getattr(settings, name) == off})
 
 
-def _hash(settings: str, room: str | None) -> str:
+def _hash(settings: str, room: str | None, read: Callable[[str], bytes | None]) -> str:
     state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
-    if room is not None and Path(room).is_file():
-        state.update(Path(room).read_bytes())
+    state.update((room and read(room)) or b"")
     return state.hexdigest()[:8]
 
 
-def _set(values: dict[str, Any], dotted: str, value: Any) -> None:
-    *groups, field = dotted.split(".")
-    for group in groups:
-        values = values.setdefault(group, {})
-        if not isinstance(values, dict):
-            raise InputError(f"{dotted}: {group} is not a group of settings")
-    values[field] = value
+def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:
+    """A copy of nested groups in which the field called ``names`` is set."""
+    name, *inner = names
+    if not inner:
+        return {**values, name: value}
+    group = values.get(name, {})
+    if not isinstance(group, Mapping):
+        raise InputError(f"{shorten(dotted)}: {shorten(name)} is not a group of settings")
+    if len(inner) > DEEPEST:
+        raise InputError(f"{shorten(dotted)}: there is no such setting")
+    return {**values, name: _set(group, dotted, inner, value)}
 
 
 def _describe(details: ErrorDetails, kind: type[Group]) -> str:
-    name = ".".join(str(part) for part in details["loc"])
+    name = ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
     if details["type"] == "extra_forbidden":
         return f"{name}: there is no such setting{_suggest(details['loc'], kind)}"
     if details["type"] == "value_error":
-        message = details["msg"].removeprefix("Value error, ")
+        message = shorten(details["msg"].removeprefix("Value error, "), 400)
         return f"{name}: {message}" if name else message
     message = details["msg"][0].lower() + details["msg"][1:]
-    return f"{name} {details['input']!r}: {message.replace('input should be', 'must be')}"
+    return f"{name} {quote(details['input'])}: {shorten(message.replace('input should be', 'must be'), 400)}"
 
 
 def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
     group: Any = kind
     for part in loc[:-1]:
-        group = group.model_fields[cast(str, part)].annotation
+        annotation = group.model_fields[cast(str, part)].annotation
+        # A group that may be left out is one of a union.
+        group = next((each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields")), None)
+        if group is None:
+            return ""
     names = list(group.model_fields)
-    close = difflib.get_close_matches(str(loc[-1]), names, n=1, cutoff=0.65)
+    close = difflib.get_close_matches(str(loc[-1])[:60], names, n=1, cutoff=0.65)
     return f", did you mean {close[0]}?" if close else f"; there are {', '.join(names)}"
-
-
-def _first_problem(error: Exception) -> str:
-    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
-        return f"line {error.problem_mark.line + 1}: {error.problem}"
-    return str(error).splitlines()[0]

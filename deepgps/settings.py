@@ -59,7 +59,7 @@ class TrainSettings(Group):
     """Steps between two checkpoints."""
     snapshots: int = Field(default=30, ge=2, le=1000)
     """Times at which predictions are kept, from the first to the last step, to show how the map unfolds."""
-    device: str = Field(default="cpu", pattern=r"^(cpu|cuda(:\d+)?|auto)$")
+    device: str = Field(default="cpu", pattern=r"^(cpu|cuda(:\d{1,3})?|auto)$")
     """cpu, cuda, cuda:N, or auto: CUDA where there is one."""
     threads: int = Field(default=1, ge=1, le=256)
     """Threads on a CPU. One is as fast as more for the spectral network, and on a busy machine many times faster."""
@@ -76,7 +76,7 @@ class LiftSettings(Group):
     """Fraction of the steps at which the penalty on what leaves the plane begins."""
     flatten_to: float = Field(default=0.7, ge=0.0, le=1.0)
     """Fraction of the steps at which the penalty is full."""
-    penalty: float = Field(default=1.0, ge=0.0)
+    penalty: float = Field(default=1.0, ge=0.0, le=1e6)
     """Weight of the full penalty."""
 
 
@@ -119,7 +119,7 @@ class LearnSettings(Group):
     train: TrainSettings = TrainSettings()
     loss: PairLoss = "absolute"
     """Loss of each pair in a segment. absolute: |d - c| (Eq. 2); normalised: |d - c| / (d + c) (Eq. 3)."""
-    straight: float = Field(default=5.0, ge=0.0)
+    straight: float = Field(default=5.0, ge=0.0, le=1e6)
     """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
     """How the map is unfolded before distances finish it: paths (a first map is imitated; most segments need three

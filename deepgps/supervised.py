@@ -10,6 +10,7 @@ from deepgps.material import as_positioner, new_network, prepare
 from deepgps.network import count_parameters
 from deepgps.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report
+from deepgps.readings import count_readings
 from deepgps.settings import LearnSettings
 from deepgps.train import Batch, derive_seed, train
 from sim.records import Recording
@@ -85,5 +86,6 @@ def learn(
         "steps": settings.train.steps,
         "train_s": round(seconds, 1),
         "parameters": count_parameters(network),
+        **count_readings(recording),
     }
     save_positioner(folder, positioner, training)

@@ -1,19 +1,22 @@
 """Assembling: a recording's files from the chunks of its drive and the image files beside them."""
 
-from collections.abc import Callable, Sequence
+import logging
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from sim.camera_faults import make_develop, spawn_streams
 from sim.encoder import read_encoders, ticks_to_distance
-from sim.files import write_array, write_atomic
+from sim.errors import DamagedError
+from sim.files import read_arrays, write_array, write_blocks
 from sim.horizontal import camera_matrix, mounting
 from sim.labels import write_labels
 from sim.robot import WHEEL_RADIUS_M, planar_pose
 from sim.scan import measure
-from sim.sensing import HORIZONTAL, SIGHTINGS
+from sim.sensing import DIFFERED, HORIZONTAL, IMAGE, RENDERER, SIGHTINGS, TWICE
 from sim.settings import SimSettings
 from sim.streams import stream
 from sim.tags import Sightings
@@ -21,6 +24,7 @@ from sim.tags import Sightings
 JOINED = ("state", "segment", "observation", "wheel_angle", "time")
 Sense = Callable[[np.ndarray], np.ndarray]
 """What a sensor makes of what there is to see."""
+log = logging.getLogger(__name__)
 
 
 class Drive(NamedTuple):
@@ -112,25 +116,50 @@ def write_images(
 ) -> None:
     """Join image files, from image ``first`` on, into one array of this leading shape; what goes beyond is left out."""
 
-    def write(part: Path) -> None:
-        count, written, skipped = int(np.prod(shape)), 0, first
-        some = np.load(parts[0], mmap_mode="r")
-        whole = np.lib.format.open_memmap(part, mode="w+", dtype=some.dtype, shape=(*shape, *some.shape[1:]))
-        flat = whole.reshape(count, *some.shape[1:])
-        for images in map(np.load, parts):
-            kept = images[skipped:][: count - written]
-            flat[written : written + len(kept)] = sense(kept) if sense else kept
-            written, skipped = written + len(kept), max(skipped - len(images), 0)
-        whole.flush()
+    count = math.prod(shape)
+    some = read_part(parts[0])[IMAGE]
 
-    write_atomic(path, write)
+    def take() -> Iterator[np.ndarray]:
+        written, skipped = 0, first
+        for part in parts:
+            images = read_part(part)[IMAGE]
+            kept = images[skipped:][: count - written]
+            written, skipped = written + len(kept), max(skipped - len(images), 0)
+            yield sense(kept) if sense else kept
+
+    write_blocks(path, (*shape, *some.shape[1:]), some.dtype, take())
+
+
+def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
+    """What the manifest says of the renderer: its name, how many images it drew twice and how many differed."""
+    counts = {"gl_renderer": "none", "images_drawn_twice": 0, "images_that_differed": 0}
+    for path in parts:
+        part = read_part(path)
+        counts["gl_renderer"] = part[RENDERER].item()
+        beside = path.with_suffix(SIGHTINGS)
+        for stored in [part, read_part(beside)] if beside.is_file() else [part]:
+            counts["images_drawn_twice"] += int(stored[TWICE])
+            counts["images_that_differed"] += int(stored[DIFFERED])
+    return counts
+
+
+def read_part(path: Path) -> dict[str, np.ndarray]:
+    """Read a file of a recording under way; raises DamagedError, and then has removed it."""
+    if not path.is_file():
+        raise DamagedError(f"{path} is missing")
+    try:
+        return read_arrays(path)
+    except DamagedError as error:
+        log.warning("%s; it is made again", error)
+        path.unlink()
+        raise
 
 
 def _join_sightings(parts: Sequence[Path]) -> Sightings:
     """Sightings of image files, their views numbered over all of them."""
     found, before = [], 0
     for path in parts:
-        with np.load(path.with_suffix(SIGHTINGS), allow_pickle=False) as stored:
-            found.append((stored["view"] + before, stored["tag"], stored["corner"]))
-        before += len(np.load(path, mmap_mode="r"))
+        stored = read_part(path.with_suffix(SIGHTINGS))
+        found.append((stored["view"] + before, stored["tag"], stored["corner"]))
+        before += len(read_part(path)[IMAGE])
     return Sightings(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))

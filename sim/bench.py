@@ -5,13 +5,13 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from copy import deepcopy
-from multiprocessing import get_context
 from threading import Barrier, BrokenBarrierError
 
 import mujoco
 import numpy as np
 
 from sim.errors import WorkError
+from sim.processes import WORKERS
 from sim.render import CAMERA_SITE, Fisheye
 from sim.sensing import draw_states, open_camera
 from sim.settings import SimSettings
@@ -67,11 +67,10 @@ def draw_poses(settings: SimSettings, poses: np.ndarray, processes: int = 2) -> 
 
     The seconds count from when all processes are ready, and with the way of the images back to this one.
     """
-    context = get_context("spawn")
-    ready = context.Barrier(processes + 1)
+    ready = WORKERS.Barrier(processes + 1)
     # as many parts as processes at least: each part starts one, and they wait for one another
     parts = np.array_split(poses, max(processes, len(poses) // CHUNK))
-    with ProcessPoolExecutor(processes, context, _get_ready, (settings, ready)) as pool:
+    with ProcessPoolExecutor(processes, WORKERS, _get_ready, (settings, ready)) as pool:
         try:
             jobs = [pool.submit(_draw, settings, part) for part in parts]
             ready.wait(START_S)

@@ -6,36 +6,45 @@ where it stopped, and ends with the same bytes under any number of workers.
 """
 
 import json
-import shutil
+import math
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import version
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sim.assemble import Drive, make_senses, take_held_out, write_drive, write_horizontal, write_images
+from sim.assemble import (
+    Drive,
+    count_drawn,
+    make_senses,
+    read_part,
+    take_held_out,
+    write_drive,
+    write_horizontal,
+    write_images,
+)
 from sim.camera_faults import spawn_streams
 from sim.drive import Course, Segment, next_segment
 from sim.encoder import describe_odometry
-from sim.errors import InputError, WorkError
-from sim.files import write_array, write_arrays
+from sim.errors import DamagedError, InputError, WorkError
+from sim.files import check_space, list_files, remove_files, write_array, write_arrays
 from sim.mount import draw_leans
-from sim.processes import end_with_parent, usable_cores
-from sim.records import chunk_files, finish_recording, save_free_space, work_folder
+from sim.processes import usable_cores
+from sim.records import COLLECTING, RECORDING, chunk_files, finish_recording, save_free_space, work_folder
+from sim.renderers import Part, Renderers
 from sim.robot import TRACK_M, WHEEL_RADIUS_M
-from sim.sensing import sense_states
+from sim.sensing import sense_part, side_files
 from sim.settings import SimSettings, UseSettings
 from sim.streams import stream
 from sim.world import RoomWorld
 
 CHUNK = 256
 """New observations in a chunk, at least; the last one ends with the drive."""
-DEATHS = 3
-"""How often renderers may crash: Mesa's software renderer was seen to, on a loaded machine."""
+TRIES = 3
+"""How often a part may be damaged while it is made into a recording."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 
@@ -52,44 +61,34 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
 
     Raises:
         InputError: The room cannot be used, or has no test position.
-        WorkError: No renderer, or physics failed.
+        WorkError: No renderer, physics failed, or the disk is full.
     """
     from sim.mesh import write_scene  # the workers, which import this file too, do without it
 
     start = time.perf_counter()
     work = work_folder(folder)
     if (folder / "manifest.json").is_file():
-        shutil.rmtree(work, ignore_errors=True)  # killed just before it was removed
+        _remove_parts(work)  # killed just before they were removed
         return
+    if folder.is_dir():
+        remove_files(folder, RECORDING)  # killed while they were written, or about to be written again
     work.mkdir(parents=True, exist_ok=True)
     taught = settings.model_copy(update={"use": UseSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
-    held_out = settings.grid.held_out
-    test_pose = np.empty((0, 1, 3)) if held_out else lay_grid(world, settings)
-    for deaths in range(DEATHS + 1):
-        pool = ProcessPoolExecutor(workers or usable_cores(), get_context("spawn"), end_with_parent)
+    build_s = time.perf_counter() - start
+    test_pose = np.empty((0, 1, 3)) if settings.grid.held_out else lay_grid(world, settings)
+    check_space(folder, estimate_bytes(settings, world.model.nq, math.prod(test_pose.shape[:2]), work))
+    deaths = 0
+    for tries in range(TRIES):
+        with Renderers(sense_part, workers or usable_cores(), build_s) as renderers:
+            parts = _make_parts(renderers, world, settings, test_pose, seed, work, progress)
+        deaths += renderers.deaths
         try:
-            chance = spawn_streams(seed)
-            tests, jobs = _render_grid(pool, world, settings, test_pose, work, chance.test_lean)
-            streams = stream(seed, "drive"), chance.lean
-            drive, drive_jobs = _drive_and_render(pool, world, taught, *streams, work, progress)
-            renderer = _watch([*jobs, *drive_jobs], progress)
+            counts = _assemble(folder, settings, seed, *parts, test_pose)
             break
-        except BrokenProcessPool:  # what the dead have drawn and driven stands, and is not done again
-            if deaths == DEATHS:
-                raise WorkError("a rendering process died; deepgps doctor checks the renderer") from None
-        finally:
-            pool.shutdown(cancel_futures=True)
-    sense, sense_test = make_senses(settings, seed)
-    counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
-    if held_out:
-        test_pose = take_held_out(settings, drive)
-        tests = drive.images
-    first = settings.drive.samples if held_out else 0
-    write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
-    if settings.horizontal.mounted:
-        counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
-    write_array(folder / "truth" / "test_pose.npy", test_pose)
+        except DamagedError as error:  # the part is removed, and is made again
+            if tries == TRIES - 1:
+                raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
     write_scene(RoomWorld(taught).model, folder / "scene.glb")
     manifest = {
@@ -97,13 +96,25 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         "seed": seed,
         **counts,
         "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
-        "gl_renderer": renderer,
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
     }
     finish_recording(folder, manifest)
-    shutil.rmtree(work)
+    _remove_parts(work)
+
+
+def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> int:
+    """What a recording needs at least besides what there is of its parts; ``tests`` counts its test images, if they are
+    not held out."""
+    images = settings.drive.samples + settings.grid.held_out + tests
+    lidar, camera, ahead = settings.lidar, settings.camera, settings.horizontal
+    seen = 4 * lidar.headings * lidar.rays if settings.sensor == "lidar" else 3 * camera.rings * camera.sectors
+    seen += ahead.height_px * ahead.width_px * (ahead.mounted and ahead.kept)
+    there = sum(path.stat().st_size for path in list_files(work, COLLECTING))
+    # Each image is first in a part and then in the recording, and so is the state of each sample.
+    parts = images * seen + 8 * nq * settings.drive.samples
+    return parts + max(parts - there, 0)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -171,55 +182,119 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
     }
 
 
-def _drive_and_render(
-    pool: ProcessPoolExecutor,
-    world: RoomWorld,
-    settings: SimSettings,
-    rng: np.random.Generator,
-    lean: np.random.Generator,
-    work: Path,
-    progress: Report,
-) -> tuple[Drive, list[Future]]:
-    """Drive until there are enough samples, handing each chunk to the renderers; chunks that stand are read."""
-    drive, jobs, chunk = Drive([], []), [], None
-    driven, wanted = 0, settings.drive.samples + settings.grid.held_out
-    while driven < wanted:
-        index = len(drive.chunks)
-        path, images = chunk_files(work, index)
-        if not path.is_file():
-            write_arrays(path, drive_chunk(world, settings, rng, chunk))
-        with np.load(path, allow_pickle=False) as stored:
-            chunk = dict(stored)
-        drive.chunks.append(chunk)
-        drive.images.append(images)
-        leans = draw_leans(settings.mount, len(chunk["state"]), lean)
-        jobs.append(pool.submit(sense_states, settings, chunk["state"], drive.images[-1], leans))
-        driven = int(chunk["observations"])
-        progress("drive", min(driven, wanted), wanted)
-    return drive, jobs
-
-
-def _render_grid(
-    pool: ProcessPoolExecutor,
+def _make_parts(
+    renderers: Renderers,
     world: RoomWorld,
     settings: SimSettings,
     test_pose: np.ndarray,
+    seed: int,
     work: Path,
-    lean: np.random.Generator,
-) -> tuple[list[Path], list[Future]]:
-    """Hand the test grid to the renderers: the robot settled and at rest at each pose, in the room as it is in use."""
-    parts = np.split(test_pose.reshape(-1, 3), range(CHUNK, test_pose.size // 3, CHUNK))
-    paths = [work / f"test-{index:06d}.npy" for index in range(len(parts))]
-    states = [world.rest_states(part) for part in parts]
-    leans = [draw_leans(settings.mount, len(part), lean) for part in parts]
-    jobs = zip(states, paths, leans, strict=True)
-    return paths, [pool.submit(sense_states, settings, *job) for job in jobs]
+    progress: Report,
+) -> tuple[Drive, list[Path]]:
+    """Drive and draw what there is not yet; returns the drive and the files of the test images."""
+    chance, given = spawn_streams(seed), 0
+
+    def give(part: Part) -> None:
+        nonlocal given
+        if not _is_drawn(part):
+            renderers.give(part)
+            given += 1
+
+    tests = _lay_out_tests(world, settings, test_pose, work, chance.test_lean)
+    for part in tests:
+        give(part)
+    taught = settings.model_copy(update={"use": UseSettings()})
+    drive = _drive(world, taught, (stream(seed, "drive"), chance.lean), work, give, progress)
+    total = len(tests) + len(drive.images)
+
+    def tell(drawn: int) -> None:
+        progress("render", (total - given + drawn) * CHUNK, total * CHUNK)
+
+    renderers.finish(tell)
+    tell(given)
+    return drive, [part.path for part in tests]
 
 
-def _watch(jobs: Sequence[Future], progress: Report) -> str:
-    """Wait for all images; returns the name of the renderer that made them."""
-    renderer = ""
-    for done, job in enumerate(as_completed(jobs), start=1):
-        renderer = job.result() or renderer
-        progress("render", done * CHUNK, len(jobs) * CHUNK)
-    return renderer
+def _drive(
+    world: RoomWorld,
+    settings: SimSettings,
+    chance: tuple[np.random.Generator, np.random.Generator],
+    work: Path,
+    give: Callable[[Part], None],
+    progress: Report,
+) -> Drive:
+    """Drive until there are enough samples, handing each chunk over to be drawn; whole chunks that exist are read."""
+    rng, lean = chance
+    drive, chunk = Drive([], []), None
+    driven, wanted = 0, settings.drive.samples + settings.grid.held_out
+    while driven < wanted:
+        path, images = chunk_files(work, len(drive.chunks))
+        chunk = _read_if_whole(path) or _drive_on(path, world, settings, rng, chunk)
+        drive.chunks.append(chunk)
+        drive.images.append(images)
+        leans = draw_leans(settings.mount, len(chunk["state"]), lean)
+        give(Part(settings, chunk["state"], images, leans))
+        driven = int(chunk["observations"])
+        progress("drive", min(driven, wanted), wanted)
+    return drive
+
+
+def _drive_on(
+    path: Path,
+    world: RoomWorld,
+    settings: SimSettings,
+    rng: np.random.Generator,
+    before: dict[str, np.ndarray] | None,
+) -> dict[str, np.ndarray]:
+    """Drive a chunk and write it."""
+    chunk = drive_chunk(world, settings, rng, before)
+    write_arrays(path, chunk)
+    return chunk
+
+
+def _lay_out_tests(
+    world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path, lean: np.random.Generator
+) -> list[Part]:
+    """The test grid in parts: the robot settled and at rest at each pose, in the room as it is in use."""
+    poses = test_pose.reshape(-1, 3)
+    parts = []
+    for index, first in enumerate(range(0, len(poses), CHUNK)):
+        some = poses[first : first + CHUNK]
+        leans = draw_leans(settings.mount, len(some), lean)
+        parts.append(Part(settings, world.rest_states(some), work / f"test-{index:06d}.npz", leans))
+    return parts
+
+
+def _is_drawn(part: Part) -> bool:
+    """Whether all files of a part are whole; those that are damaged are removed."""
+    return all([_read_if_whole(path) for path in (part.path, *side_files(part.settings, part.path))])
+
+
+def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
+    """Arrays of a file of the work folder, if there is one; it is removed where it is damaged."""
+    with suppress(DamagedError):
+        return read_part(path)
+    return None
+
+
+def _assemble(
+    folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
+) -> dict[str, Any]:
+    """Write the recording's arrays; returns what the manifest says of them. Raises DamagedError for a part."""
+    sense, sense_test = make_senses(settings, seed)
+    drawn = count_drawn([*drive.images, *tests])
+    counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
+    first = 0
+    if settings.grid.held_out:
+        test_pose, tests, first = take_held_out(settings, drive), drive.images, settings.drive.samples
+    write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
+    if settings.horizontal.mounted:
+        counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
+    write_array(folder / "truth" / "test_pose.npy", test_pose)
+    return counts | drawn
+
+
+def _remove_parts(work: Path) -> None:
+    remove_files(work, COLLECTING)
+    with suppress(OSError):  # it holds a file that is not ours
+        work.rmdir()

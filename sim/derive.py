@@ -5,7 +5,6 @@ from its wheel angles. Where they differ in faults of finished images, these are
 drive depends on how long it will be: a shorter one is the beginning of a longer one.
 """
 
-import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,8 @@ import numpy as np
 from sim.camera_faults import Develop, make_develop, spawn_streams
 from sim.encoder import describe_odometry, read_encoders
 from sim.errors import InputError
-from sim.files import link_file, write_array, write_atomic
-from sim.records import Recording, Truth, finish_recording, open_recording, open_truth
+from sim.files import link_file, write_array, write_blocks
+from sim.records import Recording, Truth, finish_recording, open_recording, open_truth, remove_recording
 from sim.settings import EncoderSettings, ImageSettings, SimSettings
 from sim.streams import stream
 
@@ -26,6 +25,7 @@ READ_AGAIN = ("reading.npy", "time.npy")
 """What other encoders change."""
 NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
 """What the names of files begin with that change nothing in a training without ticks."""
+OF_IMAGES = ("images_drawn_twice", "images_that_differed")
 AT_ONCE = 256
 """Images that are given their faults at a time."""
 
@@ -60,7 +60,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     start = time.perf_counter()
     recording, truth = open_recording(base), open_truth(base)
     _check(recording, settings, seed)
-    shutil.rmtree(folder, ignore_errors=True)  # what a killed process left
+    remove_recording(folder)  # what a killed process left
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
@@ -79,7 +79,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             link_file(base / name, folder / name)
     manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
     if not whole:
-        for name in ("samples_dropped", "times_carried"):  # known of the whole drive only
+        for name in ("samples_dropped", "times_carried", *OF_IMAGES):  # known of the whole drive only
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
@@ -109,29 +109,22 @@ def _read_again(
 
 def _check(base: Recording, settings: SimSettings, seed: int) -> None:
     other = SimSettings.model_validate(base.manifest["settings"])
-    samples = settings.drive.samples
+    samples, at = settings.drive.samples, base.folder
     if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
-        raise InputError(f"{base} is a recording of another drive: more than encoder, image and drive.samples differ")
+        raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
     if other.image != ImageSettings():
-        raise InputError(f"{base} has faults in its images, which cannot be taken away: nothing can be derived from it")
+        raise InputError(f"{at} has faults in its images, which cannot be taken away: nothing can be derived from it")
     if other.drive.samples < samples:
-        raise InputError(f"{base} has {other.drive.samples} samples, too few for drive.samples {samples}")
+        raise InputError(f"{at} has {other.drive.samples} samples, too few for drive.samples {samples}")
     if other.drive.samples > samples and not can_be_cut(settings):
-        raise InputError(f"{base} has {other.drive.samples} samples, of which {samples} are no recording of their own")
+        raise InputError(f"{at} has {other.drive.samples} samples, of which {samples} are no recording of their own")
     if base.manifest["readings_lost"]:
-        raise InputError(f"{base} has lost readings, whose times are not known: nothing can be derived from it")
+        raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
 
 
 def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:
     """Write the images of a file, or the first ``count``, with faults; some at a time."""
     images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
     flat = images.reshape(-1, *images.shape[-3:])
-
-    def write(part: Path) -> None:
-        whole = np.lib.format.open_memmap(part, mode="w+", dtype=images.dtype, shape=images.shape)
-        into = whole.reshape(flat.shape)
-        for first in range(0, len(flat), AT_ONCE):
-            into[first : first + AT_ONCE] = fault(np.asarray(flat[first : first + AT_ONCE]))
-        whole.flush()
-
-    write_atomic(target, write)
+    blocks = (fault(np.asarray(flat[first : first + AT_ONCE])) for first in range(0, len(flat), AT_ONCE))
+    write_blocks(target, images.shape, images.dtype, blocks)

@@ -4,11 +4,25 @@ The drive uses the joint sensors themselves; the ticks of a recording are derive
 a study over encoder faults repeats only this file, never the drive or the images.
 """
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
+from sim.errors import InputError
 from sim.settings import EncoderSettings
 
 Constants = dict[str, float]
+RANGES = {
+    "wheel_radius_m": (1e-6, 1e6),
+    "track_m": (1e-6, 1e6),
+    "ticks_per_rev": (1.0, 1e9),
+    "gap_noise": (0.0, 1e3),
+    "slip_per_m": (0.0, 1e3),
+}
+"""Odometry constants that can be; what may be zero may also be missing."""
+LARGE = 2**40
+"""Ticks from which on metres, which are no integers, begin to lose them."""
 
 
 def read_encoders(
@@ -87,6 +101,18 @@ def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m:
     }
 
 
+def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
+    """Odometry constants of a recording; raises InputError naming the first that cannot be."""
+    odometry = manifest.get("odometry")
+    if not isinstance(odometry, Mapping):
+        odometry = {}
+    for name, (low, high) in RANGES.items():
+        value = odometry.get(name, 0.0 if low == 0.0 else None)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
+            raise InputError(f"manifest: odometry.{name} must be a number from {low:g} to {high:g}, and is {value!r}")
+    return odometry
+
+
 def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarray:
     """Whole ticks (R, 2) int64 of angles (R, 2) [rad]: floor or nearest of angle x ticks_per_rev / 2 pi."""
     turns = np.asarray(wheel_angle) * (settings.ticks_per_rev / (2 * np.pi))
@@ -96,6 +122,14 @@ def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarra
 def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: int) -> np.ndarray:
     """Way (...) [m] of a wheel that counted ``ticks`` (...): 2 pi r ticks / ticks_per_rev."""
     return np.asarray(ticks) * (2 * np.pi * wheel_radius_m / ticks_per_rev)
+
+
+def count_from_first(ticks: np.ndarray) -> np.ndarray:
+    """Cumulative ticks (R, 2) int64 counted from the first reading if they are so large that metres would lose them.
+
+    Smaller ones stay as they are. A counter that overflows 64 bits on the way is taken to go on.
+    """
+    return ticks - ticks[:1] if len(ticks) and (np.abs(ticks.astype(float)) >= LARGE).any() else ticks
 
 
 def keep_readings(count: int, lost: float, rng: np.random.Generator) -> np.ndarray:

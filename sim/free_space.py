@@ -68,11 +68,12 @@ class _Probe:
         spec = mujoco.MjSpec()
         spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=(radius_m, reach_m / 2, 0.0))
         self.terrains: list[int] = []
+        copied: set[str] = set()
         for geom in map(int, np.flatnonzero(collides(model))):
             if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD:
                 self.terrains.append(geom)
             elif not _below(model, rest, geom, CLEARANCE_M):
-                _copy_geom(spec, model, rest, geom)
+                _copy_geom(spec, model, rest, geom, copied)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
@@ -103,7 +104,8 @@ def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.n
     return centre - half, centre + half
 
 
-def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> None:
+def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, geom: int, copied: set[str]) -> None:
+    """Copy a geom to the world body of another model, and its mesh if that is not among the ``copied``."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
@@ -111,7 +113,8 @@ def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, 
     if kind in (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_SDF):
         mesh = model.geom_dataid[geom]
         name = f"mesh_{mesh}"
-        if not any(known.name == name for known in spec.meshes):
+        if name not in copied:
+            copied.add(name)
             first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
             # Its points alone: MuJoCo collides a mesh as their convex hull.
             spec.add_mesh(name=name, uservert=model.mesh_vert[first : first + count].ravel())
@@ -140,10 +143,10 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
     # The lattice passes through the room's origin, wherever its walls are.
     low = np.floor((np.min(corners, axis=0)[:2] - border) / cell_m)
     high = np.ceil((np.max(corners, axis=0)[:2] + border) / cell_m)
-    columns, rows = (high - low).astype(int) + 1
-    if rows * columns > LARGEST_CELLS:
+    columns, rows = (high - low + 1).tolist()
+    if not rows * columns <= LARGEST_CELLS:  # NaN is neither larger nor smaller
         raise InputError(
-            f"room: {columns * cell_m:.0f} m x {rows * cell_m:.0f} m is too large: at most "
+            f"room: {columns * cell_m:.6g} m x {rows * cell_m:.6g} m is too large: at most "
             f"{LARGEST_CELLS * cell_m**2:.0f} m2 at cells of {cell_m} m"
         )
     return low * cell_m, (int(rows), int(columns))

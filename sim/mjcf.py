@@ -1,17 +1,20 @@
 """A room of your own: an MJCF file, vetted before MuJoCo reads it, and made a room that only stands there."""
 
-import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from sim.errors import InputError, one_line
+from sim.mjcf_files import Files
+from sim.mjcf_limits import FARTHEST, MOST, refuse_excess
+from sim.robot import PREFIX
+from sim.scene import list_active
+from sim.user_input import quote, shorten
 
 FLOOR = "floor"
-LARGEST_BYTES = 64 * 1024 * 1024
-_FOLDERS = ("meshdir", "texturedir", "assetdir")
-_REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
+_SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
+_SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 _SUPPORT_M = 0.001
 
 
@@ -22,104 +25,71 @@ def load_room(path: Path) -> mujoco.MjSpec:
     z = 0; where there is none, an endless plane ``floor`` is added.
 
     Raises:
-        InputError: the file is missing, is not MJCF, reaches out of its folder, or asks for plugins; one line.
+        InputError: the file is missing, is not MJCF, reaches out of its folder, asks for plugins or is too large.
     """
+    vet(path)
+    what = f"room.mjcf {shorten(str(path), 300)}"
     try:
-        _vet(path)
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
         _still(spec)
+        _refuse_robot_names(spec)
         model = spec.compile()
-    except InputError:
-        raise
-    except (ValueError, mujoco.FatalError) as error:
-        reason = one_line(error)
-        raise InputError(f"room.mjcf {path}: MuJoCo cannot read it: {reason}") from None
+        _refuse_large(model)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
     if not _has_floor(model):
         name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), group=3)
     return spec
 
 
-def _vet(path: Path) -> None:
-    """Refuse a file that could make MuJoCo open anything outside its folder, before MuJoCo sees it."""
-    what = f"room.mjcf {path}"
-    folder = path.resolve().parent
-    files = _read_all(path, path, folder, [])
-    if files[path].tag != "mujoco":
-        raise InputError(f"{what}: not an MJCF file: its root is <{files[path].tag}>, and must be <mujoco>")
-    # Which of these folders MuJoCo looks in depends on the file that says so last: a reference must be good in all.
-    places = {folder} | {file.resolve().parent for file in files}
-    for root in files.values():
-        for compiler in root.iter("compiler"):
-            for key in _FOLDERS:
-                if compiler.get(key):
-                    places |= {_inside(compiler.get(key, ""), base, folder, f"{what}: {key}") for base in places}
-    for root in files.values():
-        for element in root.iter():
-            if element.tag in _REFUSED:
-                raise InputError(f"{what}: {_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
-            for name, value in element.attrib.items():
-                if name.startswith("file"):
-                    for place in places:
-                        _inside(value, place, folder, f"{what}: {element.tag} {name}")
+def vet(path: Path) -> None:
+    """Refuse a file that could make MuJoCo open anything outside its folder, or take more memory or time than a room
+    needs, before MuJoCo sees it.
 
-
-def _read_all(path: Path, main: Path, folder: Path, chain: list[Path]) -> dict[Path, ET.Element]:
-    """The parsed file and all that it includes or attaches, each by its path."""
-    if path in chain:
-        raise InputError(f"room.mjcf {main}: {path.name} includes itself")
-    root = _parse(path, main)
-    files = {path: root}
-    for element in root.iter():
-        if element.tag == "include" or (element.tag == "model" and "file" in element.attrib):
-            value = element.get("file", "")
-            what = f"room.mjcf {main}: {element.tag} file"
-            candidates = [_inside(value, base, folder, what) for base in (folder, path.resolve().parent)]
-            found = next((file for file in candidates if file.is_file()), None)
-            if found is None:
-                raise InputError(f"{what} {value}: no such file")
-            files |= _read_all(found, main, folder, [*chain, path.resolve()])
-    return files
-
-
-def _parse(path: Path, main: Path) -> ET.Element:
-    what = f"room.mjcf {main}"
-    try:
-        if not path.is_file():
-            raise InputError(f"{what}: no such file")
-        if path.stat().st_size > LARGEST_BYTES:
-            raise InputError(f"{what}: {path.name} is larger than {LARGEST_BYTES // 2**20} MiB")
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(f"{what}: {path.name} cannot be read: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(f"{what}: {path.name} is not UTF-8 text") from None
-    # Entities could name other files, or grow without end; MJCF has no use for them.
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise InputError(f"{what}: a DOCTYPE or an entity is not allowed in {path.name}")
-    try:
-        return ET.fromstring(text)
-    except (ET.ParseError, ValueError) as error:
-        raise InputError(f"{what}: not XML: {error} in {path.name}") from None
-
-
-def _inside(value: str, base: Path, folder: Path, what: str) -> Path:
-    """The file that a reference names, refused unless it and all links on its way lie in ``folder``."""
-    if Path(value).is_absolute() or "\\" in value or ":" in value:
-        raise InputError(f"{what} {value}: must be a path relative to the room's own folder")
-    target = (base / value).resolve()
-    if ".." in Path(value).parts or not target.is_relative_to(folder):
-        raise InputError(f"{what} {value}: lies outside the room's own folder")
-    return target
+    Raises:
+        InputError: one line that names the file, the element and what is allowed.
+    """
+    files = Files(path)
+    files.refuse_forbidden()
+    refuse_excess(files)
 
 
 def _still(spec: mujoco.MjSpec) -> None:
-    """Take away all that moves, acts, measures or decides about contacts, so that a room only stands there."""
-    acting = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
-    for element in [element for group in (*acting, spec.joints, spec.skins) for element in group]:
+    """Take away all that moves, acts, measures, decides about contacts or claims memory: a room only stands there."""
+    for element in [*list_active(spec), *spec.skins]:
         spec.delete(element)
     for body in spec.bodies:
         body.mocap = False
+    defaults = mujoco.MjSpec()
+    spec.memory = defaults.memory
+    for name in _SIZES:
+        setattr(spec, name, getattr(defaults, name))
+    spec.visual.global_.offwidth = defaults.visual.global_.offwidth
+    spec.visual.global_.offheight = defaults.visual.global_.offheight
+
+
+def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
+    """Names that the robot's own parts will have."""
+    named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
+    for element in [element for group in named for element in group]:
+        if element.name.startswith(PREFIX):
+            raise InputError(f"the name {quote(element.name)} begins with {PREFIX}, as the robot's own parts do")
+
+
+def _refuse_large(model: mujoco.MjModel) -> None:
+    """What only the finished room tells: whether all is somewhere, and how many triangles are drawn."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    if not (np.abs(data.geom_xpos) < FARTHEST).all() or not (np.abs(model.geom_size) < FARTHEST).all():
+        raise InputError("a geom is infinitely large or far away")
+    if model.ngeom > MOST.geoms:
+        raise InputError(f"more than {MOST.geoms} geoms")
+    drawn = model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
+    if (triangles := int(model.mesh_facenum[drawn[drawn >= 0]].sum())) > MOST.triangles:
+        raise InputError(f"its meshes draw {triangles} triangles; at most {MOST.triangles}")
 
 
 def _has_floor(model: mujoco.MjModel) -> bool:

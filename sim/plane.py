@@ -4,7 +4,6 @@ The robot observes every ``drive.spacing_m``. What is written is a recording as 
 way as those of a room are, with the faults that the settings ask for.
 """
 
-import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import numpy as np
 
 from sim.encoder import describe_odometry, read_encoders
 from sim.errors import WorkError
-from sim.records import FreeSpace, save_free_space, write_recording
+from sim.records import FreeSpace, remove_recording, save_free_space, write_recording
 from sim.settings import SimSettings
 from sim.streams import stream
 
@@ -97,7 +96,7 @@ def record(
     start = time.perf_counter()
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)
     ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
-    shutil.rmtree(folder, ignore_errors=True)  # what a killed collection left
+    remove_recording(folder)  # what a killed collection left
     save_free_space(folder / "truth" / "free_space.npz", space)
     arrays = {
         "observation.npy": observe(drive.pose),

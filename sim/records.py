@@ -5,7 +5,7 @@ A folder with ``manifest.json`` (written last: without it the recording is not f
 robot has a horizontal camera also ``labels/`` and perhaps ``horizontal.npy`` (N, rows, columns).
 """
 
-import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,10 +13,30 @@ from typing import Any
 
 import numpy as np
 
-from sim.errors import InputError
-from sim.files import read_json, write_array, write_arrays, write_json
+from sim.errors import DamagedError, InputError, one_line
+from sim.files import (
+    check_sha256,
+    damaged,
+    list_files,
+    read_arrays,
+    read_json,
+    remove_files,
+    sha256,
+    write_array,
+    write_arrays,
+    write_json,
+)
 
 SCHEMA = 1
+RECORDING = re.compile(
+    r"manifest\.json|scene\.glb|(test/)?(observation|horizontal)\.npy|(reading|time)\.npy"
+    r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
+    r"|labels/((test_)?sighting|tag)\.npz|labels/(test_)?pose\.npy"
+)
+"""Paths of all files that a recording's folder holds."""
+COLLECTING = re.compile(r"drive-\d+\.npz|(image|test)-\d+(\.tags|\.horizontal)?\.np[yz]")
+"""The same of the folder in which a recording is made."""
+RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
 
 @dataclass(frozen=True)
@@ -111,8 +131,13 @@ class Truth:
 
 
 def open_recording(folder: Path) -> Recording:
-    """Open what the robot sensed; raises InputError for a folder that is no finished recording."""
+    """Open what the robot sensed, its files compared with their checksums.
+
+    Raises:
+        InputError: The folder is no finished recording, or a file of it is damaged.
+    """
     manifest = read_manifest(folder)
+    _check_files(folder, manifest, truth=False)
     return Recording(
         folder=folder,
         manifest=manifest,
@@ -125,8 +150,8 @@ def open_recording(folder: Path) -> Recording:
 
 
 def open_truth(folder: Path) -> Truth:
-    """Open a recording's truth; raises InputError for a folder that is no finished recording."""
-    read_manifest(folder)
+    """Open a recording's truth, its files compared with their checksums; raises as ``open_recording`` does."""
+    _check_files(folder, read_manifest(folder), truth=True)
     truth = folder / "truth"
     return Truth(
         pose=_open_array(truth / "pose.npy"),
@@ -152,12 +177,12 @@ def work_folder(folder: Path) -> Path:
 
 def is_whole(folder: Path) -> bool:
     """Whether a recording is finished, and nothing is left of its making."""
-    return (folder / "manifest.json").is_file() and not work_folder(folder).exists()
+    return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
 
 
 def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
     """States and readings of one chunk of a drive that is being recorded, and its images."""
-    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npy"
+    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -167,10 +192,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InputError(f"{folder} is no finished recording: it has no manifest.json")
     try:
         manifest = read_json(path)
-    except ValueError as error:
-        raise InputError(f"{path} is not JSON: {error}") from None
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
     if manifest.get("schema") != SCHEMA:
         raise InputError(f"{path}: schema {manifest.get('schema')!r}, but this version reads schema {SCHEMA}")
+    sums = manifest.get("sha256", {})
+    if not isinstance(sums, dict) or not all(RECORDING.fullmatch(name) for name in sums):
+        raise InputError(f"{path}: sha256 must be a mapping from names of a recording's files")
     return manifest
 
 
@@ -190,8 +218,9 @@ def save_free_space(path: Path, space: FreeSpace) -> None:
 
 
 def load_free_space(path: Path) -> FreeSpace:
-    """Read the free space."""
-    with np.load(path, allow_pickle=False) as data:
+    """Read the free space; raises DamagedError."""
+    data = read_arrays(path)
+    try:
         return FreeSpace(
             origin=data["origin"],
             cell_m=float(data["cell_m"]),
@@ -200,6 +229,8 @@ def load_free_space(path: Path) -> FreeSpace:
             start=data["start"],
             shorter_side_m=float(data["shorter_side_m"]),
         )
+    except KeyError as error:
+        raise damaged(path, f"it has no array {error}") from None
 
 
 def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:
@@ -211,25 +242,33 @@ def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Ma
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
-    files = sorted(path for path in folder.rglob("*") if path.suffix in {".npy", ".npz", ".glb"})
-    checksums = {path.relative_to(folder).as_posix(): sha256(path) for path in files}
+    names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
+    checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name) and name != "manifest.json"}
     write_json(folder / "manifest.json", {"schema": SCHEMA, **manifest, "sha256": checksums})
 
 
 def check_recording(folder: Path) -> None:
-    """Compare every file with the manifest's checksum; raises InputError naming the first that differs."""
-    for name, expected in read_manifest(folder)["sha256"].items():
-        path = folder / name
-        if not path.is_file():
-            raise InputError(f"{folder}: {name} is missing")
-        if sha256(path) != expected:
-            raise InputError(f"{folder}: {name} differs from the checksum in the manifest")
+    """Compare every file with the manifest's checksum; raises DamagedError naming the first that differs."""
+    manifest = read_manifest(folder)
+    for truth in (False, True):
+        _check_files(folder, manifest, truth)
 
 
-def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def remove_recording(folder: Path) -> None:
+    """Remove the files of a recording, finished or not, and of its making; anything else in its folders stays."""
+    for place, ours in ((folder, RECORDING), (work_folder(folder), COLLECTING)):
+        if place.is_dir() and not place.is_symlink():
+            remove_files(place, ours)
+
+
+def _check_files(folder: Path, manifest: Mapping[str, Any], truth: bool) -> None:
+    """Compare the files of the truth, or all others, with the manifest's checksums."""
+    for name, expected in manifest.get("sha256", {}).items():
+        if name.startswith("truth/") == truth:
+            try:
+                check_sha256(folder / name, expected)
+            except DamagedError as error:
+                raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
 
 
 def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
@@ -237,6 +276,6 @@ def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
         # "c": in memory it may be written, as torch wants of every array; the file stays as it is.
         return np.load(path, mmap_mode="c" if mapped else None, allow_pickle=False)
     except FileNotFoundError:
-        raise InputError(f"{path} is missing: the recording is not whole") from None
-    except (ValueError, EOFError) as error:
-        raise InputError(f"{path} cannot be read: {error}") from None
+        raise DamagedError(f"{path} is missing; {RECORD_AGAIN}") from None
+    except (ValueError, EOFError, MemoryError, OverflowError) as error:
+        raise damaged(path, one_line(error)) from None

@@ -1,7 +1,10 @@
 """The scene: a room with the robot in it, its physics and its picture quality the same whatever the room says."""
 
+from typing import Any
+
 import mujoco
 
+from sim.errors import InputError, one_line
 from sim.robot import PREFIX, load_robot, mount_horizontal
 from sim.settings import SimSettings, UseSettings
 from sim.use import dim
@@ -12,6 +15,10 @@ AMBIENT_WITHOUT_LAMPS = 0.9
 NEAR_M = 0.01
 FAR_M = 60.0
 
+# MuJoCo would print a warning and add it to a file MUJOCO_LOG.TXT in the user's folder. Whoever steps the physics reads
+# warnings from its state, and what a file is warned of is refused.
+mujoco.set_mju_user_warning(lambda text: None)
+
 
 def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     """Attach the robot to a copy of a room, force physics and picture quality, and compile.
@@ -19,6 +26,9 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     Args:
         room: The room, without moving parts; it is not changed.
         settings: Physics step, wheel error, camera height and the light in use are used.
+
+    Raises:
+        InputError: the room and the robot do not go together, as where both have parts of one name.
     """
     spec = freeze(room)
     _force_physics(spec, settings.robot.timestep_s)
@@ -29,8 +39,11 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     if settings.horizontal.mounted:
         mount_horizontal(robot, settings.horizontal)
     robot.option = spec.option
-    spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
-    return spec.compile()
+    try:
+        spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"room: MuJoCo cannot put the robot into it: {one_line(error)}") from None
 
 
 def empty_room() -> mujoco.MjSpec:
@@ -43,8 +56,7 @@ def empty_room() -> mujoco.MjSpec:
 def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     """Copy a room without all that moves, drives or measures, and what would alter contacts with the robot."""
     spec = room.copy()
-    removed = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
-    for element in [e for group in (*removed, spec.joints) for e in group]:
+    for element in list_active(spec):
         spec.delete(element)
     for body in spec.bodies:
         body.mocap = False
@@ -56,6 +68,12 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
     spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
     return spec
+
+
+def list_active(spec: mujoco.MjSpec) -> list[Any]:
+    """Elements that move, drive, measure, or alter contacts."""
+    groups = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
+    return [element for group in (*groups, spec.joints) for element in group]
 
 
 def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:

@@ -8,6 +8,8 @@ WorldName = Literal["room", "landmarks", "lidar"]
 SensorName = Literal["fisheye", "lidar"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
+LARGEST_MJCF = 64 * 1024 * 1024
+"""Bytes that each XML file of a room of one's own may have."""
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
@@ -30,7 +32,7 @@ class RoomSettings(Group):
     """Extent along x [m]; none: the kind's own."""
     depth_m: Metres | None = None
     """Extent along y [m]; none: the kind's own."""
-    mjcf: str | None = None
+    mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
     """A room of your own: path of an MJCF file, used in place of kind, shape, seed and size."""
 
 
@@ -43,7 +45,7 @@ class LandmarksSettings(Group):
     """Where the landmarks stand comes from this number; none: from the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
-    reach_m: float | None = Field(default=None, gt=0.0)
+    reach_m: float | None = Field(default=None, gt=0.0, le=1e6)
     """Landmarks farther than this are not seen, their distance reads as this [m] (the paper's d_max); none: all are."""
     segments: int = Field(default=128, ge=1, le=1_000_000)
     """Straight segments to drive, each from wall to wall; drive.samples may end the drive before."""

@@ -45,11 +45,12 @@ def test_a_checkpoint_cut_off_while_it_is_written_leaves_the_old_one(tmp_path: P
     network, optimiser, generator = make(0)
     save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
 
-    def write_half(state: object, path: Path) -> None:
-        path.write_bytes((tmp_path / NAME).read_bytes()[:500])
+    def write_half(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:500])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(torch, "save", write_half)
+    monkeypatch.setattr(Path, "write_bytes", write_half)
     with pytest.raises(KeyboardInterrupt):
         save_checkpoint(tmp_path, 2, network, optimiser, generator, {}, 0.0)
     assert load_checkpoint(tmp_path, network, optimiser, generator, {})[0] == 1
@@ -58,13 +59,28 @@ def test_a_checkpoint_cut_off_while_it_is_written_leaves_the_old_one(tmp_path: P
 def test_a_checkpoint_of_another_network_is_refused(tmp_path: Path):
     save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
     larger = nn.Linear(3, 2)
-    with pytest.raises(InputError, match=r"checkpoint\.pt is broken or of another training"):
+    with pytest.raises(InputError, match=r"checkpoint\.pt belongs to another training"):
         load_checkpoint(tmp_path, larger, torch.optim.AdamW(larger.parameters()), torch.Generator(), {})
 
 
 @pytest.mark.parametrize("left", [0, 10, 500])
-def test_a_broken_checkpoint_is_refused(tmp_path: Path, left: int):
+def test_a_cut_checkpoint_is_removed_and_said(tmp_path: Path, left: int, caplog: pytest.LogCaptureFixture):
     save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
     (tmp_path / NAME).write_bytes((tmp_path / NAME).read_bytes()[:left])
-    with pytest.raises(InputError, match=r"checkpoint\.pt is broken or of another training"):
-        load_checkpoint(tmp_path, *make(0), {})
+    assert load_checkpoint(tmp_path, *make(0), {}) == (0, 0.0)
+    assert not (tmp_path / NAME).exists()
+    assert f"{tmp_path / NAME} is damaged" in caplog.text
+
+
+@pytest.mark.parametrize("at", range(0, 30_000, 1237))
+def test_a_flipped_bit_is_found_or_changes_nothing(tmp_path: Path, at: int):
+    save_checkpoint(tmp_path, 7, *make(0), {"loss": [1.5]}, 0.25)
+    data = bytearray((tmp_path / NAME).read_bytes())
+    data[at // 8 % len(data)] ^= 1 << at % 8
+    (tmp_path / NAME).write_bytes(data)
+    network, optimiser, generator = make(1)
+    history = {"loss": []}
+    if load_checkpoint(tmp_path, network, optimiser, generator, history) != (0, 0.0):
+        assert history == {"loss": [1.5]}
+        expected = make(0)[0].state_dict()
+        assert all(torch.equal(value, expected[name]) for name, value in network.state_dict().items())

@@ -1,16 +1,25 @@
 import os
+import re
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
 from sim import collect as collecting
+from sim import renderers, sensing
 from sim.camera_faults import decode
 from sim.collect import collect
 from sim.encoder import ticks_to_distance
 from sim.errors import InputError, WorkError
-from sim.records import check_recording, open_recording, open_truth, read_manifest
+from sim.records import check_recording, is_whole, open_recording, open_truth, read_manifest
 from sim.render import Fisheye
+from sim.renderers import Part
+from sim.sensing import sense_part
 from sim.settings import GridSettings, Group, MountSettings, SimSettings, UseSettings
 from sim.world import RoomWorld
 
@@ -102,42 +111,162 @@ def test_another_seed_drives_elsewhere_and_lost_readings_are_counted(small_setti
     assert not np.allclose(truth.pose[:50], open_truth(small_recording).pose[:50])
 
 
-def test_a_renderer_that_dies_is_started_again(small_settings, small_recording, tmp_path, monkeypatch):
-    executor = collecting.ProcessPoolExecutor
-    pools = []
-
-    class Mortal(executor):
-        def submit(self, *args, **kwargs):
-            jobs.append(args)
-            if len(pools) == 1 and len(jobs) == 3:
-                return super().submit(os.abort)
-            return super().submit(*args, **kwargs)
-
-    def start(*args, **kwargs):
-        jobs.clear()
-        pools.append(Mortal(*args, **kwargs))
-        return pools[-1]
-
-    jobs = []
-    monkeypatch.setattr(collecting, "ProcessPoolExecutor", start)
-    collect(small_settings, 0, tmp_path / "again", lambda *_: None)
-    assert len(pools) == 2 and read_manifest(tmp_path / "again")["renderer_deaths"] == 1
-    assert read_manifest(small_recording)["renderer_deaths"] == 0
-    assert read_manifest(tmp_path / "again")["sha256"] == read_manifest(small_recording)["sha256"]
+@pytest.fixture(scope="module")
+def parts(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a recording under way all of whose parts are made."""
+    folder = tmp_path_factory.mktemp("parts")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collecting, "finish_recording", lambda *_: None)
+        patch.setattr(collecting, "_remove_parts", lambda _: None)
+        collect(small_settings, 0, folder / "recording", lambda *_: None)
+    return folder
 
 
-def test_a_renderer_that_always_dies_is_said_so(small_settings, tmp_path, monkeypatch):
-    class Broken:
-        def __init__(self, *_: object, **__: object) -> None: ...
+def flip(path: Path, at: float = 0.5) -> None:
+    data = bytearray(path.read_bytes())
+    data[int(at * (len(data) - 1))] ^= 1
+    path.write_bytes(data)
 
-        def submit(self, *_: object) -> None:
-            raise collecting.BrokenProcessPool
 
-        def shutdown(self, **_: object) -> None: ...
+def collect_again(settings: SimSettings, folder: Path) -> dict[str, Any]:
+    """Make a recording from what there is of its parts; returns its manifest."""
+    collect(settings, 0, folder / "recording", lambda *_: None)
+    assert not (folder / "recording.collecting").exists()
+    return read_manifest(folder / "recording")
 
-    monkeypatch.setattr(collecting, "ProcessPoolExecutor", Broken)
-    with pytest.raises(WorkError, match="a rendering process died; deepgps doctor checks the renderer"):
+
+@pytest.mark.parametrize("damage", [flip, lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink])
+def test_damaged_parts_are_made_again_to_the_same_bytes(
+    damage, parts, small_settings, small_recording, tmp_path, caplog
+):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    names = ["drive-000000.npz", "image-000001.npz", "test-000000.npz"]
+    for name in names:
+        damage(tmp_path / "recording.collecting" / name)
+    manifest = collect_again(small_settings, tmp_path)
+    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
+    assert manifest["images_drawn_twice"] == read_manifest(small_recording)["images_drawn_twice"] == 3
+    told = [record.message for record in caplog.records]
+    assert len(told) == (0 if damage is Path.unlink else 3)
+    for line, name in zip(told, sorted(names), strict=False):
+        assert line.count("\n") == 0 and "is damaged" in line and "is made again" in line
+        assert any(name in line for line in told)
+
+
+@pytest.mark.parametrize("name", ["image-000000.npz", "test-000000.npz"])
+def test_a_part_that_changes_after_it_was_checked_is_found_when_it_is_assembled(
+    name, parts, small_settings, small_recording, tmp_path, monkeypatch, caplog
+):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    write_drive = collecting.write_drive
+    late = iter([flip])
+
+    def flip_first(*args):
+        for damage in late:
+            damage(tmp_path / "recording.collecting" / name)
+        return write_drive(*args)
+
+    monkeypatch.setattr(collecting, "write_drive", flip_first)
+    manifest = collect_again(small_settings, tmp_path)
+    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
+    assert [name in record.message for record in caplog.records] == [True]
+
+
+def test_a_disk_that_damages_all_it_is_given_is_one_clear_line(parts, small_settings, tmp_path, monkeypatch):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    count = collecting.count_drawn
+
+    def flip_always(paths):
+        flip(paths[0])
+        return count(paths)
+
+    monkeypatch.setattr(collecting, "count_drawn", flip_always)
+    with pytest.raises(WorkError, match=r"image-000000\.npz is damaged: .*, 3 times: what is written here"):
+        collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+
+
+def test_files_of_others_in_its_folders_stay(parts, small_settings, small_recording, tmp_path):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    theirs = [tmp_path / name for name in ("recording/thesis.npy", "recording.collecting/thesis.npy")]
+    for path in theirs:
+        path.write_text("a user's")
+    collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+    assert [path.read_text() for path in theirs] == ["a user's"] * 2
+    assert is_whole(tmp_path / "recording")
+    assert read_manifest(tmp_path / "recording")["sha256"] == read_manifest(small_recording)["sha256"]
+
+
+def test_what_cannot_fit_is_refused_before_anything_is_driven(parts, small_settings, tmp_path, monkeypatch):
+    def report_free(free: int) -> None:
+        usage = shutil.disk_usage(tmp_path)._replace(free=free)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    images = 8 * 32 * 3 * (300 + np.prod(np.load(parts / "recording" / "truth" / "test_pose.npy").shape[:2]))
+    monkeypatch.setattr(collecting, "_make_parts", lambda *_: pytest.fail("driven"))
+    report_free(int(1.9 * images))
+    with pytest.raises(WorkError, match=rf"{tmp_path}/x cannot be written: No space left on device; at least .* free"):
         collect(small_settings, 0, tmp_path / "x", lambda *_: None)
+    monkeypatch.undo()
+    report_free(int(1.3 * images))  # parts that exist need no space
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+
+
+def die_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that crashes once."""
+    once = part.path.with_name("died")
+    if part.path.name == "image-000000.npz" and not once.exists():
+        once.touch()
+        os.abort()
+    sense_part(part, beat)
+
+
+def hang_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that hangs once."""
+    once = part.path.with_name("hung")
+    if part.path.name == "image-000000.npz" and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGSTOP)
+    sense_part(part, beat)
+
+
+def err_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that changes one image in one process."""
+    once = part.path.with_name("erred")
+    draw = sensing.draw_states
+    if part.path.name == "image-000001.npz" and not once.exists():
+        once.touch()
+
+        def draw_wrong(settings: SimSettings, states: np.ndarray, *others: Any) -> np.ndarray:
+            images = draw(settings, states, *others)
+            if len(states) > 1:
+                images ^= 1
+            return images
+
+        sensing.draw_states = draw_wrong
+    sense_part(part, beat)
+
+
+@pytest.mark.parametrize(
+    ("draw", "line", "deaths", "differed"),
+    [
+        (die_first, "a rendering process died; 1 of 2 workers are replaced", 1, 0),
+        (hang_first, r"a rendering process gave no sign of life for \d+ s; 1 of 2 workers are replaced", 1, 0),
+        (err_first, r"image-000001\.npz: image \d+ of 47 was drawn twice and came out different; .* again", 0, 1),
+    ],
+)
+def test_a_renderer_that_dies_hangs_or_errs_is_replaced_and_the_bytes_are_the_same(
+    draw, line, deaths, differed, small_settings, small_recording, tmp_path, monkeypatch, caplog
+):
+    monkeypatch.setattr(renderers, "FLOOR_S", 4.0)
+    monkeypatch.setattr(renderers, "PATIENCE", 2.0)
+    monkeypatch.setattr(collecting, "sense_part", draw)
+    collect(small_settings, 0, tmp_path / "again", lambda *_: None, workers=2)
+    manifest, sound = read_manifest(tmp_path / "again"), read_manifest(small_recording)
+    assert manifest["sha256"] == sound["sha256"]
+    assert (manifest["renderer_deaths"], manifest["images_that_differed"]) == (deaths, differed)
+    assert (sound["renderer_deaths"], sound["images_that_differed"], sound["images_drawn_twice"]) == (0, 0, 3)
+    assert len(caplog.records) == 1 and re.search(line, caplog.records[0].message)
 
 
 def change(settings: SimSettings, samples: int, **groups: Group) -> SimSettings:

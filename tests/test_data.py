@@ -42,7 +42,9 @@ def test_no_distance_at_all_is_refused():
 
 
 def test_missing_odometry_is_named():
-    with pytest.raises(InputError, match=r"manifest: odometry.ticks_per_rev must be a number, and is None"):
+    with pytest.raises(
+        InputError, match=r"manifest: odometry.ticks_per_rev must be a number from 1 to .*, and is None"
+    ):
         travel(np.zeros((1, 2)), {"odometry": {"wheel_radius_m": 0.03, "track_m": 0.1}})
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from sim import landmarks
 from sim.collect import collect
-from sim.derive import can_be_cut, choose_drive, derive
+from sim.derive import OF_IMAGES, can_be_cut, choose_drive, derive
 from sim.errors import InputError
 from sim.records import check_recording, read_manifest
 from sim.settings import (
@@ -57,7 +57,7 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def read_what_must_agree(folder: Path) -> dict:
     """The manifest without what tells of the making."""
     manifest = read_manifest(folder)
-    making = {"collect_s", "derived_from", "samples_dropped", "times_carried", "renderer_deaths"}
+    making = {"collect_s", "derived_from", "samples_dropped", "times_carried", "renderer_deaths", *OF_IMAGES}
     return {name: value for name, value in manifest.items() if name not in making}
 
 

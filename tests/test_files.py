@@ -1,9 +1,32 @@
+import errno
+import json
 import os
+import re
+import resource
+import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from sim.files import read_json, sweep, write_array, write_arrays, write_atomic, write_json
+from sim.errors import DamagedError, InputError, WorkError
+from sim.files import (
+    check_overwrite,
+    check_space,
+    check_sum,
+    read_arrays,
+    read_json,
+    remove_files,
+    sweep,
+    write_array,
+    write_arrays,
+    write_atomic,
+    write_blocks,
+    write_json,
+    write_sum,
+)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -17,8 +40,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     with pytest.raises(OSError, match="disk full"):
         write_atomic(path, fail)
     assert read_json(path) == {"a": 1}
-    sweep(tmp_path)
-    assert os.listdir(tmp_path) == ["value.json"]
+    (tmp_path / "movie.1.deepgps-part").write_text("a user's")
+    sweep(tmp_path, re.compile(r"value\.json"))
+    assert sorted(os.listdir(tmp_path)) == ["movie.1.deepgps-part", "value.json"]
 
 
 def test_equal_arrays_give_equal_bytes(tmp_path):
@@ -33,3 +57,182 @@ def test_objects_are_never_pickled(tmp_path):
     with pytest.raises(ValueError, match="allow_pickle"):
         write_array(tmp_path / "x.npy", np.array([{}]))
     assert not (tmp_path / "x.npy").exists()
+
+
+VALUE = {"a": 1, "text": "é", "list": [0.1, None, True], "group": {"b": 2.5}}
+
+
+def flip(path: Path, bit: int) -> None:
+    data = bytearray(path.read_bytes())
+    data[bit // 8 % len(data)] ^= 1 << bit % 8
+    path.write_bytes(data)
+
+
+@given(bit=st.integers(0, 10**6))
+def test_a_flipped_bit_of_json_is_found_or_changes_no_value(tmp_path_factory: pytest.TempPathFactory, bit: int):
+    path = tmp_path_factory.mktemp("json") / "value.json"
+    write_json(path, VALUE)
+    flip(path, bit)
+    try:
+        read = read_json(path)
+    except DamagedError as error:
+        assert str(path) in str(error)
+    else:
+        assert {name: read[name] for name in VALUE} == VALUE
+
+
+@given(bit=st.integers(0, 10**6))
+def test_a_flipped_bit_of_arrays_is_found_or_changes_no_array(tmp_path_factory: pytest.TempPathFactory, bit: int):
+    path = tmp_path_factory.mktemp("npz") / "arrays.npz"
+    arrays = {"x": np.arange(7), "y": np.eye(2)}
+    write_arrays(path, arrays)
+    flip(path, bit)
+    try:
+        read = read_arrays(path)
+    except DamagedError as error:
+        assert str(path) in str(error)
+    else:
+        assert all(np.array_equal(read[name], arrays[name]) for name in arrays)
+
+
+def test_json_of_an_earlier_version_has_no_checksum_and_is_read(tmp_path: Path):
+    (tmp_path / "old.json").write_text(json.dumps(VALUE))
+    assert read_json(tmp_path / "old.json") == VALUE
+
+
+def test_a_sum_beside_a_file_tells_whether_it_changed(tmp_path: Path):
+    path = tmp_path / "table.parquet"
+    path.write_bytes(b"figures")
+    check_sum(path)  # an earlier version wrote none
+    write_sum(path)
+    check_sum(path)
+    flip(path, 3)
+    with pytest.raises(DamagedError, match=r"table\.parquet"):
+        check_sum(path)
+
+
+def test_a_full_disk_names_the_file_and_leaves_no_part(tmp_path: Path):
+    def fill(part: Path) -> None:
+        part.write_bytes(b"x" * 1000)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with pytest.raises(WorkError, match=r"value\.bin .*No space left.*2\.0 MB are needed.*are free"):
+        write_atomic(tmp_path / "value.bin", fill, 2_000_000)
+    assert not any(tmp_path.iterdir())
+
+
+def test_only_files_of_ours_are_removed_and_links_are_not_followed(tmp_path: Path):
+    ours, folder, outside = (
+        re.compile(r"value\.json|runs/[0-9a-f]{8}/a\.npy|link"),
+        tmp_path / "f",
+        tmp_path / "outside",
+    )
+    outside.mkdir()
+    (outside / "value.json").write_text("theirs")
+    kept = ["notes.txt", "runs/deadbeef/notes.txt", "runs/mine/a.npy", "value.json.bak", "empty/value.json/x"]
+    gone = ["value.json", "value.json.7.deepgps-part", "runs/deadbeef/a.npy", "runs/00000000/a.npy"]
+    for name in kept + gone:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(name)
+    (folder / "link").symlink_to(outside)
+    (folder / "other").symlink_to(outside)
+    remove_files(folder, ours)
+    left = sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir() or path.is_symlink())
+    assert left == sorted([*kept, "other"])
+    assert not (folder / "runs/00000000").exists()
+    assert (outside / "value.json").read_text() == "theirs"
+
+
+def test_nothing_is_written_over_that_is_not_ours(tmp_path: Path):
+    path = tmp_path / "rooms.png"
+    check_overwrite(path, lambda data: False)
+    path.write_bytes(b"holiday")
+    with pytest.raises(InputError, match="did not write it"):
+        check_overwrite(path, lambda data: data == b"ours")
+    path.write_bytes(b"ours")
+    check_overwrite(path, lambda data: data == b"ours")
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (5,), (5, 3, 2)])
+def test_blocks_give_the_bytes_of_the_whole(shape, tmp_path):
+    array = np.random.default_rng(0).integers(0, 255, shape).astype(np.uint8)
+    write_array(tmp_path / "whole.npy", array)
+    write_blocks(tmp_path / "blocks.npy", shape, array.dtype, (array[first : first + 2] for first in range(0, 5, 2)))
+    assert (tmp_path / "whole.npy").read_bytes() == (tmp_path / "blocks.npy").read_bytes()
+
+
+def test_too_few_blocks_are_no_file(tmp_path):
+    with pytest.raises(ValueError, match="blocks of 2 bytes for an array of 5"):
+        write_blocks(tmp_path / "x.npy", (5,), np.dtype(np.uint8), [np.zeros(2, np.uint8)])
+    assert not list(tmp_path.iterdir())
+
+
+def write_in_a_library_of_its_own(part: Path) -> None:
+    """Fail as torch, safetensors and Rerun do: with an error that says nothing of the disk."""
+    try:
+        part.write_bytes(bytes(1 << 20))
+    except OSError:
+        raise RuntimeError("writer failed") from None
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_array(path, np.zeros(1 << 20)),
+        lambda path: write_arrays(path, {"x": np.zeros(1 << 20)}),
+        lambda path: write_blocks(path, (1 << 20,), np.dtype(np.uint8), [np.zeros(1 << 20, np.uint8)]),
+        lambda path: write_atomic(path, write_in_a_library_of_its_own),
+    ],
+    ids=["array", "arrays", "blocks", "library"],
+)
+def test_a_file_for_which_there_is_no_space_is_one_clear_line(write, tmp_path):
+    path = tmp_path / "x.npy"
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
+    try:
+        with pytest.raises(WorkError, match=rf"{path} cannot be written: File too large; at least .* are needed and"):
+            write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"x.npy": b"old"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts a small disk")
+def test_a_full_disk_ends_no_process(tmp_path):
+    disk, array = tmp_path / "disk", np.zeros((100, 1000), np.uint8)
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk], check=False).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        with pytest.raises(
+            WorkError, match=r"No space left on device; at least .* are needed and 65536 bytes are free"
+        ):
+            write_blocks(disk / "x.npy", array.shape, array.dtype, [array])
+        with pytest.raises(WorkError, match="No space left on device"):
+            check_space(disk / "below" / "x.npy", 1 << 17)
+        subprocess.run(["mount", "-o", "remount,size=1m", disk], check=True)
+        write_blocks(disk / "x.npy", array.shape, array.dtype, [array])
+        np.testing.assert_array_equal(np.load(disk / "x.npy"), array)
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def test_no_bit_of_an_archive_changes_or_hides_an_array_unnoticed(tmp_path):
+    arrays = {"x": np.arange(3.0), "name": np.array("mesa"), "y": np.eye(2, dtype=bool)}
+    path = tmp_path / "x.npz"
+    write_arrays(path, arrays)
+    whole, found = path.read_bytes(), 0
+    for place in range(len(whole)):
+        data = bytearray(whole)
+        data[place] ^= 1 << place % 8
+        path.write_bytes(data)
+        try:
+            read = read_arrays(path)
+        except DamagedError:
+            found += 1
+        else:
+            assert {name: array.tobytes() for name, array in read.items()} == {
+                name: array.tobytes() for name, array in arrays.items()
+            }
+    assert found > len(whole) / 2

@@ -20,7 +20,7 @@ MODULES = {
 NOT_IN_SIM = {"deepgps", "torch", "rerun", "tyro"}
 WITHOUT_MUJOCO = {
     *("sim", "sim.settings", "sim.records", "sim.lens", "sim.encoder", "sim.camera_faults", "sim.derive"),
-    *("sim.files", "sim.errors", "sim.paths", "sim.streams", "sim.processes"),
+    *("sim.files", "sim.user_input", "sim.errors", "sim.paths", "sim.streams", "sim.processes"),
 }
 ENTRY_POINTS = {"deepgps.cli", "deepgps.run"}
 FOR_ENTRY_POINTS = {"sim.collect", "sim.gallery", "sim.bench", "sim.doctor", "sim.gl", "sim.landmarks", "sim.lidar_map"}

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -94,3 +96,15 @@ def test_what_is_nowhere_stays_there_and_moves_nothing_else(toy):
     same, _ = relax(places, segments, (links[0][~gone], links[1][~gone], links[2][~gone]))
     assert np.isnan(found[lost]).all() and np.isfinite(np.delete(found, lost, axis=0)).all()
     assert np.array_equal(found, same, equal_nan=True)
+
+
+def test_one_segment_stays_straight_where_nothing_holds_it(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=30)
+    segments = read_segments(recording).take(torch.tensor([0]))
+    places = np.full((30, 2), np.nan)
+    count = int(segments.count[0])
+    places[segments.index[0, :count].numpy()] = np.outer(segments.distance[0, :count].numpy(), [0.6, 0.8])
+    nothing = np.empty(0, int)
+    found, cost = relax(places, segments, (nothing, nothing, np.empty(0)))
+    assert np.allclose(found, places, equal_nan=True, atol=1e-6)
+    assert cost == 0.0

@@ -1,4 +1,3 @@
-import json
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,12 @@ from deepgps.positioner import (
     Positioner,
     is_finished,
     load_positioner,
+    read_training,
     save_positioner,
 )
 from deepgps.settings import NetworkSettings
-from sim.errors import InputError
+from sim.errors import DamagedError, InputError
+from sim.files import read_json, write_json
 
 SHAPE = (4, 16, 3)
 
@@ -61,7 +62,7 @@ def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
     assert there.shape == (9, 2) and there.dtype == np.float64
     assert np.array_equal(there, back)
     assert loaded(images(0)).shape == (0, 2)
-    assert json.loads((tmp_path / "training.json").read_text()) == {"steps": 3}
+    assert read_training(tmp_path) == {"steps": 3}
 
 
 @pytest.mark.parametrize("make", [spectral, neighbour])
@@ -104,10 +105,10 @@ def test_images_of_another_size_are_refused(tmp_path: Path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", r"positioner\.json is broken: Expecting"),
-        ("[]", r"positioner\.json is broken"),
+        ("{", r"positioner\.json is damaged: it is not JSON"),
+        ("[]", r"positioner\.json is damaged"),
         ('{"schema": 9}', r"positioner\.json: schema 9, but this version reads schema 1"),
-        ('{"schema": 1}', r"positioner\.json is broken: 'shape'"),
+        ('{"schema": 1}', r"positioner\.json is damaged: 'shape'"),
     ],
 )
 def test_a_broken_description_is_named(tmp_path: Path, text: str, message: str):
@@ -121,17 +122,29 @@ def test_broken_weights_are_named(tmp_path: Path):
     save_positioner(tmp_path, spectral(), {})
     weights = tmp_path / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-100])
-    with pytest.raises(InputError, match=r"weights\.safetensors is broken"):
+    with pytest.raises(InputError, match=r"weights\.safetensors is damaged.*train the method again"):
         load_positioner(tmp_path)
     weights.unlink()
-    with pytest.raises(InputError, match=r"weights\.safetensors is broken"):
+    with pytest.raises(InputError, match=r"weights\.safetensors is missing"):
         load_positioner(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["weights.safetensors", "training.json", "positioner.json"])
+@pytest.mark.parametrize("at", [100, 500])
+def test_a_flipped_bit_is_found(tmp_path: Path, name: str, at: int):
+    save_positioner(tmp_path, spectral(), {"steps": 3, "note": "x" * 1000})
+    data = bytearray((tmp_path / name).read_bytes())
+    data[at % len(data)] ^= 1
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(DamagedError, match=rf"{name} is damaged"):
+        load_positioner(tmp_path)
+        read_training(tmp_path)
 
 
 def test_weights_of_another_network_are_named(tmp_path: Path):
     save_positioner(tmp_path, spectral(), {})
-    description = json.loads((tmp_path / "positioner.json").read_text())
+    description = read_json(tmp_path / "positioner.json")
     description["network"]["width"] = 32
-    (tmp_path / "positioner.json").write_text(json.dumps(description))
-    with pytest.raises(InputError, match=r"weights\.safetensors is broken: .*size mismatch"):
+    write_json(tmp_path / "positioner.json", description)
+    with pytest.raises(InputError, match=r"weights\.safetensors is damaged: .*size mismatch"):
         load_positioner(tmp_path)

@@ -1,10 +1,8 @@
-import json
-
 import numpy as np
 import pytest
 
 from sim.errors import InputError
-from sim.files import write_array
+from sim.files import read_json, write_array, write_json
 from sim.records import (
     FreeSpace,
     check_recording,
@@ -77,7 +75,7 @@ def test_a_flipped_bit_is_found(folder, at):
     data = bytearray(path.read_bytes())
     data[at % len(data)] ^= 4
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"observation\.npy differs from the checksum"):
+    with pytest.raises(InputError, match=r"observation\.npy is damaged: it differs from its checksum"):
         check_recording(folder)
 
 
@@ -87,8 +85,7 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
     (folder / "time.npy").unlink()
     with pytest.raises(InputError, match=r"time\.npy is missing"):
         open_recording(folder)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    (folder / "manifest.json").write_text(json.dumps({**manifest, "schema": 99}))
+    write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "schema": 99})
     with pytest.raises(InputError, match="schema 99, but this version reads schema 1"):
         open_recording(folder)
     (folder / "manifest.json").write_text('{"schema"')
@@ -101,5 +98,5 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
 def test_a_cut_array_is_refused(folder, name, left):
     path = folder / name
     path.write_bytes(path.read_bytes()[:left])
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="is damaged"):
         open_recording(folder)

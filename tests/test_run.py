@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from deepgps import run as running
+from deepgps.owned_folder import MARK
 from deepgps.progress import ignore
-from deepgps.run import claim, clear, open_run, run, stage_times, timed
+from deepgps.run import run, stage_times, timed
+from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
 from sim.errors import InputError
 from sim.files import read_json, write_json
@@ -69,40 +71,11 @@ def test_wrong_input_takes_nothing_from_a_run_that_was_begun_before(tmp_path: Pa
 
 
 def test_killed_while_it_wrote_its_first_file_the_folder_is_still_ours(tmp_path: Path):
-    (tmp_path / "scenario.yaml.123.part").write_text("name: li")
+    (tmp_path / MARK).touch()
+    (tmp_path / MARK).write_text(RUN.text)
+    (tmp_path / "scenario.yaml.123.deepgps-part").write_text("name: li")
     begin(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {".lock", "scenario.yaml"}
-
-
-@pytest.mark.parametrize("killed_at", range(4))
-def test_killed_while_it_is_emptied_the_folder_is_still_ours(
-    killed_at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    begin(tmp_path)
-    for name in ("a.txt", "m.txt", "z.txt"):
-        (tmp_path / name).touch()
-    unlinked, unlink = [], Path.unlink
-
-    def unlink_until_killed(path: Path) -> None:
-        if len(unlinked) == killed_at:
-            raise KeyboardInterrupt
-        unlinked.append(path.name)
-        unlink(path)
-
-    monkeypatch.setattr(Path, "unlink", unlink_until_killed)
-    with pytest.raises(KeyboardInterrupt):
-        clear(tmp_path, "scenario.yaml")
-    monkeypatch.undo()
-    clear(tmp_path, "scenario.yaml")
-    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
-
-
-def test_a_folder_of_something_else_is_left_as_it_is(tmp_path: Path):
-    for name in ("thesis.txt", "film.part"):
-        (tmp_path / name).write_text("mine")
-    with pytest.raises(InputError, match="is neither empty nor a run folder"):
-        begin(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {".lock", "thesis.txt", "film.part"}
+    assert {path.name for path in tmp_path.iterdir()} == {MARK, "scenario.yaml"}
 
 
 def on_device(name: str) -> Scenario:

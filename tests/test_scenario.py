@@ -1,9 +1,13 @@
 import hashlib
 import json
+import os
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from deepgps.plain_yaml import read_yaml
 from deepgps.scenario import Scenario, check_scenario, digest, digest_recording, load_scenario, names_in, write_out
 from sim.errors import InputError
 from sim.paths import SCENARIOS
@@ -36,7 +40,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
     [
         ("", "mine.yaml is empty"),
         ("- 1", "mine.yaml holds a list; a settings file is a mapping"),
-        ("room: !!python/object/apply:os.system [ls]", "line 1: could not determine a constructor"),
+        (
+            "room: !!python/object/apply:os.system [ls]",
+            "line 1: the tag 'tag:yaml.org,2002:python/object/apply:os.system' is not allowed",
+        ),
         ("room: {kind: attic}", "room.kind 'attic': must be 'living_room', 'bedroom'"),
         ("room: {sed: 3}", "room.sed: there is no such setting, did you mean seed?"),
         ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
@@ -75,9 +82,22 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("image: {exposure: 0}", "image.exposure 0: must be greater than 0"),
         ("image: {vignetting: 1}", "image.vignetting 1: must be less than or equal to 0.99"),
         ("use: {light: 1.5}", "use.light 1.5: must be less than or equal to 1"),
-        ("seed: {", "line 1"),
-        ("seed: 1\nseed: 2", "line 2: seed stands twice"),
+        ("seed: {", "line 2: did not find expected node content"),
+        ("seed: 1\nseed: 2", "line 2: seed is given twice"),
         ("name: ../up", "name '../up': string should match pattern"),
+        ("seed: 2024-13-45", "line 1: '2024-13-45' is read as timestamp; put quotes around what is text"),
+        ("seed: !!int abc", "line 1: 'abc' is no int"),
+        ("seed: !!bool abc", "line 1: 'abc' is no bool"),
+        ("seed: !!float abc", "line 1: 'abc' is no float"),
+        ("seed: !!set {a, b}", "line 1: the tag 'tag:yaml.org,2002:set' is not allowed"),
+        ("seed: &a [*a]", "line 1: an alias leads back to itself"),
+        ("1: 2", "line 1: the key '1' must be text"),
+        ("seed: 0x" + "f" * 5000, "is longer than 100 characters"),
+        ("seed: " + "9" * 5000, "is longer than 100 characters"),
+        ("seed: " + "[" * 400_000, "line 1: more than 32 levels, one in the other"),
+        ("\n".join(f"k{number}: 0" for number in range(95_000)), "more than 1000 values in one file"),
+        ('room: {mjcf: "a\\0b"}', "room.mjcf"),
+        ("{a: 1, b: 2, c: 3, d: 4, e: 5, f: 6, g: 7}", "; and 2 more"),
     ],
 )
 def test_wrong_input_is_named_in_one_line(tmp_path, text, message):
@@ -85,6 +105,80 @@ def test_wrong_input_is_named_in_one_line(tmp_path, text, message):
         load_scenario(write(tmp_path, text), {})
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 1200
+
+
+def test_aliases_are_counted_as_often_as_they_are_repeated(tmp_path):
+    shared = "common: &c {a: 1}\nother: *c\n"
+    assert read_yaml(tmp_path / write(tmp_path, shared)) == {"common": {"a": 1}, "other": {"a": 1}}
+    laughs = "a: &a [x, x, x, x, x, x, x, x, x]\n"
+    for name, before in zip("bcdefghi", "abcdefgh", strict=True):
+        laughs += f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
+    with pytest.raises(InputError, match="aliases repeat more than 1000 values"):
+        load_scenario(write(tmp_path, laughs + "seed: *i\n"), {})
+
+
+@pytest.mark.parametrize("value", ["x" * 900_000, "\\a" * 400_000, [["y" * 1000] * 300]])
+def test_a_message_repeats_little_of_a_long_value(tmp_path, value):
+    for field in ("seed", "name", "room"):
+        with pytest.raises(InputError) as caught:
+            load_scenario(write(tmp_path, json.dumps({field: value})), {})
+        assert len(str(caught.value)) < 600
+
+
+def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.yaml")
+    (tmp_path / "folder.yaml").mkdir()
+    (tmp_path / "zero.yaml").symlink_to("/dev/zero")
+    for name in ("pipe", "folder", "zero"):
+        with pytest.raises(InputError, match="it is no file"):
+            load_scenario(str(tmp_path / f"{name}.yaml"), {})
+        with pytest.raises(InputError, match=r"is a folder|is a pipe or a device"):
+            read_yaml(tmp_path / f"{name}.yaml")
+    (tmp_path / "large.yaml").write_text("#" * 1_000_001)
+    with pytest.raises(InputError, match="has 1000001 bytes; at most 1000000 are read"):
+        read_yaml(tmp_path / "large.yaml")
+
+
+PIECES = st.sampled_from(
+    [
+        *"\n :-[]{},&*!?|>'\"%#@`~=<.0169",
+        "seed",
+        "room",
+        "  ",
+        "- ",
+        "!!int ",
+        "!!set ",
+        "&a ",
+        "*a",
+        "<<",
+        "0x",
+        "1e999",
+    ]
+    + [
+        ".nan",
+        "2024-13-45",
+        "---\n",
+        "%TAG ! x\n",
+        "\t",
+        "\x00",
+        "\\ud800",
+        "é",
+        "learn: {train: {steps: ",
+        "methods: ",
+    ]
+)
+
+
+@given(st.one_of(st.binary(max_size=60), st.lists(PIECES, max_size=25).map(lambda parts: "".join(parts).encode())))
+def test_any_bytes_are_a_scenario_or_one_line(tmp_path_factory, data):
+    path = tmp_path_factory.getbasetemp() / "any.yaml"
+    path.write_bytes(data)
+    try:
+        assert isinstance(load_scenario(str(path), {}), Scenario)
+    except InputError as error:
+        assert str(error).isprintable()
+        assert len(str(error)) < 2000
 
 
 def test_a_file_that_does_not_exist_and_a_name_that_does_not():

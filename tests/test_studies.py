@@ -8,8 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from small_study import STUDY, finish, start, wait_until, write_study
+from test_cli import drop_progress
 
-from deepgps.scenario import digest_recording, names_in
+from deepgps.scenario import digest, digest_recording, load_scenario, names_in
 from deepgps.studies.engine import list_undriven
 from deepgps.studies.recordings import find_drives
 from deepgps.studies.report import KINDS, varied_names, write_report
@@ -17,7 +18,7 @@ from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.recording import find_recording
 from sim.errors import InputError
-from sim.files import read_json, write_json
+from sim.files import read_json, write_arrays, write_json
 from sim.paths import STUDIES
 from sim.records import check_recording
 
@@ -40,7 +41,7 @@ def finished(tmp_path_factory) -> tuple[Path, Path, str]:
     assert (process.returncode, said) == (130, "interrupted; the same command continues where it stopped\n")
     process = start(study, out)
     said, errors = process.communicate(timeout=120)
-    assert (process.returncode, errors) == (0, "")
+    assert (process.returncode, drop_progress(errors)) == (0, [])
     return study, out, said
 
 
@@ -49,7 +50,7 @@ def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
     """The same with a run more and one that fails: folder, what it said, its errors, when older files were written."""
     study, out, _ = finished
     write_study(study.parent, cases=[*STUDY["cases"], *MORE])
-    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".lock"}
+    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".deepgps"}
     process = start(study, out)
     said, errors = process.communicate(timeout=120)
     assert process.returncode == 1
@@ -101,7 +102,7 @@ def test_a_study_that_grows_runs_only_what_is_missing(grown):
 @pytest.mark.slow
 def test_a_run_that_fails_is_listed_and_the_others_are_done(grown):
     out, said, errors, _ = grown
-    assert errors == f"failed: 1 of 4 runs failed; {out / 'table.md'} says why\n"
+    assert drop_progress(errors) == [f"failed: 1 of 4 runs failed; {out / 'table.md'} says why"]
     rows = pq.read_table(out / "table.parquet").to_pylist()
     assert [row["failure"] is None for row in rows] == [True, True, True, False]
     assert "cuda:99" in rows[3]["failure"]
@@ -186,7 +187,9 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
     for plan in plans:
         if plan.scenario.seed == 5:
             write_json(tmp_path / "runs" / plan.run / "metrics.json", {})
+            write_arrays(tmp_path / "runs" / plan.run / "error_field.npz", {})
     assert list_seeds() == []
+    (tmp_path / "study.yaml").touch()
     assert set(list_seeds(fresh=True)) == {0, 5}
 
 
@@ -269,7 +272,10 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     assert verdicts["RMS / PoseNet's RMS"][:4] == ["1.00", "1.50", "<= 1.05", "met"]
     assert verdicts["PoseNet, RMS"][:2] == ["2.0 cm", "2.0 cm"]
     assert verdicts["rooms with RMS below PoseNet's"][0] == "50.0 %"
-    assert "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS, 0 by median, 0 by max." in lines
+    assert (
+        "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1), 0 by max (p = 1)."
+        in lines
+    )
 
 
 @pytest.mark.parametrize("name", ["precision", "seeds", "strategies", "networks", "mds"])
@@ -304,6 +310,7 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"cases": [{}, {"learn.start": "auto"}]}, "two runs are the same"),
         ({"cases": [{"scenario": "nowhere"}]}, "scenario 'nowhere' does not exist"),
         ({"cases": [{"scenario": 3}]}, "scenario 3 must be a name in assets/scenarios, or a path"),
+        ({"full": {"casez": []}}, "full.casez: there is no such setting, did you mean cases?"),
         ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
         ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
     ],
@@ -315,13 +322,44 @@ def test_wrong_studies_are_named_in_one_line(changes, message, tmp_path):
     assert "\n" not in str(caught.value)
 
 
+def test_runs_are_counted_before_any_is_planned(tmp_path):
+    axes = {name: list(range(1000)) for name in ("room.seed", "drive.samples", "learn.seed")}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False)
+    with pytest.raises(InputError) as caught:
+        plan_runs(study)
+    assert str(caught.value) == "study mine has 1000000000 runs; a study has at most 10000"
+
+
+def test_thousands_of_runs_are_planned_as_one_by_one_and_progress_is_told(tmp_path):
+    axes = {"encoder.gap_noise": [number / 1000 for number in range(400)]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 1, 2, 3, 4])), tiny=False)
+    told = []
+    plans = plan_runs(study, lambda label, done, total, look=None: told.append((label, done, total)))
+    assert told == [("plan", done, 2000) for done in range(0, 2001, 100)]
+    assert len({plan.run for plan in plans}) == 2000
+    last = plans[-1]
+    assert (last.run, last.recording) == (digest(last.scenario), digest_recording(last.scenario))
+    one = load_scenario(study.scenario, {**study.set, **last.varied, "methods": study.methods, "seed": 4})
+    assert last.scenario == one
+
+
+def test_of_many_wrong_runs_the_first_problems_are_named_and_planning_ends(tmp_path):
+    axes = {"room.kind": [f"k{number}" for number in range(9000)]}
+    with pytest.raises(InputError) as caught:
+        plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False))
+    assert "room.kind 'k4': must be" in str(caught.value)
+    assert "k5" not in str(caught.value)
+    assert str(caught.value).endswith("; and 495 more; only the first 500 of 9000 runs were looked at")
+
+
 def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
     process = start(write_study(tmp_path), tmp_path / "other")
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert errors == f"error: --out {tmp_path / 'other'} is neither empty nor a study folder\n"
+    assert errors.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
+    assert errors.count("\n") == 1
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
 
 

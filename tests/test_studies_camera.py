@@ -103,7 +103,7 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(values))
     study = load_study(str(tmp_path / "camera.yaml"), tiny=True)
     plans, folder = plan_runs(study), tmp_path / "study"
-    assert carry_out(study, plans, folder, fresh=False, run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, folder, run_all=run_all, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "(1.00)" in cells(text, "no fault", "training and use", "Nearest neighbour")[1]
     assert text == write_report(study, plans, {}, camera_rows(folder))

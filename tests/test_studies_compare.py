@@ -137,7 +137,7 @@ def test_only_the_invariant_network_does_not_see_a_turn(architecture: Architectu
 def test_the_networks_study_runs_to_its_pictures(tmp_path: Path):
     study = load_study("networks", tiny=True)
     plans = plan_runs(study)
-    assert carry_out(study, plans, tmp_path / "study", fresh=False, run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, tmp_path / "study", run_all=run_all, progress=ignore) == {}
     text = report_study(study, plans, {}, tmp_path / "study")
     assert float(cells(text, "invariant", "DeepGPS")[9]) < 0.01
     assert float(cells(text, "resnet_plain", "DeepGPS")[9]) > 0.01

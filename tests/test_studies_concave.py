@@ -62,7 +62,7 @@ def test_the_study_runs_to_its_pictures_and_its_columns_add_up(tmp_path: Path):
     study = load_study("concave", tiny=True)
     plans = plan_runs(study)
     folder = tmp_path / "study"
-    assert carry_out(study, plans, folder, fresh=False, run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, folder, run_all=run_all, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "50-100 %" in text
     assert {path.name for path in folder.glob("figures/*")} == {"concave.png", "rooms.png"}

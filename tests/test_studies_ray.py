@@ -12,6 +12,7 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 from small_study import finish, start, wait_until, write_study
+from test_cli import drop_progress
 
 from deepgps.studies.engine import open_engine
 from sim.errors import InputError
@@ -55,7 +56,7 @@ def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str
     for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
         process = start(study, tmp_path / name, *words)
         _, errors = process.communicate(timeout=120)
-        assert errors == f"failed: 1 of 3 runs failed; {tmp_path / name / 'table.md'} says why\n"
+        assert drop_progress(errors) == [f"failed: 1 of 3 runs failed; {tmp_path / name / 'table.md'} says why"]
         assert process.returncode == 1
         table = pq.read_table(tmp_path / name / "table.parquet").to_pylist()
         rows[name] = [{key: value for key, value in row.items() if key != "train_s"} for row in table]
@@ -76,7 +77,8 @@ def test_an_interrupted_cluster_leaves_no_process_and_the_local_engine_goes_on(t
     assert any("raylet" in child.name() for child in begun)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     _, errors = process.communicate(timeout=60)
-    assert (process.returncode, errors) == (130, "interrupted; the same command continues where it stopped\n")
+    said = drop_progress(errors)
+    assert (process.returncode, said) == (130, ["interrupted; the same command continues where it stopped"])
     assert not psutil.wait_procs(begun, timeout=30)[1]
     times = {path: path.stat().st_mtime_ns for path in out.glob("recordings/*/*.npy")}
     finish(start(study, out))

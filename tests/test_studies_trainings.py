@@ -9,7 +9,8 @@ from deepgps.features import TABLE
 from deepgps.material import FEATURES
 from deepgps.methods import METHODS
 from deepgps.progress import ignore
-from deepgps.run import open_run, training_seed
+from deepgps.run import training_seed
+from deepgps.run_folder import open_run
 from sim.records import open_recording
 
 FIRST = [{}, {"encoder.lost": 0.3}]

@@ -11,6 +11,7 @@ from deepgps.settings import NetworkSettings, TrainSettings
 from deepgps.train import (
     Batch,
     Inputs,
+    Loss,
     choose_device,
     derive_seed,
     describe_device,
@@ -19,7 +20,7 @@ from deepgps.train import (
     schedule,
     train,
 )
-from sim.errors import InputError
+from sim.errors import InputError, WorkError
 
 SETTINGS = TrainSettings(steps=120, learning_rate=1e-2, checkpoint_steps=20)
 
@@ -36,7 +37,11 @@ def cut_at(step: int) -> Report:
     return report
 
 
-def learn(folder: Path, seed: int = 0, progress: Report = ignore, settings: TrainSettings = SETTINGS):
+def aim(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+    return losses.distance(out, batch.target).mean()
+
+
+def learn(folder: Path, seed: int = 0, progress: Report = ignore, settings: TrainSettings = SETTINGS, loss: Loss = aim):
     """Learn the first two of six features."""
     table = torch.randn((200, 6), generator=torch.Generator().manual_seed(7))
     network = make_network(NetworkSettings(width=16, layers=2), 6, 2, make_generator(seed, "weights"))
@@ -44,9 +49,6 @@ def learn(folder: Path, seed: int = 0, progress: Report = ignore, settings: Trai
     def draw(generator: torch.Generator, done: float) -> Batch:
         index = torch.randint(200, (32,), generator=generator)
         return Batch(index, table[index, :2], torch.ones(32, dtype=torch.bool))
-
-    def loss(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        return losses.distance(out, batch.target).mean()
 
     inputs = Inputs(table, noise=0.01)
     train(network, inputs, draw, loss, settings, derive_seed(seed, "shuffling"), folder, progress)
@@ -154,3 +156,14 @@ def test_threads_are_lent_only_to_training(tmp_path: Path):
     with pytest.raises(Cut):
         learn(tmp_path / "cut", progress=cut_at(1))
     assert torch.get_num_threads() == before
+
+
+def test_a_training_that_diverges_says_so_and_leaves_no_checkpoint_of_it(tmp_path: Path):
+    def burst(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        return aim(out, batch, done) * (torch.nan if done >= 0.5 else 1.0)
+
+    with pytest.raises(WorkError, match=r"training diverged before step 6\d: .*learn.train.learning_rate"):
+        learn(tmp_path, loss=burst)
+    with pytest.raises(WorkError, match="training diverged"):  # from the last checkpoint, which is sound
+        learn(tmp_path, loss=burst)
+    learn(tmp_path)

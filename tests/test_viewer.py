@@ -25,6 +25,7 @@ from deepgps.viewer.show import view
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END, STEP
 from sim.errors import InputError, WorkError
 from sim.files import read_json, write_json
+from sim.records import finish_recording, read_manifest
 
 SAMPLES = 60
 ROOT = Path(__file__).parents[1]
@@ -178,6 +179,7 @@ def test_every_view_shows_what_was_logged(run: Path, copied: Path) -> None:
 def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> None:
     path = copied / "recording" / "time.npy"
     np.save(path, 1000 * np.load(path))
+    finish_recording(path.parent, read_manifest(path.parent))
     drive_s = np.ptp(np.load(path))
     assert drive_s > 3600
     starts = set()
@@ -228,9 +230,19 @@ def test_a_cut_off_recording_is_one_clear_line(copied: Path, keep: float) -> Non
     path = copied / RECORDING
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
+    (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
     with pytest.raises(InputError, match=r"recording.rrd is cut off or no recording") as caught:
         view([copied])
     assert "\n" not in str(caught.value)
+
+
+def test_a_damaged_recording_is_made_again_and_said(copied: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = copied / RECORDING
+    before = path.read_bytes()
+    path.write_bytes(before[:-7] + b"x" + before[-6:])
+    assert find_recording(copied) == path
+    assert read_error_table(path).num_rows
+    assert f"{path} is damaged" in caplog.text
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
@@ -241,7 +253,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
 def test_a_run_half_there_leaves_nothing_half_written(copied: Path) -> None:
     (copied / RECORDING).unlink()
     (copied / "recording" / "scene.glb").write_bytes(b"half")
-    with pytest.raises(InputError, match=r"scene.glb cannot be read"):
+    with pytest.raises(InputError, match=r"scene.glb is damaged"):
         view([copied])
     assert not (copied / RECORDING).exists()
 

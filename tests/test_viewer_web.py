@@ -10,7 +10,8 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
+from http.client import HTTPConnection
 from pathlib import Path
 from urllib.error import URLError
 from urllib.request import urlopen
@@ -63,14 +64,16 @@ def port_of(address: str) -> int:
     return int(address.removeprefix(f"http://{HOST}:").partition("/")[0])
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_it_is_served_until_it_is_interrupted(run: Path, how: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("how", "said"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
+)
+def test_it_is_served_until_it_is_interrupted(run: Path, how: signal.Signals, said: str) -> None:
     with served(str(run), "--web") as (address, process):
         with urlopen(address, timeout=30) as page:
             assert page.status == 200 and b"re_viewer" in page.read()
         process.send_signal(how)
-        assert process.wait(30) == 130
-        assert process.stderr and process.stderr.read() == "interrupted\n"
+        assert process.wait(30) == 128 + how
+        assert process.stderr and process.stderr.read() == f"{said}\n"
     with pytest.raises(URLError):
         urlopen(address, timeout=5)
 
@@ -78,12 +81,93 @@ def test_it_is_served_until_it_is_interrupted(run: Path, how: signal.Signals) ->
 def test_a_port_can_be_wanted_and_nothing_else_listens(run: Path) -> None:
     port = find_pair()
     with served(str(run), "--web", "--port", str(port)) as (address, _):
-        assert port_of(address) == port and f"%3A{port + 1}%2Fproxy" in address
+        assert port_of(address) == port and f"%3A{port + 1}%2Frecording.rrd" in address
         # the second is this machine too, and answers for a server that listens at every address
         others = {socket.gethostbyname(socket.gethostname()), "127.0.0.2"}
         for other in others - {HOST}:
             with pytest.raises(OSError):
                 socket.create_connection((other, port), 2)
+
+
+def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of an answer to a request with exactly these headers."""
+    connection = HTTPConnection(HOST, port, timeout=30)
+    with closing(connection):
+        connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+
+@pytest.fixture(scope="module")
+def ports(run: Path) -> Iterator[tuple[int, int]]:
+    """Ports of page and data of a run that is served."""
+    page = find_pair()
+    with served(str(run), "--web", "--port", str(page)):
+        yield page, page + 1
+
+
+def test_page_and_data_are_whole(run: Path, ports: tuple[int, int]) -> None:
+    page, data = ports
+    status, headers, wasm = ask(page, "/re_viewer_bg.wasm", Host=f"localhost:{page}")
+    assert (status, headers["content-type"], wasm[:4]) == (200, "application/wasm", b"\0asm")
+    _, headers, body = ask(data, "/recording.rrd", Host=f"{HOST}:{data}")
+    assert body == (run / RECORDING).read_bytes()
+    status, head, body = ask(data, "/recording.rrd", "HEAD", Host=f"{HOST}:{data}")
+    assert (status, head["content-length"], body) == (200, headers["content-length"], b"")
+
+
+@pytest.mark.parametrize("name", ["evil.example", "evil.example:{}", "127.0.0.1", "127.0.0.1:80", "[::1]:{}", "", None])
+def test_a_foreign_host_gets_neither_page_nor_data(ports: tuple[int, int], name: str | None) -> None:
+    for port, path in zip(ports, ("/", "/recording.rrd"), strict=True):
+        headers = {} if name is None else {"Host": name.format(port)}
+        status, _, body = ask(port, path, **headers)
+        assert status == 421 and len(body) < 1000
+
+
+def test_two_hosts_in_one_request_are_refused(ports: tuple[int, int]) -> None:
+    page, _ = ports
+    with socket.create_connection((HOST, page), 30) as connection:
+        connection.sendall(f"GET / HTTP/1.1\r\nHost: {HOST}:{page}\r\nHost: evil.example\r\n\r\n".encode())
+        assert b" 421 " in connection.recv(100)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/scenario.yaml", "/recording.rrd/..", "/nothing"],
+)
+def test_nothing_else_is_served(ports: tuple[int, int], path: str) -> None:
+    for port in ports:
+        assert ask(port, path, Host=f"{HOST}:{port}")[0] == 404
+
+
+def test_data_is_for_the_page_alone(ports: tuple[int, int]) -> None:
+    page, data = ports
+    for origin, allowed in ((f"http://{HOST}:{page}", True), ("http://evil.example", False), ("null", False)):
+        _, headers, _ = ask(data, "/recording.rrd", "HEAD", Host=f"{HOST}:{data}", Origin=origin)
+        assert (headers.get("access-control-allow-origin") == origin) == allowed
+        assert ("access-control-allow-origin" in headers) == allowed
+
+
+def test_the_page_may_load_nothing_from_elsewhere(ports: tuple[int, int]) -> None:
+    page, data = ports
+    _, headers, _ = ask(page, "/", Host=f"{HOST}:{page}")
+    sources = {word for word in headers["content-security-policy"].replace(";", "").split() if "http" in word}
+    assert sources == {f"http://{HOST}:{data}"}
+
+
+def test_a_reader_that_goes_away_disturbs_nothing(run: Path) -> None:
+    page = find_pair()
+    with served(str(run), "--web", "--port", str(page)) as (_, process):
+        for _ in range(3):
+            with socket.create_connection((HOST, page), 30) as connection:
+                connection.sendall(f"GET /re_viewer_bg.wasm HTTP/1.1\r\nHost: {HOST}:{page}\r\n\r\n".encode())
+                connection.recv(10)
+        assert ask(page, "/", Host=f"{HOST}:{page}")[0] == 200
+        process.terminate()
+        assert process.stderr and process.stderr.read() == "terminated\n"
 
 
 def fail_to_view(capsys: pytest.CaptureFixture[str], *words: str) -> str:

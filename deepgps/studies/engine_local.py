@@ -1,9 +1,7 @@
 """The local engine: as many processes as there are cores, each doing run after run; no server."""
 
-import signal
 from collections.abc import Sequence
 from contextlib import suppress
-from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -12,7 +10,7 @@ from typing import NamedTuple
 from deepgps.progress import Look, Report
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
-from sim.processes import end_with_parent, usable_cores
+from sim.processes import WORKERS, end_with_parent, usable_cores
 
 
 def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
@@ -98,14 +96,8 @@ def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
 
 
 def _start(folder: Path, record: bool) -> tuple[Connection, BaseProcess]:
-    context = get_context("spawn")
-    pipe, end = context.Pipe()
-    process = context.Process(target=work, args=(folder, record, end))
-    # Ctrl-C reaches all processes of a terminal; only this one shall answer. What is ignored now is so from the start.
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        process.start()
-    finally:
-        signal.signal(signal.SIGINT, before)
+    pipe, end = WORKERS.Pipe()
+    process = WORKERS.Process(target=work, args=(folder, record, end))
+    process.start()
     end.close()
     return pipe, process

@@ -8,6 +8,7 @@ cores is started, with a token that no other process knows, and ended with the c
 import logging
 import os
 import secrets
+import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,10 +19,11 @@ from typing import Any
 
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
+from deepgps.signals import Stopped
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
 from sim.errors import InputError, one_line
-from sim.processes import usable_cores
+from sim.processes import ENDINGS, usable_cores
 
 RETRIES = 2
 """How often a run is taken up again whose process or machine was lost; it goes on from its last checkpoint."""
@@ -54,7 +56,8 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
 
     try:
         _knock(address or "")
-        ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
+        with _keep_handlers():
+            ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
     except (OSError, ValueError, RuntimeError) as error:
         own_fault = "--engine ray: no Ray cluster can be started here"
         fault = f"--address {address}: no Ray cluster answers there" if address else own_fault
@@ -63,6 +66,19 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
         yield partial(_run_all, ray)
     finally:
         ray.shutdown()
+
+
+@contextmanager
+def _keep_handlers() -> Iterator[None]:
+    """Restore the handlers of signals: Ray sets its own, of which that of SIGTERM aborts with many lines."""
+    before = {number: signal.getsignal(number) for number in ENDINGS}
+    try:
+        yield
+    except SystemExit:  # by Ray's own handler, which has ended its processes
+        raise Stopped(signal.SIGTERM) from None
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:

@@ -12,6 +12,7 @@ from deepgps.markdown import tabulate
 from deepgps.report import method_title
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 from deepgps.targets import Figure
+from sim.files import read_arrays
 
 RIVAL = "pca_knn"
 EACH = {"each_rms_m": "RMS", "each_median_m": "median", "each_max_m": "max"}
@@ -31,8 +32,8 @@ NOTE = (
 
 def add(run: Path, row: Row) -> Row:
     """Errors of each scan by itself, and how many numbers the method keeps to position."""
-    with np.load(run / "error_field.npz") as field:
-        error = np.linalg.norm(field[row["method"]] - field["truth"][:, None], axis=-1)
+    field = read_arrays(run / "error_field.npz")
+    error = np.linalg.norm(field[row["method"]] - field["truth"][:, None], axis=-1)
     values = (np.sqrt(np.mean(error**2)), np.median(error), error.max())
     with safe_open(run / row["method"] / "weights.safetensors", "np") as weights:
         stored = sum(int(np.prod(weights.get_slice(name).get_shape())) for name in weights.offset_keys())

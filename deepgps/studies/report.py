@@ -1,5 +1,6 @@
 """What a study found: its table as Parquet, its report in Markdown and as figures."""
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -25,10 +26,14 @@ from deepgps.studies import (
     strategies,
 )
 from deepgps.studies.study import Plan, ReportName, Study
-from deepgps.studies.table import ERRORS, Row, gather, write_errors, write_table
+from deepgps.studies.table import ERRORS, FIGURE_NAMES, Row, gather, write_errors, write_table
 from deepgps.style import to_png
 from deepgps.targets import Figure, tabulate_targets
-from sim.files import write_bytes, write_text
+from sim.errors import InputError
+from sim.files import sha256, write_bytes, write_text
+
+SUMS = "SHA256SUMS"
+"""List of what was published, as sha256sum writes it."""
 
 # (rows measured, names that vary, the study's folder, where each run lies in runs/<row["run"]>)
 Draw = Callable[[Sequence[Row], Sequence[str], Path], Picture]
@@ -111,9 +116,29 @@ def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Pa
 
 
 def publish(folder: Path, target: Path) -> None:
-    """Copy what a study found, without its runs, to a folder that can be committed."""
+    """Copy what a study found, without its runs, to a folder that can be committed, and list the checksums there."""
+    check_publish(target)
+    sums = []
     for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
-        write_bytes(target / path.relative_to(folder), path.read_bytes())
+        name = path.relative_to(folder).as_posix()
+        write_bytes(target / name, path.read_bytes())
+        sums.append(f"{sha256(path)}  {name}\n")
+    write_text(target / SUMS, "".join(sums))
+
+
+def check_publish(target: Path) -> None:
+    """Raise InputError where publishing would replace a file that was not published, or was changed since."""
+    if target.exists() and not target.is_dir():
+        raise InputError(f"--publish: {target} is no folder")
+    lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
+    published = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in FIGURE_NAMES)]
+    if foreign := set(published) - set(names):
+        raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which deepgps does not publish")
+    for path in (target / name for name in names):
+        name = path.relative_to(target).as_posix()
+        if os.path.lexists(path) and (path.is_symlink() or sha256(path) != published.get(name)):
+            raise InputError(f"--publish: {path} was not published by deepgps, or was changed since; move it away")
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:

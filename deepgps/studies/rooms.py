@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
+from scipy.stats import binomtest
 
 from deepgps.markdown import tabulate
 from deepgps.report import method_title
@@ -17,6 +18,8 @@ NOTE = (
     "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
     "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
 )
+
+SIGN_TEST = "p is that of a two-sided sign test: above 0.05, these rooms do not show which of the two is ahead."
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
@@ -96,13 +99,19 @@ def _count_wins(rows: Sequence[Row]) -> list[str]:
     for method, group in methods.items():
         pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
         wins = [
-            f"{sum(mine[name] < other[name] for mine, other in pairs)} by {word}"
-            for name, word in PAPERS_ERRORS.items()
+            _count(word, [mine[name] - other[name] for mine, other in pairs]) for name, word in PAPERS_ERRORS.items()
         ]
         sentences.append(
             f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
         )
-    return sentences
+    return [*sentences, SIGN_TEST] if sentences else []
+
+
+def _count(word: str, differences: Sequence[float]) -> str:
+    """How many differences are negative, and how likely as uneven a count is by chance (two-sided sign test)."""
+    wins, losses = sum(value < 0 for value in differences), sum(value > 0 for value in differences)
+    chance = binomtest(wins, wins + losses).pvalue if wins + losses else 1.0
+    return f"{wins} by {word} (p = {chance:.2g})"
 
 
 def _rival(rows: Sequence[Row]) -> dict[str, float]:

@@ -1,27 +1,36 @@
 """The study: one scenario, what varies in it, and the runs that follow, all checked before the first starts."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice, product
+from functools import cache, lru_cache
+from itertools import product
+from os.path import isfile
 from pathlib import Path
 from typing import Any, Literal
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
 
+from deepgps.plain_yaml import read_yaml
+from deepgps.progress import Report, ignore
 from deepgps.scenario import (
+    MOST_PROBLEMS,
+    MOST_VALUES,
     MethodName,
     Scenario,
     describe_problems,
     digest,
     digest_recording,
     find_settings,
-    load_scenario,
-    read_yaml,
+    join_problems,
+    override_scenario,
+    read_room,
 )
 from sim.errors import InputError
-from sim.paths import STUDIES
+from sim.paths import SCENARIOS, STUDIES
 from sim.settings import Group
+from sim.user_input import quote, shorten
 
 ReportName = Literal[
     "plain",
@@ -71,6 +80,10 @@ FIGURES: dict[ReportName, tuple[str, ...]] = {
     ),
 }
 MOST_RUNS = 10_000
+MOST_WRONG = 500
+"""Wrong runs after which no more are planned."""
+STRIDE = 100
+"""Runs that are planned between two reports of progress."""
 Point = dict[str, Any]
 
 
@@ -90,17 +103,17 @@ class Variation(Group):
 
     @model_validator(mode="after")
     def _each_name_varies_once(self) -> "Variation":
-        varied = [name for case in self.cases for name in case]
+        varied = {name for case in self.cases for name in case}
         for name in ("seed", "name", "methods"):
             if name in {*self.set, *varied, *self.axes}:
                 raise ValueError(f"{name} can be no name in set, cases or axes; a study has seeds, a name and methods")
         if both := [name for name in self.axes if name in varied]:
-            raise ValueError(f"{both[0]} stands both in cases and in axes")
+            raise ValueError(f"{shorten(both[0])} stands both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:
-            raise ValueError(f"axes.{empty[0]} has no values")
+            raise ValueError(f"axes.{shorten(empty[0])} has no values")
         sources = [*(case["scenario"] for case in self.cases if "scenario" in case), *self.axes.get("scenario", ())]
         if wrong := [source for source in sources if not isinstance(source, str)]:
-            raise ValueError(f"scenario {wrong[0]!r} must be a name in assets/scenarios, or a path")
+            raise ValueError(f"scenario {quote(wrong[0])} must be a name in assets/scenarios, or a path")
         return self
 
 
@@ -141,7 +154,9 @@ class Study(Variation):
         for name in (*self.target, *self.paper):
             if name not in known:
                 has = f"has {', '.join(known)}" if known else "has none"
-                raise ValueError(f"target and paper: {name} is no figure of the report {self.report}, which {has}")
+                raise ValueError(
+                    f"target and paper: {shorten(name)} is no figure of the report {self.report}, which {has}"
+                )
         return self
 
 
@@ -176,12 +191,10 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     if tiny and full:
         raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
-    values = read_yaml(path)
-    values.setdefault("name", path.stem)
     try:
-        study = Study.model_validate(values)
+        study = Study.model_validate({"name": path.stem, **read_yaml(path)})
     except ValidationError as error:
-        raise InputError(f"{path}: {describe_problems(error, Study)}") from None
+        raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
     if full:
         study = _enlarge(study)
     if tiny:
@@ -189,31 +202,37 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     return _seek_scenarios(study, path.parent)
 
 
-def plan_runs(study: Study) -> list[Plan]:
-    """Every run of a study in order, each checked; raises InputError naming all that is wrong in any of them."""
-    plans, problems = [], []
-    points = list(islice(_points(study), MOST_RUNS + 1))
-    if len(points) > MOST_RUNS:
-        raise InputError(f"study {study.name} has more than {MOST_RUNS} runs")
-    for seed, varied in points:
-        methods = {} if study.methods is None else {"methods": study.methods}
+def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
+    """Every run of a study in order, each checked.
+
+    Args:
+        study: The study.
+        progress: Told how many runs are planned.
+
+    Raises:
+        InputError: There are too many runs, two are the same, or some are wrong: it describes the first, and says how
+            many more problems there are.
+    """
+    total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
+    if total > MOST_RUNS:
+        raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MOST_RUNS}")
+    plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
+    for done, (seed, varied) in enumerate(_points(study)):
+        if done % STRIDE == 0:
+            progress("plan", done, total)
         try:
-            settings = {name: value for name, value in varied.items() if name != "scenario"}
-            source = varied.get("scenario", study.scenario)
-            scenario = load_scenario(source, {**study.set, **settings, **methods, "seed": seed})
+            plans.append(plan_one(seed, varied))
         except InputError as error:
-            problems.append(str(error))
-            continue
-        plans.append(Plan(scenario, varied, digest(scenario), digest_recording(scenario)))
+            problems[str(error)] = None
+            wrong += 1
+        if wrong >= MOST_WRONG:
+            break
     if problems:
-        raise InputError(f"study {study.name}: {'; '.join(dict.fromkeys(problems))}")
-    seen = {}
-    for plan in plans:
-        if plan.run in seen:
-            raise InputError(
-                f"study {study.name}: two runs are the same: {describe(plan)} and {describe(seen[plan.run])}"
-            )
-        seen[plan.run] = plan
+        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MOST_WRONG else ""
+        text = join_problems(list(problems)[:MOST_PROBLEMS], len(problems))
+        raise InputError(f"study {study.name}: {text}{stopped}")
+    progress("plan", total, total)
+    _refuse_twins(study, plans)
     return plans
 
 
@@ -252,11 +271,49 @@ def _seek_scenarios(study: Study, folder: Path) -> Study:
 
     def seek(source: str) -> str:
         beside = folder / source
-        return str(beside) if beside.suffix in {".yaml", ".yml"} and beside.is_file() else source
+        return str(beside) if beside.suffix in {".yaml", ".yml"} and isfile(beside) else source
 
     cases = [{**case, "scenario": seek(case["scenario"])} if "scenario" in case else case for case in study.cases]
     axes = {name: tuple(map(seek, values)) if name == "scenario" else values for name, values in study.axes.items()}
     return study.model_copy(update={"scenario": seek(study.scenario), "cases": tuple(cases), "axes": axes})
+
+
+def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
+    """What plans one run; it reads each scenario and each room once, however many runs they have."""
+    room = lru_cache(maxsize=4)(read_room)  # each may have megabytes
+    methods = {} if study.methods is None else {"methods": study.methods}
+
+    @cache
+    def read(source: str) -> tuple[Path, dict[str, Any]] | InputError:
+        try:
+            path = find_settings("scenario", SCENARIOS, source)
+            return path, read_yaml(path, MOST_VALUES)
+        except InputError as error:
+            return error
+
+    def plan(seed: int, varied: Point) -> Plan:
+        settings = {name: value for name, value in varied.items() if name != "scenario"}
+        found = read(varied.get("scenario", study.scenario))
+        if isinstance(found, InputError):
+            raise found
+        path, values = found
+        scenario = override_scenario(values, path, {**study.set, **settings, **methods, "seed": seed})
+        return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
+
+    return plan
+
+
+def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:
+    seen: dict[str, Plan] = {}
+    for plan in plans:
+        if plan.run in seen:
+            twins = f"{shorten(describe(plan), 200)} and {shorten(describe(seen[plan.run]), 200)}"
+            raise InputError(f"study {study.name}: two runs are the same: {twins}")
+        seen[plan.run] = plan
+
+
+def _write_count(count: int) -> str:
+    return str(count) if count < 10**12 else "more than 10^12"
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:

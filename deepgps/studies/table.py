@@ -1,6 +1,7 @@
 """A study's table: a row for each run and method, from the runs' own files."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,14 @@ import pyarrow.parquet as pq
 from deepgps.report import read_metrics
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
-from sim.files import write_atomic
+from sim.files import drop_sum, write_bytes, write_sum
 
 Row = dict[str, Any]
+FIGURE_NAMES = (
+    *("camera", "concave", "curves", "encoder", "error_fields", "errors", "lab", "lab_places", "landmarks", "lidar"),
+    *("mds", "near", "rooms", "seeds"),
+)
+"""Names of all figures that reports of studies draw."""
 # of a method, as they stand in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
@@ -55,7 +61,11 @@ def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
 def write_table(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as a Parquet file."""
     table = pa.table({name: [row[name] for row in rows] for name in rows[0]})
-    write_atomic(path, lambda part: pq.write_table(table, part))
+    buffer = BytesIO()
+    pq.write_table(table, buffer)
+    drop_sum(path)
+    write_bytes(path, buffer.getvalue())
+    write_sum(path)
 
 
 def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:

@@ -7,34 +7,40 @@ together may train the same, with the same bytes on the same machine.
 
 import errno
 import hashlib
-import shutil
-import tempfile
+import logging
+import os
+import re
 from pathlib import Path
 
-from deepgps.features import has_features
+from deepgps.features import check_features, has_features
 from deepgps.material import FEATURES, digest_features
-from deepgps.positioner import is_finished
+from deepgps.positioner import is_finished, load_positioner, read_training
 from deepgps.run import training_seed
+from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
 from deepgps.scenario import Scenario
 from sim.derive import NOT_LEARNED
-from sim.files import link_file
+from sim.errors import InputError
+from sim.files import PART, link_file, list_files, remove_files
 from sim.records import Recording, open_recording
 
+log = logging.getLogger(__name__)
 WITHOUT_TICKS = ("posenet", "posenet_noisy")
+TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")
+"""Names of the files of a training, or of features."""
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
     """Give a run what others of its study have learned from the same."""
     for name, shared in _find(scenario, run):
-        if _is_whole(shared) and not _is_whole(run / name):
-            shutil.rmtree(run / name, ignore_errors=True)  # a training that was cut off
+        if not _is_whole(run / name) and _is_sound(shared):
+            remove_files(run / name, TRAINED)  # a training that was cut off
             _link_folder(shared, run / name, shared.parent)
 
 
 def leave_trainings(scenario: Scenario, run: Path) -> None:
     """Leave what a run has learned for others of its study."""
     for name, shared in _find(scenario, run):
-        if _is_whole(run / name) and not _is_whole(shared):
+        if _is_whole(run / name) and not _is_sound(shared):
             _link_folder(run / name, shared, shared.parent)
 
 
@@ -60,14 +66,32 @@ def _is_whole(folder: Path) -> bool:
     return is_finished(folder) or has_features(folder)
 
 
+def _is_sound(folder: Path) -> bool:
+    """Whether a shared training is whole; one that is damaged is removed, so that it is made again."""
+    if not _is_whole(folder):
+        return False
+    try:
+        if has_features(folder):
+            check_features(folder)
+        else:
+            load_positioner(folder)
+            read_training(folder)
+    except InputError as error:
+        log.warning("%s; it is trained again", error)
+        remove_files(folder, TRAINED)
+        return False
+    return True
+
+
 def _link_folder(source: Path, target: Path, aside: Path) -> None:
-    aside.mkdir(parents=True, exist_ok=True)
-    whole = Path(tempfile.mkdtemp(dir=aside)) / target.name
-    for path in source.iterdir():
+    whole = aside / f"{target.name}.{os.getpid()}{PART}"
+    remove_files(whole, TRAINED)
+    for path in list_files(source, TRAINED):
         link_file(path, whole / path.name)
     try:
         whole.rename(target)
     except OSError as error:
         if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another run was first
             raise
-    shutil.rmtree(whole.parent)
+        remove_files(whole, TRAINED)
+        whole.rmdir()

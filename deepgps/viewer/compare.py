@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deepgps.error_field import SCALE_M, WorstField, read_fields
 from deepgps.report import COLUMNS, Column, method_title, read_metrics
-from deepgps.run import open_run
+from deepgps.run_folder import open_run
 from deepgps.style import SCREEN, colour_on_dark
 from sim.errors import InputError
 from sim.records import FreeSpace, open_truth

@@ -8,12 +8,15 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from typing import Literal
 from urllib.parse import urlsplit
 
 from sim.errors import InputError, WorkError
 
 HOST = "127.0.0.1"  # what is served here, and what listens here, is for this machine alone
-ANSWER_S = 3.0
+ANSWER_S = 1.5
+HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
+"""How a client of HTTP/2 begins: a fixed text, and a frame of settings, here none. The server's begins with one too."""
 OPENING_S = 60.0
 
 
@@ -33,6 +36,22 @@ def find_url(address: str) -> str:
         reason = error.strerror or str(error) or type(error).__name__
         raise InputError(f"--live {address}: no viewer answers there ({reason}); one listens after: rerun") from None
     return url
+
+
+def knock(url: str) -> Literal["viewer", "stranger", "nobody"]:
+    """Who answers at the URL of a viewer: one that speaks HTTP/2, something else, or nobody within ``ANSWER_S``."""
+    parts = urlsplit(url)
+    if parts.scheme != "rerun+http":
+        return "viewer"  # it speaks through TLS, which is not looked into
+    try:
+        with socket.create_connection((parts.hostname or "", parts.port or 0), ANSWER_S) as connection:
+            connection.sendall(HELLO)
+            frame = connection.recv(9)
+    except TimeoutError:
+        return "nobody"
+    except OSError:
+        return "stranger"
+    return "viewer" if frame[3:4] == HELLO[-6:-5] else "stranger"
 
 
 def find_viewer() -> str:

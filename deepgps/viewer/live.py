@@ -15,7 +15,7 @@ import rerun as rr
 
 from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
-from deepgps.viewer.connect import ANSWER_S, find_url, open_viewer
+from deepgps.viewer.connect import ANSWER_S, find_url, knock, open_viewer
 from deepgps.viewer.live_view import LiveView
 from sim.errors import InputError, one_line
 
@@ -26,7 +26,9 @@ PERIOD_S = 1.0
 STALL_S = 10.0
 """How long a viewer may take nothing."""
 PATIENCE_S = 20.0
-"""How long a finished run waits for the viewer to take the rest; longer, so that a stall is told first."""
+"""How long a finished run waits for a viewer that answers, but is slow, to take the rest."""
+LOOK_S = 0.4
+"""How often it is asked meanwhile whether it answers."""
 
 
 @contextmanager
@@ -50,6 +52,13 @@ def show_live(
         WorkError: No viewer can be opened.
     """
     url = find_url(address) if address else open_viewer()
+    who = knock(url)
+    if who == "stranger":
+        raise InputError(f"--live {address}: what answers there is no Rerun viewer")
+    if who == "nobody":
+        warn(f"the viewer at {address} does not answer within {ANSWER_S} s; the run goes on without it")
+        yield progress
+        return
     by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # flushed at each look
     stream = rr.RecordingStream(APPLICATION, send_properties=False, batcher_config=by_hand)
     stream.connect_grpc(url)
@@ -78,11 +87,15 @@ def show_live(
         if thread.ident is None:
             stream.disconnect()
         else:
-            _wait(thread, lost, warn)
+            _wait(thread, lost, url, warn)
 
 
-def _wait(thread: threading.Thread, lost: threading.Event, warn: Callable[[str], None]) -> None:
-    thread.join(1.0 if lost.is_set() else PATIENCE_S)
+def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Callable[[str], None]) -> None:
+    """Wait until all is sent, as long as the viewer answers."""
+    end = time.monotonic() + PATIENCE_S
+    thread.join(LOOK_S)
+    while thread.is_alive() and not lost.is_set() and time.monotonic() < end and knock(url) == "viewer":
+        thread.join(LOOK_S)
     if thread.is_alive():
         if not lost.is_set():
             warn("the viewer takes nothing any more; what it shows is not the whole run")
@@ -118,4 +131,4 @@ def _check(stream: rr.RecordingStream, address: str) -> None:
             stream.flush(timeout_sec=ANSWER_S)
             time.sleep(0.1)  # the refusal of what has been sent takes a moment
     except RuntimeError:
-        raise InputError(f"--live {address}: what answers there is no Rerun viewer, or one that hangs") from None
+        raise InputError(f"--live {address}: what answers there is no Rerun viewer") from None

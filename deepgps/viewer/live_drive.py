@@ -10,6 +10,8 @@ import rerun as rr
 from deepgps import playback
 from deepgps.viewer.drive import ROBOT, ROUND_PX, turn_up
 from deepgps.viewer.scene import LAYER_M, lift
+from sim.errors import DamagedError
+from sim.files import read_arrays
 from sim.records import Recording, Truth, chunk_files, work_folder
 from sim.settings import CameraSettings
 
@@ -37,15 +39,16 @@ class LiveDrive:
 
     def send_chunks(self, at: Spread) -> None:
         """Send the chunks that have been driven and drawn since the last look."""
-        with suppress(FileNotFoundError):  # the recording was made whole just now, and they are gone
+        # The recording was made whole just now, and they are gone; or one is damaged, and will be made again.
+        with suppress(FileNotFoundError, DamagedError):
             while (path := chunk_files(self.work, self.chunks)[0]).is_file():
-                with np.load(path, allow_pickle=False) as chunk:
-                    state, segment, observation = chunk["state"], chunk["segment"], chunk["observation"]
+                chunk = read_arrays(path)
+                state, segment, observation = chunk["state"], chunk["segment"], chunk["observation"]
                 yaw = 2 * np.arctan2(state[:, 6], state[:, 3])  # of a robot that stands upright
                 self._send_segments(np.column_stack([state[:, :2], yaw]), segment, observation, at)
                 self.chunks += 1
             while (path := chunk_files(self.work, self.pictures)[1]).is_file():
-                self._send_pictures(np.load(path, mmap_mode="r")[::PICTURE_EVERY], at)
+                self._send_pictures(read_arrays(path)["image"][::PICTURE_EVERY], at)
                 self.pictures += 1
 
     def send_rest(self, recording: Recording, truth: Truth, at: Spread) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import rerun as rr
 
 from deepgps import error_field
+from deepgps.readings import keep_plausible
 from deepgps.report import OVERVIEW, markdown_table, method_title, read_metrics
 from deepgps.scenario import Scenario
 from deepgps.viewer.live_drive import LiveDrive, Spread, log_drive_styles
@@ -72,7 +73,8 @@ class LiveView:
 
     def _send_room(self, at: Spread) -> LiveTraining:
         """Send what is there once the recording is whole; returns what will show how it is learned."""
-        recording, truth = open_recording(self._folder / "recording"), open_truth(self._folder / "recording")
+        recording = keep_plausible(open_recording(self._folder / "recording"))
+        truth = open_truth(self._folder / "recording")
         self._space = truth.free_space
         log_room(self._stream, recording.folder / "scene.glb", self._space)
         self._drive.send_rest(recording, truth, at)

@@ -11,7 +11,7 @@ import rerun.blueprint as rrb
 
 from deepgps.error_field import limits
 from deepgps.report import method_title
-from deepgps.run import open_run
+from deepgps.run_folder import open_run
 from deepgps.style import to_png
 from deepgps.viewer.compare import (
     Pair,

@@ -14,6 +14,7 @@ import rerun as rr
 
 from deepgps import error_field, figures, style
 from deepgps.error_field import WorstField
+from deepgps.readings import keep_plausible
 from deepgps.report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.drive import find_cameras, log_drive
 from deepgps.viewer.encoders import log_encoders
@@ -22,7 +23,8 @@ from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from deepgps.viewer.training import Data, log_training
-from sim.records import FreeSpace, open_recording, open_truth, sha256
+from sim.files import is_intact, sha256
+from sim.records import FreeSpace, open_recording, open_truth
 
 RECORDING = "recording.rrd"
 
@@ -33,7 +35,7 @@ def write_recording(run: Path) -> Path:
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """
     metrics, fields, histories = read_metrics(run), error_field.read_fields(run), figures.read_histories(run)
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     drive_s = float(recording.time[-1] - recording.time[0])
     blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording), drive_s)
 
@@ -57,7 +59,7 @@ def find_recording(run: Path) -> Path:
     """A run's recording, written if it is missing and checked to be whole; raises InputError."""
     read_metrics(run)
     path = run / RECORDING
-    if not path.is_file():
+    if not is_intact(path):
         return write_recording(run)
     open_rrd(path)
     return path

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
-from sim.files import write_atomic
+from sim.files import check_sum, drop_sum, write_bytes, write_sum
 
 
 def save_recording(
@@ -26,25 +26,27 @@ def save_recording(
         log: Logs what it holds.
     """
 
-    def write(part: Path) -> None:
-        # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
-        by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
-        # The viewer keeps one layout for an application: each recording's is its own.
-        stream = rr.RecordingStream(
-            f"deepgps-{number}", recording_id=number, send_properties=False, batcher_config=by_size
-        )
-        with stream:
-            stream.save(part, default_blueprint=blueprint)
-            stream.send_recording_name(title)
-            log(stream)
-            stream.flush()
-            stream.disconnect()
-
-    write_atomic(path, write)
+    # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
+    by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
+    # The viewer keeps one layout for an application: each recording's is its own.
+    stream = rr.RecordingStream(f"deepgps-{number}", recording_id=number, send_properties=False, batcher_config=by_size)
+    with stream:
+        # In memory first: on a full disk Rerun's own file waits without end, or is cut off without an error.
+        memory = stream.binary_stream()
+        stream.send_blueprint(blueprint, make_active=False, make_default=True)
+        stream.send_recording_name(title)
+        log(stream)
+        stream.flush()
+        data = memory.read()
+        stream.disconnect()
+    drop_sum(path)
+    write_bytes(path, data or b"")
+    write_sum(path)
 
 
 def holds(path: Path, number: str) -> bool:
     """Whether a whole recording of this id stands there."""
     with suppress(InputError):
+        check_sum(path)
         return [one.recording_id for one in open_rrd(path).recordings()] == [number]
     return False

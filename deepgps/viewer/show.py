@@ -1,7 +1,10 @@
 """Opening recordings in the viewer that came with rerun-sdk."""
 
+import os
+import signal
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from deepgps.viewer.connect import HOST, find_free_port, find_viewer
@@ -26,11 +29,17 @@ def view(paths: Sequence[Path]) -> None:
     # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would
     # hand the recording over, open nothing, and wait for ever where that one hangs.
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
-    ended = subprocess.run(command, check=False, stderr=subprocess.PIPE, text=True)
-    if ended.returncode != 0:
-        lines = [line for line in ended.stderr.splitlines() if line.strip()] or ["no reason given"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as viewer:
+        try:
+            _, said = viewer.communicate()
+        except BaseException:
+            with suppress(ProcessLookupError):
+                os.killpg(viewer.pid, signal.SIGTERM)  # both: rerun is a script that starts the viewer
+            raise
+    if viewer.returncode != 0:
+        lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
-            f"the Rerun viewer ended with {ended.returncode} ({lines[-1]}); without a display, copy "
+            f"the Rerun viewer ended with {viewer.returncode} ({lines[-1]}); without a display, copy "
             f"{recording} to a machine that has one, or: deepgps view {' '.join(map(str, paths))} --web"
         )
 

@@ -21,6 +21,7 @@ from deepgps.viewer.sliders import Slider, find_sliders
 from deepgps.viewer.study_layout import make_blueprint
 from deepgps.viewer.study_read import count_arrows, hash_study, open_space, own_values, read_step, read_study
 from deepgps.viewer.study_scene import find_frame, log_curves, log_heading, log_rooms
+from sim.files import is_intact
 
 STUDY = "study.rrd"
 MOST_ARROWS = 2_500_000  # some 75 MB; in a larger study every field is thinned
@@ -47,7 +48,7 @@ def write_study(folder: Path) -> Path:
 def find_study(folder: Path) -> Path:
     """A study's recording, written if it is missing and checked to be whole; raises InputError."""
     path = folder / STUDY
-    if not path.is_file():
+    if not is_intact(path):
         return write_study(folder)
     open_rrd(path)
     return path

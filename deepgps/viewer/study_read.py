@@ -9,13 +9,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from deepgps.error_field import WorstField, read_arrays, read_fields
+from deepgps.error_field import WorstField, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_setting
 from deepgps.viewer.sliders import Step
-from sim.errors import InputError
-from sim.records import FreeSpace, open_truth, sha256
+from sim.errors import DamagedError, InputError
+from sim.files import check_lines, check_sum, read_arrays, sha256
+from sim.records import FreeSpace, open_truth
 
 
 def is_study(folder: Path) -> bool:
@@ -29,6 +30,11 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
     if not is_study(folder) or not path.is_file():
         lack = "table.parquet" if is_study(folder) else "study.yaml"
         raise InputError(f"{folder} is no finished study: it has no {lack} (deepgps study writes it)")
+    try:
+        check_lines(folder / "study.yaml")
+        check_sum(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; deepgps study with the same study and --out writes it again") from None
     try:
         study = Study.model_validate(read_yaml(folder / "study.yaml"))
     except ValidationError as error:
@@ -63,7 +69,7 @@ def read_step(folder: Path, step: Step) -> dict[str, WorstField]:
 def count_arrows(folder: Path, step: Step) -> int:
     """How many arrows the error fields of a step have; each method's has one for each test position."""
     path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
-    return len(step.rows) * len(read_arrays(path, ["truth"])["truth"])
+    return len(step.rows) * len(read_arrays(path)["truth"])
 
 
 def hash_study(folder: Path, rows: Sequence[Row]) -> str:

@@ -1,18 +1,18 @@
 """A run's recording in a browser: the viewer's page and its data, served to this machine alone."""
 
-import os
-import signal
 import socket
-import subprocess
+import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
-from tempfile import TemporaryFile
 from urllib.parse import quote
 
-from deepgps.viewer.connect import HOST, find_free_port, find_viewer, wait_for_port
+from deepgps.viewer.connect import HOST, find_free_port
+from deepgps.viewer.loopback import Served, serve_files
+from deepgps.viewer.page import take_page
 from deepgps.viewer.show import find_shown
-from sim.errors import InputError, WorkError
+from sim.errors import InputError
+
+RECORDING = "/recording.rrd"
 
 
 def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], None]) -> None:
@@ -25,33 +25,29 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
 
     Raises:
         InputError: As of ``find_shown``.
-        WorkError: The viewer is missing, or ended.
+        WorkError: The viewer is missing, or has no page.
     """
-    recording = find_shown(paths)
+    recording = Served("application/octet-stream", find_shown(paths))
     page, data = ports
-    command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(page), "--port", str(data)]
-    for ending in (signal.SIGTERM, signal.SIGHUP):  # else the server would outlive this process
-        signal.signal(ending, signal.default_int_handler)
-    with TemporaryFile("w+") as told:
-        # Its own words, of which an error is the last line, are few enough for a file.
-        quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
-        server = subprocess.Popen(
-            [*command, str(recording)], stdout=told, stderr=told, env=quiet, start_new_session=True
-        )
-        try:
-            wait_for_port(data, server)
-            wait_for_port(page, server)
-            if server.poll() is None:
-                source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-                say(f"open http://{HOST}:{page}/?url={source}\nCtrl-C ends it")
-            server.wait()
-            told.seek(0)
-            reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
-            raise WorkError(f"the Rerun viewer's server ended with {server.returncode} ({reason})")
-        finally:
-            with suppress(ProcessLookupError):  # it has ended
-                os.killpg(server.pid, signal.SIGTERM)  # both: rerun is a script that starts the server
-            server.wait()
+    with (
+        serve_files(page, take_page(), headers={"Content-Security-Policy": _allow(data)}),
+        serve_files(data, {RECORDING: recording}, readers=(page,)),
+    ):
+        source = quote(f"http://{HOST}:{data}{RECORDING}", safe="")
+        say(f"open http://{HOST}:{page}/?url={source}\nCtrl-C ends it")
+        threading.Event().wait()
+
+
+def _allow(data: int) -> str:
+    """What the page may load: itself and its data, and nothing from elsewhere, as the fonts that Rerun's page names."""
+    sources = {
+        "default-src": "'self' data: blob:",
+        "script-src": "'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:",
+        "style-src": "'self' 'unsafe-inline'",
+        "connect-src": f"'self' http://{HOST}:{data}",
+        "frame-ancestors": "'none'",
+    }
+    return "; ".join(f"{name} {value}" for name, value in sources.items())
 
 
 def choose_ports(page: int | None) -> tuple[int, int]:

@@ -1,0 +1,174 @@
+"""Folders that belong to deepgps: marked, held by one process at a time, and replaced whole or not at all.
+
+The mark is a file of a name that nobody else writes. In a marked folder only files of known names are written and
+removed; what a user puts beside them stays. A folder without the mark that holds anything is left alone.
+"""
+
+import fcntl
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim.errors import InputError
+from sim.files import list_files, read_json, remove_empty, remove_files, write_json
+
+MARK = ".deepgps"
+FRESH = ".deepgps-fresh"
+"""Folder within a folder of ours in which ``--fresh`` builds what is going to replace the rest."""
+COMPLETE = "complete.json"
+OLD_LOCK = ".lock"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of folder.
+
+    Attributes:
+        name: What it is called in the mark and in messages.
+        first: The file that is written first.
+        files: Paths within the folder of all files that deepgps writes.
+    """
+
+    name: str
+    first: str
+    files: re.Pattern[str]
+
+    @property
+    def text(self) -> str:
+        """Contents of the mark."""
+        return f"deepgps {self.name} folder: deepgps writes and removes files of its own here, and no others.\n"
+
+
+def is_older(folder: Path, kind: Kind) -> bool:
+    """Whether a version that left no mark made this folder; such a folder is read, and never changed."""
+    return (folder / kind.first).is_file() and (folder / OLD_LOCK).is_file() and not os.path.lexists(folder / MARK)
+
+
+def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
+    """Where work goes: the folder itself, or one within it where ``fresh`` builds beside what is there."""
+    begun = (folder / kind.first).is_file()
+    return folder / FRESH if fresh and begun else folder
+
+
+@contextmanager
+def hold(folder: Path, kind: Kind) -> Iterator[None]:
+    """Keep other processes out of a folder of ours, or one that becomes ours; the lock of a dead process is free.
+
+    A replacement that was cut off is finished first. A folder that holds nothing at the end is left as it was found.
+
+    Raises:
+        InputError: The folder holds something that is not ours, cannot be written, or is in use.
+    """
+    check_owner(folder, kind)
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        # No link is followed and nothing is cut off, whatever has this name.
+        mark = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
+    try:
+        _lock(mark, folder)
+        try:
+            if os.fstat(mark).st_size == 0:
+                os.write(mark, kind.text.encode())
+                os.fsync(mark)
+            finish_replacement(folder, kind)
+            yield
+        finally:
+            _leave(folder, created)
+    finally:
+        os.close(mark)
+
+
+def check_owner(folder: Path, kind: Kind) -> None:
+    """Raise InputError for a folder that holds something and bears no mark of this kind."""
+    try:
+        names = os.listdir(folder) if folder.exists() else []
+        if not names:
+            return
+        text = _read_mark(folder / MARK)
+    except NotADirectoryError:
+        raise InputError(f"--out {folder} is a file, and must be a folder") from None
+    except OSError as error:
+        raise InputError(f"--out {folder} cannot be read: {error.strerror}") from None
+    if text == kind.text or (text == "" and names == [MARK]):
+        return
+    other = re.match(r"deepgps (\w+) folder", text or "")
+    if other:
+        raise InputError(f"--out {folder} is a {other[1]} folder; choose another for a {kind.name}")
+    if is_older(folder, kind):
+        raise InputError(
+            f"--out {folder} holds a {kind.name} of an earlier version, which is read but not changed; "
+            "choose another folder"
+        )
+    raise InputError(
+        f"--out {folder} is neither empty nor a {kind.name} folder of deepgps; nothing in it is touched: "
+        "choose another folder"
+    )
+
+
+def replace(folder: Path, kind: Kind) -> None:
+    """Let what ``--fresh`` has built take the place of what was there; cut off anywhere, it is finished later."""
+    fresh = folder / FRESH
+    built = [path.relative_to(fresh).as_posix() for path in list_files(fresh, kind.files)]
+    write_json(fresh / COMPLETE, {"files": built})
+    finish_replacement(folder, kind)
+
+
+def finish_replacement(folder: Path, kind: Kind) -> None:
+    """Finish a replacement that was decided: move new files to their places, then remove the old ones that are left."""
+    fresh = folder / FRESH
+    if not (fresh / COMPLETE).is_file():
+        return
+    built = set(read_json(fresh / COMPLETE)["files"])
+    for name in built:
+        if os.path.lexists(fresh / name):
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (fresh / name).replace(folder / name)
+            remove_empty((fresh / name).parent, fresh)
+    for path in list_files(folder, kind.files):
+        if path.relative_to(folder).as_posix() not in built:
+            path.unlink()
+            remove_empty(path.parent, folder)
+    (fresh / COMPLETE).unlink()
+    remove_empty(fresh, folder)
+
+
+def discard(folder: Path, place: Path, kind: Kind) -> None:
+    """Remove all that was begun in a place."""
+    remove_files(place, kind.files)
+    if place != folder:
+        remove_empty(place, folder)
+
+
+def _lock(mark: int, folder: Path) -> None:
+    try:
+        fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        same = os.fstat(mark).st_ino == (folder / MARK).stat().st_ino
+    except (BlockingIOError, FileNotFoundError):  # held, or just removed by the process that held it
+        same = False
+    if not same:
+        raise InputError(f"--out {folder} is in use by another process")
+
+
+def _read_mark(path: Path) -> str | None:
+    """Contents of a mark; None where there is no file of that name, or a link."""
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return None
+    with open(handle, "rb") as file:
+        return file.read(1000).decode(errors="replace")
+
+
+def _leave(folder: Path, created: list[Path]) -> None:
+    """Remove the mark of a folder that holds nothing else, and the folders that were made for it."""
+    with suppress(OSError):  # another run may have begun in one of them
+        if os.listdir(folder) == [MARK]:
+            (folder / MARK).unlink()
+            for path in created:
+                path.rmdir()

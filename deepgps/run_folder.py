@@ -1,0 +1,137 @@
+"""The run folder: where a run lies, which files make it up, and who may work in it."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import get_args
+
+from deepgps.owned_folder import FRESH, Kind, check_owner, choose_place, discard, hold, is_older, replace
+from deepgps.scenario import MethodName, Scenario, check_scenario, digest, read_yaml, write_out
+from sim.errors import DamagedError, InputError
+from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
+from sim.records import COLLECTING, RECORDING, is_whole
+
+_METHODS = "|".join(get_args(MethodName))
+TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"
+FEATURE_FILES = r"features\.(safetensors|key)"
+RUN = Kind(
+    "run",
+    "scenario.yaml",
+    re.compile(
+        rf"scenario\.yaml|timing\.json|log\.txt|metrics\.json|(error|label)_field\.npz|failure\.txt"
+        rf"|({_METHODS})/(attempt\d+/)?({TRAINED_FILES})|features/({FEATURE_FILES})"
+        rf"|(recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive|training)\.png"
+        rf"|figures/error_field_({_METHODS})\.png"
+        # a study's run has a link in place of a recording
+        rf"|recording|recording/({RECORDING.pattern})|recording\.collecting/({COLLECTING.pattern})"
+    ),
+)
+
+
+def default_folder(scenario: Scenario) -> Path:
+    """Run folder of a scenario where the user names none: runs/<scenario>/seed<seed>-<hash>."""
+    return Path("runs") / scenario.name / f"seed{scenario.seed}-{digest(scenario)}"
+
+
+def open_run(folder: Path) -> Scenario:
+    """Scenario of an existing run folder; raises InputError where the folder is no run."""
+    path = folder / RUN.first
+    if not path.is_file():
+        raise InputError(f"{folder} is no run folder: it has no scenario.yaml")
+    try:
+        check_lines(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; restore it from a copy, or make the run again with --fresh") from None
+    return check_scenario(read_yaml(path), path)
+
+
+def find_place(folder: Path, fresh: bool) -> Path:
+    """Folder that a run works in: the run folder, or where ``fresh`` builds beside a run that is there."""
+    return choose_place(folder, RUN, fresh)
+
+
+@contextmanager
+def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
+    """Hold a run folder for one process and one scenario.
+
+    Args:
+        scenario: What is run.
+        folder: The run folder.
+        fresh: Whether a run that is there is replaced. It stays whole until the new one is complete.
+
+    Yields:
+        The folder to work in.
+
+    Raises:
+        InputError: The folder is not ours, is in use, or holds another run.
+    """
+    if is_older(folder, RUN):
+        _check_older(scenario, folder, fresh)
+        yield folder
+        return
+    check_owner(folder, RUN)
+    cut_off = (folder / FRESH / "complete.json").is_file()
+    with hold(folder, RUN):
+        if cut_off and fresh and open_run(folder) == scenario:
+            fresh = False  # killed while it replaced the old run, which is finished now
+        place = find_place(folder, fresh)
+        if (place / RUN.first).is_file():
+            _compare(scenario, folder, place)
+        sweep(place, RUN.files)
+        begun = (place / RUN.first).is_file()
+        if not begun:
+            write_lines(place / RUN.first, write_out(scenario))
+        try:
+            yield place
+        except InputError:
+            # Wrong input leaves nothing behind, unless it shows so late that there is work to lose.
+            if not begun and not _holds_work(place):
+                for name in ("recording", "recording.collecting"):
+                    remove_empty(place / name, place)
+                discard(folder, place, RUN)
+            raise
+        if place != folder:
+            replace(folder, RUN)
+
+
+def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
+    """Raise InputError where another scenario is run in a folder; what a killed --fresh of another left is removed."""
+    if place != folder:
+        try:
+            same = open_run(place) == scenario
+        except InputError:
+            same = False
+        if not same:
+            remove_files(place, RUN.files)
+    elif open_run(folder) != scenario:
+        raise InputError(
+            f"--out {folder} holds a run of another scenario ({describe_work(folder)}); choose another folder, or add "
+            "--fresh, which replaces that run once the new one is complete"
+        )
+
+
+def _check_older(scenario: Scenario, folder: Path, fresh: bool) -> None:
+    if fresh or open_run(folder) != scenario or not (folder / "metrics.json").is_file():
+        raise InputError(
+            f"--out {folder} holds a run of an earlier version ({describe_work(folder)}), which is read but not "
+            "changed; choose another folder"
+        )
+
+
+def describe_work(folder: Path) -> str:
+    """What a run folder holds, in words."""
+    trained = sorted(path.parent.name for path in folder.glob("*/positioner.json"))
+    return ", ".join(
+        [
+            "a recording" if is_whole(folder / "recording") else "no finished recording",
+            f"trained {' and '.join(trained)}" if trained else "nothing trained",
+            "measured" if (folder / "metrics.json").is_file() else "not measured",
+        ]
+    )
+
+
+def _holds_work(folder: Path) -> bool:
+    """Whether a run holds a training, or a recording of its own and no link to a study's."""
+    recording = folder / "recording"
+    return any(folder.glob("*/positioner.json")) or (is_whole(recording) and not recording.is_symlink())

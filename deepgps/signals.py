@@ -1,0 +1,111 @@
+"""How a signal ends a command: one line, no process left behind, and an exit code of 128 and the signal's number.
+
+Python's own way is an exception anywhere, and a traceback from each process. Here only the first process of a command
+answers. Until its packages are imported nothing has begun, and it leaves at once; after that ``Stopped`` is raised.
+"""
+
+import _thread
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from multiprocessing import active_children
+from types import FrameType
+
+from sim.processes import ENDINGS
+
+AGAIN_S = 0.2
+"""How often a signal is repeated until it is heard: some packages go on after any exception in their imports."""
+PATIENCE_S = 10.0
+"""How long clearing up may take before a further signal ends the process at once."""
+CONTINUED = ("run", "collect", "train", "evaluate", "study")
+WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal ends the command."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+def leave_at_signals() -> None:
+    """From now on, end the process at once; a signal that is ignored, as by nohup, stays ignored."""
+    for number in ENDINGS:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, _leave)
+
+
+def stop_at_signals() -> None:
+    """From now on, raise ``Stopped`` in the main thread; only where ``leave_at_signals`` was called before."""
+    stop = Stop()
+    for number in ENDINGS:
+        if signal.getsignal(number) == _leave:
+            signal.signal(number, stop)
+            sys.unraisablehook = _report_unraisable
+
+
+def ignore_signals() -> None:
+    """From now on, let no signal disturb the end of the process."""
+    for number in ENDINGS:
+        if isinstance(signal.getsignal(number), Stop):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def describe_signal(number: int, words: Sequence[str]) -> str:
+    """What is said when a signal ends the command line ``words``."""
+    again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
+    return WORDS[signal.Signals(number)] + again
+
+
+class Stop:
+    """The handler of signals: ends the workers and raises ``Stopped``, until it is heard."""
+
+    def __init__(self) -> None:
+        self.first: float | None = None
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        now = time.monotonic()
+        if self.first is None:
+            self.first = now
+            threading.Thread(target=_repeat, args=(number,), daemon=True).start()
+        if find_stop(sys.exception()):  # it is heard, and clearing up goes on
+            if now - self.first > PATIENCE_S:
+                _leave(number, frame)
+            return
+        for worker in active_children():
+            worker.kill()  # what they have written is whole, and waiting for the rest may take long
+        raise Stopped(number)
+
+
+def find_stop(error: BaseException | None) -> Stopped | None:
+    """The signal that led to an exception, itself or before it in the chain."""
+    seen: set[int] = set()
+    while error is not None and id(error) not in seen:
+        if isinstance(error, Stopped):
+            return error
+        seen.add(id(error))
+        error = error.__cause__ or error.__context__
+    return None
+
+
+def _repeat(number: int) -> None:
+    while isinstance(signal.getsignal(number), Stop):
+        time.sleep(AGAIN_S)
+        _thread.interrupt_main(
+            signal.Signals(number)
+        )  # a true signal could meet a handler that a library has set meanwhile
+
+
+def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
+    """Report exceptions in finalisers, but that of a signal, which is repeated."""
+    if not isinstance(lost.exc_value, Stopped):
+        sys.__unraisablehook__(lost)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os.write(2, (describe_signal(number, sys.argv[1:]) + "\n").encode())
+    os._exit(128 + number)

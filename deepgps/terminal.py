@@ -1,0 +1,74 @@
+"""What a command prints: its results, its errors, and the warnings of all modules, one line each."""
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+
+LOGGERS = ("sim", "deepgps")
+LEAST_COLUMNS = 40
+
+
+def _choose_width() -> int | None:
+    """Columns where the variable COLUMNS leaves too few for any table; none: as many as there are."""
+    columns = os.environ.get("COLUMNS", "")
+    return 80 if columns.isdecimal() and int(columns) < LEAST_COLUMNS else None
+
+
+console = Console(highlight=False, width=_choose_width())
+errors = Console(stderr=True, highlight=False, width=_choose_width())
+"""Also where the progress bars are, so that a line goes above them."""
+
+
+def print_error(kind: str, text: Exception | str) -> None:
+    """Print ``kind: text`` as one line on standard error, the kind in its colour; without a kind, the text alone."""
+    colour = "yellow" if kind == "warning" else "red"
+    head = f"[{colour}]{kind}:[/{colour}] " if kind else ""
+    errors.print(head + _escape(text), soft_wrap=True)
+
+
+class Warnings(logging.Handler):
+    """Prints what the modules log, one line each."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        print_error(record.levelname.lower(), record.getMessage())
+
+
+@contextmanager
+def show_warnings() -> Iterator[None]:
+    """Print warnings of ``sim`` and ``deepgps``, above the progress bars."""
+    _silence_caches()
+    handler = Warnings(logging.WARNING)
+    loggers = [logging.getLogger(name) for name in LOGGERS]
+    for logger in loggers:
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        for logger in loggers:
+            logger.removeHandler(handler)
+
+
+def warn_plainly() -> None:
+    """Print warnings as plain lines, from a worker process."""
+    _silence_caches()
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("warning: %(message)s"))
+    handler.setLevel(logging.WARNING)
+    for name in LOGGERS:
+        logging.getLogger(name).addHandler(handler)
+
+
+def _silence_caches() -> None:
+    """Let no package complain of a home that is missing or cannot be written: it costs its cache, and no result."""
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
+    if not os.path.isdir(os.environ.get("XDG_CACHE_HOME") or os.sep):
+        os.environ.setdefault("MESA_SHADER_CACHE_DISABLE", "true")
+
+
+def _escape(text: Exception | str) -> str:
+    """One line that rich takes as it is."""
+    return " ".join(str(text).split()).replace("[", "\\[")

@@ -1,0 +1,92 @@
+"""What files that a room draws on would take in memory, from their headers: they are not decoded."""
+
+import struct
+import zlib
+from pathlib import Path
+
+from sim.errors import InputError
+
+_PNG = b"\x89PNG\r\n\x1a\n"
+_LONGEST_TEXT = 64 * 1024
+"""Compressed text in a PNG: it grows a thousandfold."""
+_EXPANDS = 1032
+"""Deflate makes at most this many bytes of one."""
+_CHUNK = 1024 * 1024
+
+
+def measure_picture(path: Path, what: str) -> tuple[int, int] | None:
+    """Width and height of a PNG file [px], or None where it is none.
+
+    Raises:
+        InputError: The file holds more than a picture of its size.
+    """
+    with path.open("rb") as file:
+        head = file.read(33)
+        if not head.startswith(_PNG):
+            return None
+        if len(head) < 33 or head[12:16] != b"IHDR":
+            raise InputError(f"{what}: the PNG file has no header")
+        width, height, depth, colour = struct.unpack(">IIBB", head[16:26])
+        channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(colour)
+        if not width or not height or channels is None or depth not in {1, 2, 4, 8, 16}:
+            raise InputError(f"{what}: the header of the PNG file is wrong")
+        # One byte a row says how it is filtered; an interlaced picture has twice as many rows.
+        raw = 2 * height + height * ((width * channels * depth + 7) // 8 + 8)
+        _refuse_hidden(file, raw, what)
+    return width, height
+
+
+def measure_terrain(path: Path, what: str) -> int:
+    """Cells of a height field's file: a PNG, or MuJoCo's own format, two int32 and as many floats as they say."""
+    if size := measure_picture(path, what):
+        return size[0] * size[1]
+    with path.open("rb") as file:
+        head = file.read(8)
+    rows, columns = struct.unpack("<ii", head) if len(head) == 8 else (0, 0)
+    if rows < 1 or columns < 1 or path.stat().st_size < 8 + 4 * rows * columns:
+        raise InputError(f"{what}: the height field is cut short or is neither a PNG nor MuJoCo's own format")
+    return rows * columns
+
+
+def count_triangles(path: Path) -> int:
+    """About how many triangles a mesh's file has: by the lines of an OBJ, by the size of any other."""
+    if path.suffix.lower() != ".obj":
+        return path.stat().st_size // (50 if path.suffix.lower() == ".stl" else 12)
+    with path.open("rb") as file:
+        return sum(part.count(b"\nf") for part in iter(lambda: file.read(_CHUNK), b""))
+
+
+def _refuse_hidden(file, raw: int, what: str) -> None:
+    """Refuse a PNG whose text or pixels inflate to more than a picture with ``raw`` bytes of pixels."""
+    text, inflate, pixels = 0, zlib.decompressobj(), 0
+    while len(head := file.read(8)) == 8:
+        length, kind = struct.unpack(">I4s", head)
+        if kind in {b"zTXt", b"iTXt", b"tEXt"}:
+            text += length
+        if text > _LONGEST_TEXT:
+            raise InputError(f"{what}: the PNG file has more than {_LONGEST_TEXT // 1024} KiB of text in it")
+        if kind == b"IDAT":
+            pixels += _inflate(file, length, inflate, raw - pixels)
+            file.seek(4, 1)
+        else:
+            file.seek(length + 4, 1)
+        if pixels > raw:
+            raise InputError(f"{what}: the PNG file has more pixels than its header says")
+
+
+def _inflate(file, length: int, inflate, room: int) -> int:
+    """Bytes that a chunk inflates to; no more than one above ``room`` is counted, and none is kept."""
+    found = 0
+    while length > 0 and found <= room:
+        part = file.read(min(length, _CHUNK))
+        if not part:
+            break
+        length -= len(part)
+        while part and found <= room and not inflate.eof:
+            try:
+                found += len(inflate.decompress(part, _CHUNK))
+            except zlib.error:
+                break  # MuJoCo says what is wrong with it
+            part = inflate.unconsumed_tail
+    file.seek(length, 1)
+    return found

@@ -1,0 +1,207 @@
+"""The files of a room of one's own, found and parsed before MuJoCo sees them: none lies outside the room's folder."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from os.path import exists, isdir, isfile, realpath
+from pathlib import Path
+
+from sim.errors import InputError
+from sim.settings import LARGEST_MJCF
+from sim.user_input import read_file, shorten
+
+MOST_ELEMENTS = 100_000
+MOST_ATTRIBUTES = 1_000_000
+MOST_FILES = 200
+MOST_CHECKS = 20_000
+LARGEST_ASSETS = 2 * 1024**3
+"""Bytes of all files that a room draws on."""
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+_REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
+
+
+@dataclass
+class Document:
+    """An MJCF file with what it includes, and the models that it may attach.
+
+    Attributes:
+        roots: Parsed files by path: itself, and all that it includes.
+        included: Root of the file that an element includes or, where it may name one of two, of both.
+        models: Documents that it may attach, by the element that names them.
+    """
+
+    roots: dict[Path, ET.Element] = field(default_factory=dict)
+    included: dict[ET.Element, list[ET.Element]] = field(default_factory=dict)
+    models: dict[ET.Element, list["Document"]] = field(default_factory=dict)
+
+    def elements(self) -> Iterator[ET.Element]:
+        """Every element of the file and of what it includes."""
+        for root in self.roots.values():
+            yield from root.iter()
+
+
+class Files:
+    """All files of a room, each read once.
+
+    Attributes:
+        what: Begins every message.
+        main: The document of the room's own file.
+        documents: The same and all models, by path.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read a room's file and all XML files that it names.
+
+        Raises:
+            InputError: One cannot be read or parsed, lies outside the folder, or there are too many.
+        """
+        self.what = f"room.mjcf {shorten(str(path), 300)}"
+        self.folder = path.resolve().parent
+        self.documents: dict[Path, Document] = {}
+        self._found: dict[str, list[Path]] = {}
+        self._elements = self._attributes = self._checks = 0
+        self.main = self._read_document(path, [])
+        root = self.main.roots[path.resolve()]
+        if root.tag != "mujoco":
+            raise InputError(f"{self.what}: not an MJCF file: its root is <{shorten(root.tag)}>, and must be <mujoco>")
+        self.roots = {path: root for document in self.documents.values() for path, root in document.roots.items()}
+        self._places = self._find_places()
+
+    def elements(self) -> Iterator[ET.Element]:
+        """Every element of every file."""
+        for root in self.roots.values():
+            yield from root.iter()
+
+    def refuse_forbidden(self) -> None:
+        """Refuse plugins, and all that could reach out of the room's folder."""
+        assets: dict[Path, int] = {}
+        for element in self.elements():
+            if element.tag in _REFUSED:
+                raise InputError(f"{self.what}: {_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
+            for name, _ in list_references(element):
+                for path in self.find(element, name):
+                    assets[path] = path.stat().st_size
+        if sum(assets.values()) > LARGEST_ASSETS:
+            raise InputError(f"{self.what}: its files have more than {LARGEST_ASSETS // 2**30} GiB")
+
+    def find(self, element: ET.Element, name: str) -> list[Path]:
+        """Existing files that an element's attribute can mean, all in the room's own folder."""
+        value = element.get(name, "")
+        if value not in self._found:
+            self._found[value] = self._find_all(value, f"{element.tag} {name}")
+        return self._found[value]
+
+    def _find_all(self, value: str, name: str) -> list[Path]:
+        found = []
+        for base in self._places:
+            # With strippath, MuJoCo takes the last part of a path alone.
+            for part in dict.fromkeys((value, Path(value).name)):
+                path = self._inside(part, base, name)
+                if exists(path) and not isfile(path) and not isdir(path):
+                    raise InputError(f"{self.what}: {name} {shorten(value)} is a pipe or a device")
+                found += [path] if isfile(path) else []
+        return list(dict.fromkeys(found))
+
+    def _read_document(self, path: Path, chain: list[Path]) -> Document:
+        resolved = path.resolve()
+        if resolved in chain:
+            raise InputError(f"{self.what}: {path.name} includes itself")
+        if resolved not in self.documents:
+            document = Document()
+            self._read_into(document, path, [*chain, resolved])
+            self.documents[resolved] = document
+        return self.documents[resolved]
+
+    def _read_into(self, document: Document, path: Path, chain: list[Path]) -> None:
+        """Read a file of a document, and what it includes and attaches."""
+        resolved = path.resolve()
+        if resolved in document.roots:
+            raise InputError(f"{self.what}: {shorten(path.name)} is included twice")
+        if len(document.roots) + len(self.documents) >= MOST_FILES:
+            raise InputError(f"{self.what}: more than {MOST_FILES} XML files")
+        root = document.roots[resolved] = self._parse(path)
+        for element in root.iter():
+            if element.tag not in {"include", "model"} or (element.tag == "model" and "file" not in element.attrib):
+                continue
+            targets = self._find_xml(element, resolved.parent)
+            if element.tag == "model":
+                document.models[element] = [self._read_document(target, chain) for target in targets]
+                continue
+            for target in targets:
+                if target in chain:
+                    raise InputError(f"{self.what}: {shorten(target.name)} includes itself")
+                self._read_into(document, target, [*chain, target])
+            document.included[element] = [document.roots[target] for target in targets]
+
+    def _find_xml(self, element: ET.Element, folder: Path) -> list[Path]:
+        value = element.get("file", "")
+        places = dict.fromkeys((self.folder, folder))
+        found = [self._inside(value, base, f"{element.tag} file") for base in places]
+        found = [path for path in dict.fromkeys(found) if isfile(path)]
+        if not found:
+            raise InputError(f"{self.what}: {element.tag} file {shorten(value)}: no such file")
+        return found
+
+    def _parse(self, path: Path) -> ET.Element:
+        if not isfile(path) and not exists(path):
+            raise InputError(f"{self.what}: no such file")
+        named = f"{self.what}: {shorten(path.name)}"
+        data = read_file(path, LARGEST_MJCF, named).removeprefix(b"\xef\xbb\xbf")
+        try:
+            if not data.isascii():
+                data.decode("utf-8")
+        except UnicodeDecodeError:
+            raise InputError(f"{named} is not UTF-8 text") from None
+        # Entities could name other files, or grow without end; MJCF has no use for them.
+        if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
+            raise InputError(f"{self.what}: a DOCTYPE or an entity is not allowed in {shorten(path.name)}")
+        self._elements += data.count(b"<") - data.count(b"</")
+        self._attributes += data.count(b"=")
+        if self._elements > MOST_ELEMENTS:
+            raise InputError(f"{self.what}: more than {MOST_ELEMENTS} elements")
+        if self._attributes > MOST_ATTRIBUTES:
+            raise InputError(f"{self.what}: more than {MOST_ATTRIBUTES} attributes")
+        try:
+            root = ET.fromstring(data, ET.XMLParser(encoding="utf-8"))
+        except (ET.ParseError, ValueError) as error:
+            raise InputError(f"{self.what}: not XML: {error} in {shorten(path.name)}") from None
+        for element in root.iter():
+            # MuJoCo knows no namespaces: <a:b> and <b xmlns="a"> would be another element to it than to us.
+            if "{" in element.tag:
+                raise InputError(f"{self.what}: a namespace is not allowed in {shorten(path.name)}")
+        return root
+
+    def _find_places(self) -> list[Path]:
+        """Folders in which MuJoCo may look for a file.
+
+        Which it takes depends on the file that says so last: a reference must be good in all.
+        """
+        bases = dict.fromkeys([self.folder, *(path.parent for path in self.roots)])
+        places = list(bases)
+        for element in self.elements():
+            if element.tag == "compiler":
+                for key in _FOLDERS:
+                    if value := element.get(key):
+                        places += [self._inside(value, base, key) for base in bases]
+        return list(dict.fromkeys(places))
+
+    def _inside(self, value: str, base: Path, name: str) -> Path:
+        """The path that a reference names, refused unless it and all links on its way lie in the room's folder."""
+        what = f"{self.what}: {name} {shorten(value)}"
+        self._checks += 1
+        if self._checks > MOST_CHECKS:
+            raise InputError(f"{self.what}: too many references to files, or too many folders to find them in")
+        if Path(value).is_absolute() or "\\" in value or ":" in value or not value.isprintable():
+            raise InputError(f"{what}: must be a path relative to the room's own folder")
+        try:
+            target = Path(realpath(base / value))
+        except (OSError, ValueError):
+            raise InputError(f"{what}: cannot be found") from None
+        if ".." in Path(value).parts or not target.is_relative_to(self.folder):
+            raise InputError(f"{what}: lies outside the room's own folder")
+        return target
+
+
+def list_references(element: ET.Element) -> list[tuple[str, str]]:
+    """Attributes of an element that name files, and what they name."""
+    return [(name, value) for name, value in element.attrib.items() if name.startswith("file")]

@@ -1,0 +1,59 @@
+"""What a user hands over: files that are opened only if they are plain and small enough, values quoted briefly."""
+
+import os
+import reprlib
+import stat
+from pathlib import Path
+from typing import Any
+
+from sim.errors import InputError
+
+_BRIEF = reprlib.Repr()
+_BRIEF.maxlevel, _BRIEF.maxdict, _BRIEF.maxstring, _BRIEF.maxother = 3, 6, 80, 80
+
+
+def quote(value: Any, most: int = 80) -> str:
+    """A value as Python would write it, in at most ``most`` characters, whatever its size."""
+    try:
+        return shorten(_BRIEF.repr(value), most)
+    except ValueError:  # Python refuses to write an integer of many thousand digits
+        return f"a very long {type(value).__name__}"
+
+
+def shorten(text: str, most: int = 80) -> str:
+    """A text in one line of at most ``most`` printable characters; its middle is left out where it is longer."""
+    half = (most - 3) // 2
+    short = text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in short)
+
+
+def read_file(path: Path, largest: int, what: str) -> bytes:
+    """Read a plain file without waiting for a pipe or reading a device.
+
+    Args:
+        path: The file.
+        largest: Bytes that it may have.
+        what: What the message calls it.
+
+    Raises:
+        InputError: It does not exist, is a folder, a pipe or a device, is too large or may not be read.
+    """
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a pipe waits otherwise
+    except FileNotFoundError:
+        raise InputError(f"{what}: no such file") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{what} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    try:
+        state = os.fstat(handle)
+        if not stat.S_ISREG(state.st_mode):
+            kind = "a folder" if stat.S_ISDIR(state.st_mode) else "a pipe or a device"
+            raise InputError(f"{what} is {kind}, not a file")
+        if state.st_size > largest:
+            raise InputError(f"{what} has {state.st_size} bytes; at most {largest} are read")
+        with open(handle, "rb", closefd=False) as file:
+            return file.read(largest)
+    except OSError as error:
+        raise InputError(f"{what} cannot be read: {error.strerror}") from None
+    finally:
+        os.close(handle)
