@@ -50,16 +50,16 @@ def main() -> int:
 
 
 def attack(arguments: argparse.Namespace, seed: int, place: Path) -> Iterator[Result]:
-    """Every test of the families asked for, one after another."""
+    """Every test of the families asked for, one family after another."""
     material = make_material(place / "material", say) if set(ON_RUNS) & set(arguments.only) else None
     scale = SCALES["quick"] if arguments.quick else SCALES["full"] if arguments.full else 1.0
     for family in arguments.only:
-        for test in list_tests(family, material):
-            if isinstance(test, Result):
-                say(f"{test.family}, {test.test}: {test.skipped}")
-                yield test
-            elif arguments.test in test.name:
-                yield carry_out(test, seed, scale, place / family, arguments.number, say)
+        start, listed = time.monotonic(), list_tests(family, material)
+        skipped = [one for one in listed if isinstance(one, Result)]
+        tests = [one for one in listed if isinstance(one, Test) and arguments.test in one.name]
+        yield from carry_out(tests, seed, scale, place / family, arguments.number, say)
+        yield from skipped
+        say(f"{family} took {time.monotonic() - start:.0f} s")
 
 
 def list_tests(family: str, material: Material | None) -> Sequence[Test | Result]:

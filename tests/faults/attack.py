@@ -2,8 +2,8 @@
 
 import random
 import shutil
-import time
 import traceback
+import uuid
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -54,16 +54,16 @@ class Test:
         name: What is tried, in the words of the table.
         tries: How often, at the default size.
         attempt: Makes one try.
-        fixed: Whether the tries are a list, each made once at least.
-        lanes: How many tries may run at once.
+        of: How many kinds of try there are, by their number; none: each is drawn alike.
+        alone: Whether nothing else may run beside a try, because it takes times.
     """
 
     family: str
     name: str
     tries: int
     attempt: Callable[[Case], Verdict]
-    fixed: bool = False
-    lanes: int = LANES
+    of: int = 0
+    alone: bool = False
 
 
 @dataclass
@@ -92,39 +92,53 @@ def skip(family: str, test: str, why: str) -> Result:
     return Result(family, test, skipped=f"not tried: {why}")
 
 
-def carry_out(test: Test, seed: int, scale: float, place: Path, only: int | None, say: Callable[[str], None]) -> Result:
-    """Make all tries of a test.
+def carry_out(
+    tests: Sequence[Test], seed: int, scale: float, place: Path, only: int | None, say: Callable[[str], None]
+) -> list[Result]:
+    """Make all tries of some tests, two at once but for those that want to be alone.
 
     Args:
-        test: What to try.
+        tests: What to try.
         seed: Of all random numbers.
         scale: How many times the default number of tries.
         place: Where the tries' folders are made.
         only: Make this try alone; none: all.
-        say: Told each failure and the sum.
+        say: Told each failure, and each test that is done.
     """
-    count = test.tries * max(1, round(scale)) if test.fixed else max(1, round(test.tries * scale))
-    numbers = [only] if only is not None else list(range(count))
-    result, start = Result(test.family, test.name), time.monotonic()
+    results = {test: Result(test.family, test.name) for test in tests}
+    for lanes in (LANES, 1):
+        jobs = [(test, n) for test in tests if test.alone == (lanes == 1) for n in _choose(test, seed, scale, only)]
+        waiting = Counter(test for test, _ in jobs)
+        with ThreadPoolExecutor(lanes) as pool:
+            for (test, number), verdict in zip(jobs, pool.map(lambda job: _try(*job, seed, place), jobs), strict=True):
+                results[test].add(number, verdict)
+                waiting[test] -= 1
+                if not verdict.held:
+                    say(f"  {test.family}, {test.name}, try {number}: {verdict.kind}: {verdict.detail}")
+                if not waiting[test]:
+                    say(f"{test.family}, {test.name}: {describe(results[test])}")
+    return list(results.values())
 
-    def attempt(number: int) -> tuple[int, Verdict]:
-        folder = place / f"{test.family}-{number}-{random.SystemRandom().randrange(10**9)}"
-        folder.mkdir(parents=True)
-        rng = random.Random(f"{seed} {test.family} {test.name} {number}")
-        try:
-            return number, test.attempt(Case(number, rng, folder))
-        except Exception:  # one broken try must not end the attack
-            return number, Verdict("the attack itself failed", False, traceback.format_exc())
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
-    with ThreadPoolExecutor(test.lanes) as lanes:
-        for number, verdict in lanes.map(attempt, numbers):
-            result.add(number, verdict)
-            if not verdict.held:
-                say(f"  {test.family}, {test.name}, try {number}: {verdict.kind}: {verdict.detail}")
-    say(f"{test.family}, {test.name}: {describe(result)} ({time.monotonic() - start:.0f} s)")
-    return result
+def _choose(test: Test, seed: int, scale: float, only: int | None) -> list[int]:
+    """Numbers of the tries to make; of kinds that are more than the tries, some drawn by chance."""
+    if only is not None:
+        return [only]
+    count = max(1, round(test.tries * scale))
+    if count >= test.of:
+        return list(range(count))
+    return sorted(random.Random(f"{seed} {test.family} {test.name}").sample(range(test.of), count))
+
+
+def _try(test: Test, number: int, seed: int, place: Path) -> Verdict:
+    folder = place / f"{test.family}-{uuid.uuid4().hex[:8]}"
+    folder.mkdir(parents=True)
+    try:
+        return test.attempt(Case(number, random.Random(f"{seed} {test.family} {test.name} {number}"), folder))
+    except Exception:  # one broken try must not end the attack
+        return Verdict("the attack itself failed", False, traceback.format_exc())
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def describe(result: Result) -> str:

@@ -9,7 +9,7 @@ from tests.faults.command import Ended, deepgps
 from tests.faults.fingerprint import Print, differences, figures_printed, take
 from tests.faults.material import STAGES, Material, Run, Study, copy
 
-TRIES = {"collecting": 8, "collected": 8, "training": 8, "trained": 14, "evaluated": 6, "finished": 12}
+TRIES = {"collecting": 5, "collected": 5, "training": 5, "trained": 9, "evaluated": 4, "finished": 8}
 VIEW = """
 import hashlib, sys
 from pathlib import Path
@@ -36,8 +36,8 @@ def list_tests(material: Material) -> list[Test]:
         for stage in run.stages:
             tests.append(Test("bits", f"{kind}, {stage}, then {STAGES[stage]}", TRIES[stage], _attack_run(run, stage)))
         for stage in ("evaluated", "finished"):
-            tests.append(Test("bits", f"{kind}, {stage}, then view", 4, _attack_view(run, stage, shown)))
-    return [*tests, Test("bits", "study, finished, then study", 12, _attack_study(material.study))]
+            tests.append(Test("bits", f"{kind}, {stage}, then view", 3, _attack_view(run, stage, shown)))
+    return [*tests, Test("bits", "study, finished, then study", 6, _attack_study(material.study))]
 
 
 def damage(folder: Path, rng: random.Random) -> tuple[str, str, bytes]:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from tests.faults import bombs_honest
 from tests.faults.attack import Case, Test, Verdict
@@ -22,16 +23,16 @@ LONGEST = 2_000
 def list_tests() -> list[Test]:
     """Every hostile file once, each drawn anew; then what must not be refused."""
     return [
-        Test("bombs", "hostile scenarios", len(SCENARIOS), _attack_yaml("scenario", SCENARIOS), fixed=True),
-        Test("bombs", "hostile studies", len(STUDIES), _attack_yaml("study", STUDIES), fixed=True),
-        Test("bombs", "hostile rooms", len(ROOMS), _attack_room, fixed=True),
-        Test("bombs", "a study of 9,999 wrong runs", 1, _attack_long_study, fixed=True),
+        Test("bombs", "hostile scenarios", len(SCENARIOS), _attack_yaml("collect", SCENARIOS), of=len(SCENARIOS)),
+        Test("bombs", "hostile studies", len(STUDIES), _attack_yaml("study", STUDIES), of=len(STUDIES)),
+        Test("bombs", "hostile rooms", len(ROOMS), _attack_room(), of=len(ROOMS)),
+        Test("bombs", "a study of 9,999 wrong runs", 1, _attack_long_study),
         *bombs_honest.list_tests(),
     ]
 
 
-def _attack_yaml(kind: str, files: Mapping[str, Make]) -> Callable[[Case], Verdict]:
-    command = ["collect"] if kind == "scenario" else ["study"]
+def _attack_yaml(command: str, files: Mapping[str, Make]) -> Callable[[Case], Verdict]:
+    start = _start(command, "nosuch.yaml")
 
     def attempt(case: Case) -> Verdict:
         name = list(files)[case.number % len(files)]
@@ -39,25 +40,31 @@ def _attack_yaml(kind: str, files: Mapping[str, Make]) -> Callable[[Case], Verdi
         (case.folder / "bomb.yaml").write_bytes(
             made if isinstance(made, bytes) else made.encode("utf-8", "surrogatepass")
         )
-        start = deepgps(*command, "nosuch.yaml", cwd=case.folder)
-        ended = _give(*command, "bomb.yaml", "--out", "out", cwd=case.folder)
-        return judge(name, ended, start, case.folder)
+        return judge(name, _give(command, "bomb.yaml", "--out", "out", cwd=case.folder), start, case.folder)
 
     return attempt
 
 
-def _attack_room(case: Case) -> Verdict:
-    name = list(ROOMS)[case.number % len(ROOMS)]
-    ROOMS[name](case.folder, case.rng)
-    (case.folder / "small.yaml").write_text(SMALL)
+def _attack_room() -> Callable[[Case], Verdict]:
     words = ["collect", "small.yaml", "--out", "out", "--room.mjcf"]
-    start = deepgps(*words, "nosuch.xml", cwd=case.folder)
-    ended = _give(*words, "room.xml", cwd=case.folder)
-    if ended.code == 0:  # taken: it may cost what a plain room costs
-        (case.folder / "plain").mkdir()
-        save(case.folder / "plain", room())
-        start = deepgps(*words[:2], "--out", "plain/out", "--room.mjcf", "plain/room.xml", cwd=case.folder)
-    return judge(name, ended, start, case.folder)
+    refused, taken = _start(*words, "nosuch.xml"), _start(*words, "room.xml")
+
+    def attempt(case: Case) -> Verdict:
+        name = list(ROOMS)[case.number % len(ROOMS)]
+        ROOMS[name](case.folder, case.rng)
+        (case.folder / "small.yaml").write_text(SMALL)
+        ended = _give(*words, "room.xml", cwd=case.folder)
+        return judge(name, ended, refused if ended.code else taken, case.folder)
+
+    return attempt
+
+
+def _start(*words: str) -> Ended:
+    """The same command on a file that is missing, or on a plain room: what it costs to start."""
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "small.yaml").write_text(SMALL)
+        save(Path(folder), room())
+        return deepgps(*words, cwd=Path(folder))
 
 
 def _attack_long_study(case: Case) -> Verdict:
@@ -74,7 +81,7 @@ def judge(name: str, ended: Ended, start: Ended | None, folder: Path) -> Verdict
     Args:
         name: What it is.
         ended: The command that read it.
-        start: The same command on a file that is missing; none: time and memory are not asked.
+        start: What it costs to start; none: time and memory are not asked.
         folder: Where it ran.
     """
     more_s, more_mb = (0.0, 0.0) if start is None else (ended.cpu_s - start.cpu_s, ended.peak_mb - start.peak_mb)

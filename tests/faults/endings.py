@@ -35,32 +35,29 @@ BARE: Mapping[str, Mapping[str, str]] = {
 
 def list_tests(material: Material) -> list[Test]:
     """Signals in a run, a collection and a study; pipes; bare environments; signs of life."""
-    room, study = material.runs["room"], material.study
+    room, marks, study = material.runs["room"], material.runs["landmarks"], material.study
     run = (["run", room.source, "--out", "out"], room.clean)
     whole = (["study", str(study.source), "--out", "out"], study.clean)
     return [
-        Test("endings", "SIGINT to all, run", 5, _interrupt(*run, signal.SIGINT, 1)),
+        Test("endings", "SIGINT to all, run", 3, _interrupt(*run, signal.SIGINT)),
+        Test("endings", "SIGINT to all, while it starts", 2, _interrupt(*run, signal.SIGINT, early=1.0)),
         Test("endings", "SIGINT twice, run", 2, _interrupt(*run, signal.SIGINT, 2)),
-        Test("endings", "SIGTERM, run", 5, _interrupt(*run, signal.SIGTERM, 1)),
-        Test("endings", "SIGHUP, run", 1, _interrupt(*run, signal.SIGHUP, 1)),
-        Test("endings", "SIGINT to all, study", 2, _interrupt(*whole, signal.SIGINT, 1)),
-        Test("endings", "SIGTERM, study", 2, _interrupt(*whole, signal.SIGTERM, 1)),
-        Test("endings", "closed pipes and a full device", len(PIPES), _pipe(room), fixed=True),
-        Test(
-            "endings",
-            "ASCII, no locale, no HOME, no PATH",
-            len(BARE),
-            _lay_bare(material.runs["landmarks"]),
-            fixed=True,
-        ),
-        Test("endings", "signs of life without a terminal", 1, _watch(material.runs["landmarks"]), fixed=True),
+        Test("endings", "SIGTERM, run", 3, _interrupt(*run, signal.SIGTERM)),
+        Test("endings", "SIGHUP, run", 1, _interrupt(*run, signal.SIGHUP)),
+        Test("endings", "SIGINT to all, study", 1, _interrupt(*whole, signal.SIGINT)),
+        Test("endings", "SIGTERM, study", 1, _interrupt(*whole, signal.SIGTERM)),
+        Test("endings", "closed pipes and a full device", len(PIPES), _pipe(room), of=len(PIPES)),
+        Test("endings", "ASCII, no locale, no HOME, no PATH", len(BARE), _lay_bare(marks), of=len(BARE)),
+        Test("endings", "signs of life without a terminal", 1, _watch(marks)),
     ]
 
 
-def _interrupt(words: Sequence[str], clean: Print, how: signal.Signals, times: int) -> Callable[[Case], Verdict]:
+def _interrupt(
+    words: Sequence[str], clean: Print, how: signal.Signals, times: int = 1, early: float = 0.0
+) -> Callable[[Case], Verdict]:
     def attempt(case: Case) -> Verdict:
         running = start(words, cwd=case.folder)
-        moment = wait_for_moment(running, case.folder, clean, case.rng)
+        moment = wait_for_moment(running, case.folder, clean, case.rng, early)
         for _ in range(times):
             with suppress(ProcessLookupError):
                 if how is signal.SIGINT:  # as a terminal does

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 BY_BYTES = {".npy", ".npz", ".safetensors", ".key", ".glb", ".png", ".parquet", ".yaml", ".md"}
-TIME = re.compile(r"^(Time:|look at it:|.* is done:|copied to)")
+TIME = re.compile(r"^(Time:|over all sittings|This sitting took|look at it:|.* is done:|copied to)")
 UNSTEADY = re.compile(r"\.(train_s|collect_s|timing_s\b.*|environment\b.*|renderer_deaths)$")
+LAST_CELL = re.compile(rb"\|[^|]*\|$", re.MULTILINE)  # of a study's table: seconds of training
 LAST_COLUMN = re.compile(r"(\bS?E2\s+)[\d.]+\s*$")
 Print = dict[str, str]
 """A value for each name: a file's checksum by its path, a figure of a JSON file by its path and key."""
@@ -28,7 +29,8 @@ def take(folder: Path) -> Print:
         if path.suffix == ".json":
             found |= {f"{name}:{key}": value for key, value in _leaves(path).items()}
         elif path.suffix in BY_BYTES:
-            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+            data = path.read_bytes()
+            found[name] = hashlib.sha256(LAST_CELL.sub(b"", data) if path.suffix == ".md" else data).hexdigest()
     return found
 
 

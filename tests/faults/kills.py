@@ -26,22 +26,22 @@ def list_tests(material: Material) -> list[Test]:
     run_marks = ["run", marks.source, "--out", "out"]
     run_study = ["study", str(study.source), "--out", "out"]
     return [
-        Test("kills", "kill -9 of a run in a room, given again", 6, _kill_parent(run_room, room.clean)),
+        Test("kills", "kill -9 of a run in a room, given again", 4, _kill_parent(run_room, room.clean)),
         Test(
             "kills",
             "kill -9 of a run of landmarks, given again",
-            4,
+            2,
             _kill_parent(run_marks, marks.clean),
         ),
-        Test("kills", "kill -9 of a study, given again", 4, _kill_parent(run_study, study.clean)),
-        Test("kills", "kill -9 of a renderer", 3, _hit_workers(run_room, room.clean, signal.SIGKILL, 1)),
-        Test("kills", "kill -9 of all renderers", 2, _hit_workers(run_room, room.clean, signal.SIGKILL, 99)),
-        Test("kills", "kill -STOP of a renderer", 2, _hit_workers(run_room, room.clean, signal.SIGSTOP, 1)),
-        Test("kills", "kill -STOP of a renderer, kill -9 of the parent", 2, _stop_and_kill(run_room)),
+        Test("kills", "kill -9 of a study, given again", 2, _kill_parent(run_study, study.clean)),
+        Test("kills", "kill -9 of a renderer", 2, _hit_workers(run_room, room.clean, signal.SIGKILL, 1)),
+        Test("kills", "kill -9 of all renderers", 1, _hit_workers(run_room, room.clean, signal.SIGKILL, 99)),
+        Test("kills", "kill -STOP of a renderer", 1, _hit_workers(run_room, room.clean, signal.SIGSTOP, 1)),
+        Test("kills", "kill -STOP of a renderer, kill -9 of the parent", 1, _stop_and_kill(run_room)),
         Test(
             "kills",
             "kill -9 of a study's worker, given again",
-            2,
+            1,
             _hit_workers(run_study, study.clean, signal.SIGKILL, 1),
         ),
         Test("kills", "kill -STOP of a study's worker, kill -9 of the parent", 1, _stop_and_kill(run_study)),

@@ -140,7 +140,7 @@ def _make_run(kind: str, place: Path) -> Run:
     work, stages = place / "work", {}
     for stage in STAGES:
         if stage == "collecting":
-            if _cut_off("collect", source, work, lambda: any(work.glob("recording.collecting/image-*.npy"))) is None:
+            if _cut_off("collect", source, work, lambda: any(work.glob("recording.collecting/image-*.npz"))) is None:
                 continue  # over before it can be cut off
         elif stage == "training":
             _cut_off("train", source, work, lambda: any(work.glob("*/checkpoint.pt")))

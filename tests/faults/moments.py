@@ -10,17 +10,21 @@ LONGEST_S = 120.0
 PACE_S = 0.01
 
 
-def wait_for_moment(running: Running, place: Path, clean: dict[str, str], rng: random.Random) -> str:
+def wait_for_moment(
+    running: Running, place: Path, clean: dict[str, str], rng: random.Random, early: float = 0.1
+) -> str:
     """Wait until a command has come to a moment drawn by chance, or has ended; returns which moment that was.
 
     Args:
         running: The command.
         place: All that it writes is below this folder.
         clean: The names of what it writes in the end.
-        rng: Draws a file, which then has just been written, or a moment of the first seconds, and a bit of time.
+        rng: Draws a file, which then has just been written, and a bit of time.
+        early: How often it is a moment of the first seconds instead.
     """
     names = sorted({name.partition(":")[0] for name in clean})
-    name, more = rng.choice([*names, "", ""]), rng.uniform(0.0, 2.0 if rng.random() < 0.2 else 0.3)
+    name = "" if rng.random() < early else rng.choice(names)
+    more = rng.uniform(0.0, 2.0 if rng.random() < 0.2 else 0.3)
     begun = time.time() - (time.monotonic() - running.started)
     end = time.monotonic() + LONGEST_S
     while name and not _is_there(place, name, begun) and not has_ended(running) and time.monotonic() < end:

@@ -32,11 +32,11 @@ def list_tests(material: Material) -> list[Test]:
     """Any command line at any tree, and output files where the user has a file."""
     run = material.runs["landmarks"]
     return [
-        Test("users", "any command at a tree of a user's files", 80, _attack(material)),
-        Test("users", "--fresh at a folder with the user's own scenario.yaml", 10, _attack_own_scenario(run)),
-        Test("users", "--fresh at a run made before there were marks", 6, _attack_unmarked(run)),
-        Test("users", "rooms and bench write to a file of the user's", 4, _attack_output(material)),
-        Test("users", "study --publish where the user has files", 4, _attack_publish(material)),
+        Test("users", "any command at a tree of a user's files", 60, _attack(material)),
+        Test("users", "--fresh at a folder with the user's own scenario.yaml", 6, _attack_own_scenario(run)),
+        Test("users", "--fresh at a run made before there were marks", 4, _attack_unmarked(run)),
+        Test("users", "rooms and bench write to a file of the user's", 2, _attack_output(material)),
+        Test("users", "study --publish where the user has files", 2, _attack_publish(material)),
     ]
 
 
@@ -95,7 +95,7 @@ def _draw_place(home: Path, cwd: Path, rng: random.Random) -> str:
     """A place at, in, beside or above the user's files, absolute or seen from ``cwd``."""
     there = [path for path in home.rglob("*")]
     fixed = [home, home / "project", home / "inside", home / "new", home / "project" / "new" / "er", home.parent]
-    place = rng.choice([*fixed, home / "project", rng.choice(there)])
+    place = rng.choice([*fixed, *[home / "project"] * 3, rng.choice(there)])
     return str(place) if rng.random() < 0.5 else os.path.relpath(place, cwd)
 
 
