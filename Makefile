@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export PYTHON TORCH_INDEX
 
-.PHONY: setup demo tiny test check format clean
+.PHONY: setup demo tiny test faults check format clean
 
 setup:  ## .venv with the packages of requirements.lock and this project; system packages where something is missing
 	@.ci/setup
@@ -15,6 +15,9 @@ tiny: setup  ## the same, small: under a minute
 
 test: setup
 	$(BIN)/pytest -n 2
+
+faults: setup  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
+	$(BIN)/python -m tests.faults --out docs/faults.md
 
 check: setup  ## style, types and who may import whom
 	$(BIN)/ruff check .

@@ -142,7 +142,7 @@ def _judge_keys(node: yaml.MappingNode) -> None:
         if not isinstance(key, yaml.ScalarNode) or key.tag != _TEXT:
             raise _Refusal(key, f"the key {_show(key)} must be text")
         if key.value in seen:  # YAML would silently keep the last
-            raise _Refusal(key, f"{shorten(key.value)} stands twice")
+            raise _Refusal(key, f"{shorten(key.value)} is given twice")
         seen.add(key.value)
 
 

@@ -164,3 +164,17 @@ def test_every_method_ends_with_a_result_or_one_line(
 def test_odometry_constants_that_cannot_be_are_named(name: str, value: object, tmp_path: Path):
     write(tmp_path / "recording", "landmarks", lambda arrays: None, {name: value})
     assert f"manifest: odometry.{name} must be a number from" in learn(tmp_path, "landmarks", "explicit")
+
+
+def test_what_is_left_out_is_counted_with_the_method_and_the_figures(tmp_path: Path):
+    def jump(arrays: Arrays) -> None:
+        arrays["reading.npy"][20, 2:] += 10**9
+
+    write(tmp_path / "recording", "landmarks", jump)
+    assert learn(tmp_path, "landmarks", "explicit") == ""
+    scenario = Scenario.model_validate({"world": "landmarks", "methods": ["explicit"], "learn": LEARN})
+    metrics = evaluate(tmp_path, scenario)
+    for counts in (metrics["readings"], metrics["methods"]["explicit"]["readings"]):
+        assert counts["jumps"] == 1
+        assert counts["kept"] == len(open_recording(tmp_path / "recording").reading) - 1
+    assert metrics["trajectory"]["max_m"] < 0.1

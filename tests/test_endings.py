@@ -76,7 +76,7 @@ def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
 
 def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
     process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
-    while not list(tmp_path.glob("run/recording.collecting/*")):
+    while not list(tmp_path.glob("run/recording.collecting/*.npz")):
         assert process.poll() is None
         time.sleep(0.05)
     process.terminate()

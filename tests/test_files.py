@@ -2,6 +2,8 @@ import errno
 import json
 import os
 import re
+import resource
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from hypothesis import strategies as st
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import (
     check_overwrite,
+    check_space,
     check_sum,
     read_arrays,
     read_json,
@@ -20,6 +23,7 @@ from sim.files import (
     write_array,
     write_arrays,
     write_atomic,
+    write_blocks,
     write_json,
     write_sum,
 )
@@ -147,3 +151,88 @@ def test_nothing_is_written_over_that_is_not_ours(tmp_path: Path):
         check_overwrite(path, lambda data: data == b"ours")
     path.write_bytes(b"ours")
     check_overwrite(path, lambda data: data == b"ours")
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (5,), (5, 3, 2)])
+def test_blocks_give_the_bytes_of_the_whole(shape, tmp_path):
+    array = np.random.default_rng(0).integers(0, 255, shape).astype(np.uint8)
+    write_array(tmp_path / "whole.npy", array)
+    write_blocks(tmp_path / "blocks.npy", shape, array.dtype, (array[first : first + 2] for first in range(0, 5, 2)))
+    assert (tmp_path / "whole.npy").read_bytes() == (tmp_path / "blocks.npy").read_bytes()
+
+
+def test_too_few_blocks_are_no_file(tmp_path):
+    with pytest.raises(ValueError, match="blocks of 2 bytes for an array of 5"):
+        write_blocks(tmp_path / "x.npy", (5,), np.dtype(np.uint8), [np.zeros(2, np.uint8)])
+    assert not list(tmp_path.iterdir())
+
+
+def write_in_a_library_of_its_own(part: Path) -> None:
+    """Fail as torch, safetensors and Rerun do: with an error that says nothing of the disk."""
+    try:
+        part.write_bytes(bytes(1 << 20))
+    except OSError:
+        raise RuntimeError("writer failed") from None
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        lambda path: write_array(path, np.zeros(1 << 20)),
+        lambda path: write_arrays(path, {"x": np.zeros(1 << 20)}),
+        lambda path: write_blocks(path, (1 << 20,), np.dtype(np.uint8), [np.zeros(1 << 20, np.uint8)]),
+        lambda path: write_atomic(path, write_in_a_library_of_its_own),
+    ],
+    ids=["array", "arrays", "blocks", "library"],
+)
+def test_a_file_for_which_there_is_no_space_is_one_clear_line(write, tmp_path):
+    path = tmp_path / "x.npy"
+    path.write_text("old")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
+    try:
+        with pytest.raises(WorkError, match=rf"{path} cannot be written: File too large; at least .* are needed and"):
+            write(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"x.npy": b"old"}
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts a small disk")
+def test_a_full_disk_ends_no_process(tmp_path):
+    disk, array = tmp_path / "disk", np.zeros((100, 1000), np.uint8)
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", disk], check=False).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        with pytest.raises(
+            WorkError, match=r"No space left on device; at least .* are needed and 65536 bytes are free"
+        ):
+            write_blocks(disk / "x.npy", array.shape, array.dtype, [array])
+        with pytest.raises(WorkError, match="No space left on device"):
+            check_space(disk / "below" / "x.npy", 1 << 17)
+        subprocess.run(["mount", "-o", "remount,size=1m", disk], check=True)
+        write_blocks(disk / "x.npy", array.shape, array.dtype, [array])
+        np.testing.assert_array_equal(np.load(disk / "x.npy"), array)
+    finally:
+        subprocess.run(["umount", disk], check=True)
+
+
+def test_no_bit_of_an_archive_changes_or_hides_an_array_unnoticed(tmp_path):
+    arrays = {"x": np.arange(3.0), "name": np.array("mesa"), "y": np.eye(2, dtype=bool)}
+    path = tmp_path / "x.npz"
+    write_arrays(path, arrays)
+    whole, found = path.read_bytes(), 0
+    for place in range(len(whole)):
+        data = bytearray(whole)
+        data[place] ^= 1 << place % 8
+        path.write_bytes(data)
+        try:
+            read = read_arrays(path)
+        except DamagedError:
+            found += 1
+        else:
+            assert {name: array.tobytes() for name, array in read.items()} == {
+                name: array.tobytes() for name, array in arrays.items()
+            }
+    assert found > len(whole) / 2

@@ -83,7 +83,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("image: {vignetting: 1}", "image.vignetting 1: must be less than or equal to 0.99"),
         ("use: {light: 1.5}", "use.light 1.5: must be less than or equal to 1"),
         ("seed: {", "line 2: did not find expected node content"),
-        ("seed: 1\nseed: 2", "line 2: seed stands twice"),
+        ("seed: 1\nseed: 2", "line 2: seed is given twice"),
         ("name: ../up", "name '../up': string should match pattern"),
         ("seed: 2024-13-45", "line 1: '2024-13-45' is read as timestamp; put quotes around what is text"),
         ("seed: !!int abc", "line 1: 'abc' is no int"),

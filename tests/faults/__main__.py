@@ -1,0 +1,97 @@
+"""``python -m tests.faults``: attack, print what fell, and write the table."""
+
+import argparse
+import random
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from tests.faults import bits, bombs, cores, disk, endings, fresh, kills, readings, users, web
+from tests.faults.attack import Result, Test, carry_out
+from tests.faults.material import Material, make_material
+from tests.faults.page import write_page
+
+SCALES = {"quick": 0.2, "full": 3.0}
+ON_RUNS: dict[str, Callable[[Material], Sequence[Test | Result]]] = {
+    "users": users.list_tests,
+    "fresh": fresh.list_tests,
+    "bits": bits.list_tests,
+    "disk": disk.list_tests,
+    "kills": kills.list_tests,
+    "cores": cores.list_tests,
+    "endings": endings.list_tests,
+    "web": web.list_tests,
+}
+"""Families that break runs which are made first."""
+ALONE: dict[str, Callable[[], Sequence[Test | Result]]] = {"bombs": bombs.list_tests, "readings": readings.list_tests}
+FAMILIES = (*ON_RUNS, *ALONE)
+
+
+def main() -> int:
+    """Attack; returns 1 where something fell."""
+    arguments = parse(sys.argv[1:])
+    seed = random.SystemRandom().randrange(10**6) if arguments.seed is None else arguments.seed
+    say(f"seed {seed}: the same tries come again with --seed {seed}")
+    place = Path(tempfile.mkdtemp(prefix="faults-"))
+    tempfile.tempdir = str(place)
+    start = time.monotonic()
+    try:
+        results = list(attack(arguments, seed, place))
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+    page = write_page(results, seed, time.monotonic() - start)
+    if arguments.out:
+        arguments.out.write_text(page, encoding="utf-8")
+    print(page)
+    return int(any(one.held < one.tries for one in results))
+
+
+def attack(arguments: argparse.Namespace, seed: int, place: Path) -> Iterator[Result]:
+    """Every test of the families asked for, one family after another."""
+    material = make_material(place / "material", say) if set(ON_RUNS) & set(arguments.only) else None
+    scale = SCALES["quick"] if arguments.quick else SCALES["full"] if arguments.full else 1.0
+    for family in arguments.only:
+        start, listed = time.monotonic(), list_tests(family, material)
+        skipped = [one for one in listed if isinstance(one, Result)]
+        tests = [one for one in listed if isinstance(one, Test) and arguments.test in one.name]
+        yield from carry_out(tests, seed, scale, place / family, arguments.number, say)
+        yield from skipped
+        say(f"{family} took {time.monotonic() - start:.0f} s")
+
+
+def list_tests(family: str, material: Material | None) -> Sequence[Test | Result]:
+    """The tests of a family, and results for those that cannot be made here."""
+    return ON_RUNS[family](material) if material and family in ON_RUNS else ALONE[family]()
+
+
+def parse(words: Sequence[str]) -> argparse.Namespace:
+    """The arguments."""
+    parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
+    parser.add_argument("--seed", type=int, help="of every draw; none: a new one each time, which is printed")
+    parser.add_argument("--only", type=names, default=list(FAMILIES), help=f"of {','.join(FAMILIES)}")
+    parser.add_argument("--test", default="", help="only tests with this in their name")
+    parser.add_argument("--number", type=int, help="only this try of each test, to see a failure again")
+    parser.add_argument("--quick", action="store_true", help="a fifth of the tries")
+    parser.add_argument("--full", action="store_true", help="three times as many tries")
+    parser.add_argument("--out", type=Path, help="file for the table")
+    return parser.parse_args(words)
+
+
+def names(text: str) -> list[str]:
+    """Names of families; argparse tells of one that does not exist."""
+    found = text.split(",")
+    if wrong := [name for name in found if name not in FAMILIES]:
+        raise argparse.ArgumentTypeError(f"{wrong[0]!r} does not exist; there are {', '.join(FAMILIES)}")
+    return found
+
+
+def say(text: str) -> None:
+    """One line of progress."""
+    print(text, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

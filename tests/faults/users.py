@@ -1,0 +1,165 @@
+"""Users: whatever the command line, right or wrong, every byte of the user's own files is there afterwards."""
+
+import os
+import random
+import shutil
+from pathlib import Path
+
+from tests.faults.attack import Case, Test, Verdict
+from tests.faults.command import Ended, deepgps
+from tests.faults.material import Material, Run, copy
+from tests.faults.tree import find_lost, look, plant
+
+SCENARIOS = ("run", "collect", "train", "evaluate")
+FAULTS = (
+    (),
+    (),
+    ("--drive.samples", "many"),
+    ("--drive.sample", "3"),
+    ("--room.mjcf", "typo.xml"),
+    ("--world", "room", "--room.mjcf", "wrong.xml"),
+    ("--methods", "deepgps", "nothing"),
+    ("--grid.spacing_m", "50"),
+    ("--learn.train.device", "cuda:7"),
+    ("--seed",),
+    ("--live", "nonsense"),
+)
+WRONG_ROOM = "<mujoco><worldbody><geom type='box' size='1 1'/></worldbody></mujoco>"
+TIME_S = 60.0
+
+
+def list_tests(material: Material) -> list[Test]:
+    """Any command line at any tree, and output files where the user has a file."""
+    run = material.runs["landmarks"]
+    return [
+        Test("users", "any command at a tree of a user's files", 60, _attack(material)),
+        Test("users", "--fresh at a folder with the user's own scenario.yaml", 6, _attack_own_scenario(run)),
+        Test("users", "--fresh at a run made before there were marks", 4, _attack_unmarked(run)),
+        Test("users", "rooms and bench write to a file of the user's", 2, _attack_output(material)),
+        Test("users", "study --publish where the user has files", 2, _attack_publish(material)),
+    ]
+
+
+def _attack(material: Material):
+    own = [path.relative_to(folder).as_posix() for folder in _finished(material) for path in folder.rglob("*")]
+
+    def attempt(case: Case) -> Verdict:
+        home = case.folder / "home"
+        for folder in (case.folder / "outside", home, home / "project"):
+            plant(folder, case.rng, own)
+        (home / "inside").symlink_to("project")
+        (home / "project" / "wrong.xml").write_text(WRONG_ROOM)
+        for name, source in (("scenario.yaml", material.other.source), ("study.yaml", str(material.study.source))):
+            path = home / "project" / name
+            if case.rng.random() < 0.5 and not os.path.lexists(path):
+                path.write_bytes(Path(source).read_bytes())
+        before = look(case.folder)
+        cwd = case.rng.choice([home, home / "project", case.folder])
+        return judge(before, case.folder, deepgps(*_draw_words(material, home, cwd, case.rng), cwd=cwd, time_s=TIME_S))
+
+    return attempt
+
+
+def judge(before: dict[str, str], home: Path, ended: Ended) -> Verdict:
+    """Whether all files of the user's survived a command, and how it ended."""
+    if lost := find_lost(before, home):
+        return Verdict("lost a file", False, f"{'; '.join(lost[:8])}: {ended.show()}")
+    if ended.fell:
+        return Verdict(ended.fell, False, ended.show())
+    if ended.code and len(ended.complaints) != 1:
+        return Verdict(f"refused in {len(ended.complaints)} lines", False, ended.show())
+    return Verdict("done, all there" if ended.code == 0 else "refused, all there", True)
+
+
+def _draw_words(material: Material, home: Path, cwd: Path, rng: random.Random) -> list[str]:
+    """A command line, right or wrong, that ends within seconds and has to do with the folder ``home``."""
+    out = _draw_place(home, cwd, rng)
+    command = rng.choice([*SCENARIOS, "collect", "collect", "study", "rooms", "bench", "view"])
+    fresh = ["--fresh"] if rng.random() < 0.6 else []
+    if command == "study":
+        fault = rng.choice([[], ["--tiny"], ["--full"], ["--address", "auto"], ["--engine", "slurm"]])
+        source = rng.choice(["nosuch.yaml", "scenario.yaml", str(home / "project" / "study.yaml")])
+        return ["study", source, "--out", out, *fresh, *fault, "--publish", _draw_place(home, cwd, rng)]
+    if command == "rooms":
+        return ["rooms", "--kinds", rng.choice(["cellar", "office"]), "--seeds", "x", "--out", out]
+    if command == "bench":
+        return ["bench", "--tiny", "--against", "nosuch.json", "--out", out]
+    if command == "view":
+        return ["view", out, *rng.choice([[], ["--web", "--port", "0"], [_draw_place(home, cwd, rng)]])]
+    right = material.runs["landmarks"].source
+    source = rng.choice([right, right, right, "scenario.yaml", str(home / "project" / "scenario.yaml"), "nosuch"])
+    return [command, source, "--out", out, *fresh, *rng.choice(FAULTS)]
+
+
+def _draw_place(home: Path, cwd: Path, rng: random.Random) -> str:
+    """A place at, in, beside or above the user's files, absolute or seen from ``cwd``."""
+    there = [path for path in home.rglob("*")]
+    fixed = [home, home / "project", home / "inside", home / "new", home / "project" / "new" / "er", home.parent]
+    place = rng.choice([*fixed, *[home / "project"] * 3, rng.choice(there)])
+    return str(place) if rng.random() < 0.5 else os.path.relpath(place, cwd)
+
+
+def _finished(material: Material) -> list[Path]:
+    return [material.runs["landmarks"].stages["finished"], material.study.folder]
+
+
+def _attack_own_scenario(run: Run):
+    """The natural name for one's own scenario is no mark of ours."""
+
+    def attempt(case: Case) -> Verdict:
+        home = case.folder / "home"
+        plant(home, case.rng)
+        path = home / "scenario.yaml"
+        if path.is_symlink() or path.exists():
+            path.unlink()
+        path.write_bytes(Path(run.source).read_bytes())
+        before, fault = look(home), case.rng.choice(FAULTS)
+        words = [case.rng.choice(SCENARIOS), "scenario.yaml", "--out", ".", "--fresh", *fault]
+        return judge(before, home, deepgps(*words, cwd=home, time_s=TIME_S))
+
+    return attempt
+
+
+def _attack_unmarked(run: Run):
+    """A run as it was made before: no mark, no hidden file that says anything."""
+
+    def attempt(case: Case) -> Verdict:
+        home = copy(run.stages["finished"], case.folder / "run")
+        for path in home.glob(".*"):
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        (home / ".lock").write_bytes(b"")
+        plant(home, case.rng)
+        before = look(home)
+        words = [case.rng.choice(["collect", "evaluate"]), run.source, "--out", "run", "--fresh"]
+        return judge(before, home, deepgps(*words, *case.rng.choice(FAULTS), cwd=case.folder))
+
+    return attempt
+
+
+def _attack_output(material: Material):
+    def attempt(case: Case) -> Verdict:
+        home = case.folder / "home"
+        plant(home, case.rng)
+        (home / "mine.png").write_bytes(b"mine")
+        before = look(home)
+        return judge(
+            before, home, deepgps("rooms", "--kinds", "bedroom", "--seeds", "0", "--out", "mine.png", cwd=home)
+        )
+
+    return attempt
+
+
+def _attack_publish(material: Material):
+    def attempt(case: Case) -> Verdict:
+        home, study = case.folder / "home", material.study
+        copy(study.folder, case.folder / "study")
+        plant(home / study.source.stem, case.rng)
+        for name in ("table.md", "figures/errors.png"):
+            path = home / study.source.stem / name
+            if not os.path.lexists(path) and path.parent.is_dir():
+                path.write_bytes(b"mine")
+        before = look(home)
+        words = ["study", str(study.source), "--out", "study", "--publish", "home"]
+        return judge(before, home, deepgps(*words, cwd=case.folder))
+
+    return attempt
