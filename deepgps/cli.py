@@ -5,7 +5,6 @@ code: the work under way is worth more than the pipe.
 """
 
 import os
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -238,7 +237,7 @@ def main(words: Sequence[str] | None = None) -> None:
         flush_streams()
     except (Exception, KeyboardInterrupt) as error:
         number = ignore_signals()
-        code, kind, text = explain(error, words, number or signal.SIGINT)
+        code, kind, text = explain(error, words, number)
         print_error(kind, text)
         with suppress(OSError):
             flush_streams()

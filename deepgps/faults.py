@@ -43,13 +43,13 @@ def working_in(folder: Path) -> Iterator[None]:
         raise Fault(folder) from error
 
 
-def explain(error: BaseException, words: Sequence[str], number: int = signal.SIGINT) -> tuple[int, str, str]:
+def explain(error: BaseException, words: Sequence[str], number: int | None = None) -> tuple[int, str, str]:
     """What is said of the exception that ends a command.
 
     Args:
         error: The exception.
         words: The command line.
-        number: The signal, where it was one.
+        number: The signal that came, if any: then all else follows from it, as what a package makes of the exception.
 
     Returns:
         The exit code; the kind of the line, and its text.
@@ -57,7 +57,8 @@ def explain(error: BaseException, words: Sequence[str], number: int = signal.SIG
     folder = None
     if isinstance(error, Fault) and error.__cause__:
         folder, error = error.folder, error.__cause__
-    if is_interrupt(error):
+    if number or is_interrupt(error):
+        number = number or signal.SIGINT
         return 128 + number, "", describe_signal(number, words)
     if isinstance(error, InputError):
         return 2, "error", one_line(error)

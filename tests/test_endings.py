@@ -173,11 +173,9 @@ def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int
     assert found == code and said.startswith(text) and "\n" not in said
 
 
-def test_the_signal_counts_and_not_what_became_of_its_exception() -> None:
-    for kind in (Stopped, KeyboardInterrupt):
-        error = RuntimeError("while clearing up")
-        error.__context__ = kind()
-        assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
+@pytest.mark.parametrize("error", [Stopped(2), KeyboardInterrupt(), TypeError("half imported"), WorkError("died")])
+def test_the_signal_counts_and_not_what_became_of_its_exception(error: BaseException) -> None:
+    assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
 
 
 def test_a_full_disk_names_the_folder_and_what_is_free(tmp_path: Path) -> None:
