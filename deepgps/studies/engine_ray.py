@@ -19,7 +19,6 @@ from typing import Any
 
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
-from deepgps.signals import Stopped
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
 from sim.errors import InputError, one_line
@@ -71,14 +70,16 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
 @contextmanager
 def _keep_handlers() -> Iterator[None]:
     """Restore the handlers of signals: Ray sets its own, of which that of SIGTERM aborts with many lines."""
-    before = {number: signal.getsignal(number) for number in ENDINGS}
+    before, ended = {number: signal.getsignal(number) for number in ENDINGS}, False
     try:
         yield
     except SystemExit:  # by Ray's own handler, which has ended its processes
-        raise Stopped(signal.SIGTERM) from None
+        ended = True
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+    if ended:
+        signal.raise_signal(signal.SIGTERM)
 
 
 def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
