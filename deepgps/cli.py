@@ -5,6 +5,7 @@ code: the work under way is worth more than the pipe.
 """
 
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -94,7 +95,7 @@ def study_command(words: Sequence[str]) -> None:
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     study = load_study(arguments.study, arguments.tiny, arguments.full)
-    with show_progress(errors) as progress:
+    with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than to tell what is wrong in a study.
     from deepgps.studies.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
@@ -236,8 +237,8 @@ def main(words: Sequence[str] | None = None) -> None:
             code = ended.code if isinstance(ended.code, int) else 0
         flush_streams()
     except (Exception, KeyboardInterrupt) as error:
-        ignore_signals()
-        code, kind, text = explain(error, words)
+        number = ignore_signals()
+        code, kind, text = explain(error, words, number or signal.SIGINT)
         print_error(kind, text)
         with suppress(OSError):
             flush_streams()

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from deepgps.signals import describe_signal, find_stop
+from deepgps.signals import describe_signal, is_interrupt
 from sim.errors import InputError, WorkError, one_line
 
 FULL = (errno.ENOSPC, errno.EDQUOT, None)  # none: numpy tells how many bytes were written, and not why
@@ -43,15 +43,22 @@ def working_in(folder: Path) -> Iterator[None]:
         raise Fault(folder) from error
 
 
-def explain(error: BaseException, words: Sequence[str]) -> tuple[int, str, str]:
-    """Exit code, kind and text of the line that is said when this exception ends the command line ``words``."""
+def explain(error: BaseException, words: Sequence[str], number: int = signal.SIGINT) -> tuple[int, str, str]:
+    """What is said of the exception that ends a command.
+
+    Args:
+        error: The exception.
+        words: The command line.
+        number: The signal, where it was one.
+
+    Returns:
+        The exit code; the kind of the line, and its text.
+    """
     folder = None
     if isinstance(error, Fault) and error.__cause__:
         folder, error = error.folder, error.__cause__
-    if stopped := find_stop(error):
-        return 128 + stopped.number, "", describe_signal(stopped.number, words)
-    if isinstance(error, KeyboardInterrupt):
-        return 130, "", describe_signal(signal.SIGINT, words)
+    if is_interrupt(error):
+        return 128 + number, "", describe_signal(number, words)
     if isinstance(error, InputError):
         return 2, "error", one_line(error)
     return 1, "failed", _describe(error, words, folder)

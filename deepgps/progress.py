@@ -26,23 +26,28 @@ def ignore(label: str, done: int, total: int, look: Look | None = None) -> None:
 
 
 @contextmanager
-def show_progress(console: "Console") -> Iterator[Report]:
-    """A bar with rate and time left for each label; plain lines where the console is no terminal."""
+def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
+    """A bar with rate and time left for each label; plain lines where the console is no terminal.
+
+    Args:
+        console: Where to.
+        quiet_s: How long a label goes on before a line tells of it; for work that is mostly done at once.
+    """
     if console.is_terminal:
         with _show_bars(console) as report:
             yield report
     else:
-        yield Lines(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True))
+        yield Lines(lambda line: console.print(line, markup=False, highlight=False, soft_wrap=True), quiet_s)
 
 
 @dataclass
 class _Stage:
-    """What was said of a label: steps done at first and at last, and when [s]."""
+    """What was said of a label: steps done at first and at last, and when [s]; none: nothing yet."""
 
     first: int
     begun: float
-    said: int
-    at: float
+    said: int | None = None
+    at: float = 0.0
 
 
 class Lines:
@@ -50,28 +55,33 @@ class Lines:
 
     Args:
         say: Told each line.
+        quiet_s: How long a label goes on before anything is said of it.
         clock: Seconds since some moment.
     """
 
     PERIOD_S = 60.0
 
-    def __init__(self, say: Callable[[str], object], clock: Callable[[], float] = time.monotonic) -> None:
-        self._say, self._clock = say, clock
+    def __init__(
+        self, say: Callable[[str], object], quiet_s: float = 0.0, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say, self._quiet_s, self._clock = say, quiet_s, clock
         self._stages: dict[str, _Stage] = {}
 
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None:
         """Tell what is done of a label."""
-        now, stage = self._clock(), self._stages.get(label)
-        if stage is None:
-            self._stages[label] = _Stage(done, now, done, now)
-            self._say(f"{label}: {done:,} of {total:,}{_write_share(done, total)}")
-        elif done != stage.said and (
-            done >= total or 10 * done // total > 10 * stage.said // total or now - stage.at >= self.PERIOD_S
-        ):
+        now = self._clock()
+        stage = self._stages.setdefault(label, _Stage(done, now))
+        if now - stage.begun >= self._quiet_s and self._is_due(stage, now, done, total):
             self._say(
                 f"{label}: {done:,} of {total:,}{_write_share(done, total)}{_write_speed(stage, now, done, total)}"
             )
             stage.said, stage.at = done, now
+
+    def _is_due(self, stage: _Stage, now: float, done: int, total: int) -> bool:
+        if stage.said is None:
+            return True
+        tenths = 10 * done // max(total, 1) - 10 * stage.said // max(total, 1)
+        return done != stage.said and (done >= total or tenths > 0 or now - stage.at >= self.PERIOD_S)
 
 
 def _write_share(done: int, total: int) -> str:

@@ -25,11 +25,7 @@ WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGH
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal ends the command."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
+    """A signal ends the command; a package may turn it into a plain KeyboardInterrupt."""
 
 
 def leave_at_signals() -> None:
@@ -48,11 +44,15 @@ def stop_at_signals() -> None:
             sys.unraisablehook = _report_unraisable
 
 
-def ignore_signals() -> None:
-    """From now on, let no signal disturb the end of the process."""
+def ignore_signals() -> int | None:
+    """From now on, let no signal disturb the end of the process; returns the number of the one that ends it, if any."""
+    came = None
     for number in ENDINGS:
-        if isinstance(signal.getsignal(number), Stop):
+        stop = signal.getsignal(number)
+        if isinstance(stop, Stop):
             signal.signal(number, signal.SIG_IGN)
+            came = stop.number
+    return came
 
 
 def describe_signal(number: int, words: Sequence[str]) -> str:
@@ -62,34 +62,39 @@ def describe_signal(number: int, words: Sequence[str]) -> str:
 
 
 class Stop:
-    """The handler of signals: ends the workers and raises ``Stopped``, until it is heard."""
+    """The handler of signals: ends the workers and raises ``Stopped``, until it is heard.
+
+    Attributes:
+        number: Of the first signal that came.
+    """
 
     def __init__(self) -> None:
-        self.first: float | None = None
+        self.number: int | None = None
+        self._first = 0.0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
-        if self.first is None:
-            self.first = now
+        if self.number is None:
+            self.number, self._first = number, now
             threading.Thread(target=_repeat, args=(number,), daemon=True).start()
-        if find_stop(sys.exception()):  # it is heard, and clearing up goes on
-            if now - self.first > PATIENCE_S:
-                _leave(number, frame)
+        if is_interrupt(sys.exception()):  # it is heard, and clearing up goes on
+            if now - self._first > PATIENCE_S:
+                _leave(self.number, frame)
             return
         for worker in active_children():
             worker.kill()  # what they have written is whole, and waiting for the rest may take long
         raise Stopped(number)
 
 
-def find_stop(error: BaseException | None) -> Stopped | None:
-    """The signal that led to an exception, itself or before it in the chain."""
+def is_interrupt(error: BaseException | None) -> bool:
+    """Whether a signal led to an exception: itself, or one before it in the chain."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
-        if isinstance(error, Stopped):
-            return error
+        if isinstance(error, KeyboardInterrupt):
+            return True
         seen.add(id(error))
         error = error.__cause__ or error.__context__
-    return None
+    return False
 
 
 def _repeat(number: int) -> None:
@@ -102,7 +107,7 @@ def _repeat(number: int) -> None:
 
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
     """Report exceptions in finalisers, but that of a signal, which is repeated."""
-    if not isinstance(lost.exc_value, Stopped):
+    if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
 
 

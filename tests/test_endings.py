@@ -76,7 +76,7 @@ def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
 
 def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
     process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
-    while not list(tmp_path.glob("run/recording.collecting/*.npy")):
+    while not list(tmp_path.glob("run/recording.collecting/*.npz")):
         assert process.poll() is None
         time.sleep(0.05)
     process.terminate()
@@ -90,7 +90,7 @@ SWALLOWING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
 from deepgps import begin
-from deepgps.signals import Stopped, stop_at_signals
+from deepgps.signals import stop_at_signals
 
 class Loud:
     def __del__(self):
@@ -102,8 +102,8 @@ stop_at_signals()
 try:
     while True:
         time.sleep(0.01)
-except Stopped as stopped:
-    print("heard", stopped.number)
+except KeyboardInterrupt as stopped:
+    print("heard", *stopped.args)
 """
 
 
@@ -166,12 +166,18 @@ def fail(error: Exception) -> Exception:
         (PermissionError(13, "Permission denied", "a/b"), 1, "a/b: Permission denied"),
         (MemoryError("Unable to allocate 9 TiB"), 1, "the memory of this machine is not enough (Unable to"),
         (KeyboardInterrupt(), 130, "interrupted" + AGAIN),
-        (Stopped(signal.SIGTERM), 143, "terminated" + AGAIN),
     ],
 )
 def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int, text: str) -> None:
     found, _, said = explain(error, ["run"])
     assert found == code and said.startswith(text) and "\n" not in said
+
+
+def test_the_signal_counts_and_not_what_became_of_its_exception() -> None:
+    for kind in (Stopped, KeyboardInterrupt):
+        error = RuntimeError("while clearing up")
+        error.__context__ = kind()
+        assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
 
 
 def test_a_full_disk_names_the_folder_and_what_is_free(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import io
 import logging
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -24,13 +24,14 @@ class Clock:
 def run(steps: list[int], total: int, step_s: float = 0.1) -> list[str]:
     """What is said while a label goes through these numbers of steps."""
     said, clock = [], Clock()
-    lines = Lines(said.append, clock)
+    lines = Lines(said.append, clock=clock)
     for done in steps:
         lines("train", done, total)
         clock.now += step_s
     return said
 
 
+@settings(deadline=None)
 @given(total=st.integers(1, 5000), stride=st.integers(1, 700), first=st.integers(0, 50))
 def test_first_and_last_are_said_and_about_ten_between(total: int, stride: int, first: int) -> None:
     steps = [*range(min(first, total), total, stride), total]
@@ -59,11 +60,20 @@ def test_long_work_is_heard_once_a_minute() -> None:
 
 def test_each_label_is_counted_alone() -> None:
     said = []
-    lines = Lines(said.append, Clock())
+    lines = Lines(said.append, clock=Clock())
     for label in ("drive", "render"):
         lines(label, 0, 2)
     lines("drive", 2, 2)
     assert said == ["drive: 0 of 2 (0 %)", "render: 0 of 2 (0 %)", "drive: 2 of 2 (100 %)"]
+
+
+def test_work_that_is_done_at_once_can_be_silent() -> None:
+    said, clock = [], Clock()
+    lines = Lines(said.append, 2.0, clock)
+    for done in range(5):
+        lines("plan", done, 100)
+        clock.now += 0.6
+    assert said == ["plan: 4 of 100 (4 %), 1.7/s, 58 s left"]
 
 
 def test_durations() -> None:

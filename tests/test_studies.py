@@ -23,6 +23,7 @@ from sim.paths import STUDIES
 from sim.records import check_recording
 
 MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
+INTERRUPTED = "interrupted; the same command continues where it stopped"
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def finished(tmp_path_factory) -> tuple[Path, Path, str]:
     wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the children as well
     said = process.communicate(timeout=60)[1]
-    assert (process.returncode, said) == (130, "interrupted; the same command continues where it stopped\n")
+    assert (process.returncode, drop_progress(said)) == (130, [INTERRUPTED])
     process = start(study, out)
     said, errors = process.communicate(timeout=120)
     assert (process.returncode, drop_progress(errors)) == (0, [])
@@ -225,7 +226,7 @@ def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
     axes = {"encoder.gap_noise": [0.0, 0.1]}
     process = start(write_study(tmp_path, cases=cases, axes=axes, target={}), tmp_path / "out")
     _, errors = process.communicate(timeout=120)
-    assert errors.startswith("failed: 2 of 4 runs failed;")
+    assert drop_progress(errors)[0].startswith("failed: 2 of 4 runs failed;")
     rows = pq.read_table(tmp_path / "out" / "table.parquet").to_pylist()
     assert [row["failure"] is None for row in rows] == [False, False, True, True]
     assert all(row["failure"].startswith("recording: ") and "broken.xml" in row["failure"] for row in rows[:2])

@@ -157,7 +157,7 @@ def test_noise_w_runs_small_in_both_worlds_and_is_published(tmp_path: Path):
     assert (done.returncode, drop_progress(done.stderr)) == (0, [])
     published = tmp_path / "results" / "noise_w-tiny"
     names = {path.relative_to(published).as_posix() for path in published.rglob("*") if path.is_file()}
-    assert names == {"table.md", "table.parquet", "figures/curves.png"}
+    assert names == {"table.md", "table.parquet", "figures/curves.png", "SHA256SUMS"}
     for name in names:
         assert (published / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
     rows = pq.read_table(published / "table.parquet").to_pylist()

@@ -253,11 +253,11 @@ def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
     ("lost", "content", "message"),
     [
         ("table.parquet", None, "is no finished study: it has no table.parquet (deepgps study writes it)"),
-        ("table.parquet", "half", "table.parquet cannot be read: "),
+        ("table.parquet", "half", "table.parquet is damaged: "),
         ("study.yaml", "sceanrio: x", "sceanrio: there is no such setting"),
         ("study.yaml", "", "study.yaml is empty"),
         ("runs/*/error_field.npz", None, "error_field.npz is missing"),
-        ("runs/*/error_field.npz", "half", "error_field.npz cannot be read"),
+        ("runs/*/error_field.npz", "half", "error_field.npz is damaged"),
         ("recordings/*/manifest.json", None, "recording/manifest.json is missing"),
         ("table.md", None, "is no whole study: table.md is missing"),
     ],
@@ -291,6 +291,7 @@ def test_a_cut_off_recording_is_one_clear_line_and_the_study_repairs_it(copied, 
     path = copied / STUDY_RRD
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
+    (copied / f"{STUDY_RRD}.sha256").unlink()  # as a version before checksums left it
     with pytest.raises(InputError, match=r"study.rrd is cut off or no recording") as caught:
         view([copied])
     assert "\n" not in str(caught.value)
