@@ -146,8 +146,8 @@ def _as_integers(reading: np.ndarray) -> np.ndarray:
 
 
 def _find_fresh(whole: np.ndarray) -> np.ndarray:
-    """Readings (n,) of another observation or segment than the one before."""
-    return np.append(np.ones(len(whole[:1]), bool), (np.diff(whole[:, :2], axis=0) != 0).any(axis=1))
+    """Readings (n,) that differ from the one before in anything."""
+    return np.append(np.ones(len(whole[:1]), bool), (np.diff(whole, axis=0) != 0).any(axis=1))
 
 
 def _find_rising(numbers: np.ndarray, strictly: bool) -> np.ndarray:

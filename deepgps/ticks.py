@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sim.encoder import ticks_to_distance
+from sim.errors import InputError
 
 FASTER = 2.0
 """How many times the median speed a wheel may turn. The simulator's drives come to 1.2 times."""
@@ -31,8 +32,16 @@ SPIKE = 6
 """Readings in a row, at most, that are left out because those around them fit each other."""
 WIDTHS = (16, 32)
 """Bits of counters that wrap around."""
+APART = 0.1
+"""Share of their usual speeds by which the wheels may differ on a segment where a counter is unwrapped."""
 LARGEST = 2.0**63
 """No difference of ticks is larger."""
+FASTEST_MPS = 30.0
+"""No robot that drives through a room is faster in the median [m/s]."""
+ENOUGH = 100
+"""Gaps in which one wheel turns and the other does not once, after which the other's counter is taken for dead."""
+MOST_WRONG = 0.1
+"""Share of the gaps that may be jumps and breaks; with more of them no gap is believed."""
 
 
 @dataclass(frozen=True)
@@ -60,14 +69,22 @@ def check_ticks(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, odomet
         time: Of each reading (n,) [s]; it rises.
         segment: Of each reading (n,).
         odometry: Constants of the manifest.
+
+    Raises:
+        InputError: A wheel's counter is dead, the wheels are faster than any robot, or too many gaps cannot be.
     """
     gap, seconds, inside = np.diff(ticks, axis=0), np.diff(time), np.diff(segment) == 0
     pace = measure_pace(gap, seconds, inside, odometry)
+    _refuse_nonsense(gap[inside], pace, odometry)
     whole = unwrap(ticks, gap, seconds, inside, pace)
     wrapped = int((whole != gap).any(axis=1).sum())
     if wrapped:
         ticks = _add_up(ticks[0], whole)
     jumped, broken = find_jumps(ticks, time, segment, pace)
+    if (wrong := int(jumped.sum() + broken.sum())) > max(1.0, MOST_WRONG * len(ticks)):
+        raise InputError(
+            f"reading.npy: at {wrong} of {len(ticks)} readings the ticks jump, so they are no counts of wheels"
+        )
     ticks, broken = ticks[~jumped], broken[~jumped]
     if broken.any():
         gap = np.diff(ticks, axis=0)
@@ -82,6 +99,7 @@ class Pace:
 
     Attributes:
         inside: Median speed on segments [ticks/s].
+        each: The same of each wheel (2,).
         between: Median speed between segments, or that on them if it is higher [ticks/s].
         forward: Which way each wheel turns on segments (2,): 1, -1, or 0 where it turns both ways.
         turn: Way of a wheel in the turns that are allowed between segments [ticks].
@@ -90,6 +108,7 @@ class Pace:
     """
 
     inside: float
+    each: np.ndarray
     between: float
     forward: np.ndarray
     turn: float
@@ -105,16 +124,24 @@ class Pace:
         ahead = gap.astype(float) * np.where(self.forward == 0, 1, self.forward)
         return (ahead <= far + noise) & (ahead >= np.where(one_way, 0.0, -far) - noise)
 
+    def is_straight(self, gap: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+        """Whether the wheels go together in gaps (n, 2) [ticks]: both at about the same share of their usual speeds."""
+        usual = self.each * seconds[:, None]
+        slipped = DEVIATIONS * self.slip * np.sqrt(usual) + ROUNDING
+        share = np.abs(gap) / usual
+        return np.abs(share[:, 0] - share[:, 1]) <= APART + (slipped / usual).sum(axis=1)
+
 
 def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odometry: Mapping[str, Any]) -> Pace:
     """Pace of gaps (n, 2) [ticks] that take so many seconds (n,) and lie on a segment or not (n,)."""
     speed = np.abs(gap.astype(float)) / seconds[:, None]
     usual = _median(speed[inside], LARGEST)
-    tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
+    tick_m = _measure_tick(odometry)
     ahead, back = (((sign * gap[inside]) > 0).sum(axis=0) for sign in (1, -1))
     most = ONE_WAY * (ahead + back)
     return Pace(
         inside=usual,
+        each=np.array([_median(speed[inside, wheel], usual) for wheel in range(2)]),
         between=max(usual, _median(speed[~inside], 0.0)),
         forward=(ahead > most).astype(int) - (back > most),
         turn=TURNS * np.pi * odometry["track_m"] / tick_m,
@@ -136,6 +163,7 @@ def unwrap(ticks: np.ndarray, gap: np.ndarray, seconds: np.ndarray, inside: np.n
         full = 1 << width
         short = (found + full // 2) % full - full // 2
         able = (np.abs(short.astype(float) - found) == full) & pace.fits(short, seconds, inside)
+        able &= (~inside | pace.is_straight(np.where(able, short, found), seconds))[:, None]
         wrap = able & ~pace.fits(found, seconds, inside)
         low, high = ticks.min(axis=0), ticks.max(axis=0)
         within = ((low >= 0) & (high < full)) | ((low >= -full // 2) & (high < full // 2))
@@ -176,6 +204,26 @@ def find_jumps(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, pace: P
             broken[start[block + 1]] = True
         block += 1
     return jumped, broken
+
+
+def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -> None:
+    turned = (gap != 0).sum(axis=0)
+    for name, own, other in (("left", *turned), ("right", *turned[::-1])):
+        if own == 0 and other >= ENOUGH:
+            raise InputError(
+                f"reading.npy: the {name} wheel never counts on a segment, while the other does {other} times"
+            )
+    speed_mps = pace.inside * _measure_tick(odometry)
+    if turned.any() and speed_mps > FASTEST_MPS:
+        raise InputError(
+            f"reading.npy, time.npy: the wheels drive {speed_mps:.3g} m/s in the median, and more than "
+            f"{FASTEST_MPS:g} m/s is not believed; ticks, times or the manifest's odometry are wrong"
+        )
+
+
+def _measure_tick(odometry: Mapping[str, Any]) -> float:
+    """Way of a wheel in one tick [m]."""
+    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
 
 
 def _median(speed: np.ndarray, otherwise: float) -> float:

@@ -185,12 +185,18 @@ def test_ticks_near_the_end_of_64_bits_give_the_same_distances(offset: int):
     assert np.allclose(path, known, rtol=0, atol=1e-9)
 
 
-def test_a_wheel_that_never_turns_is_no_jump():
-    reading = READING.copy()
-    reading[:, 2:] = 0
+def test_wheels_that_never_turn_are_no_jump():
+    reading = READING * np.array([1, 1, 0, 0])
     assert check(reading).reading is reading
-    reading[:, 2] = READING[:, 2]
-    assert check(reading).reading is reading
+
+
+def test_turns_that_are_taken_for_a_segment_divide_it_again():
+    at_once = READING * np.array([0, 1, 1, 1])
+    turn = np.abs(np.diff(READING[:, 3] - READING[:, 2]))[np.diff(READING[:, 0]) == 1]
+    checked = check(at_once)
+    assert checked.counts["wrapped"] == 0
+    assert checked.counts["kept"] == len(READING)
+    assert checked.counts["breaks"] >= 0.9 * (turn > 1000).sum()
 
 
 @pytest.mark.parametrize(
@@ -204,6 +210,31 @@ def test_a_wheel_that_never_turns_is_no_jump():
         (READING, np.zeros(len(TIME)), r"most cannot be \(\d+ are out of order\)"),
         (READING, np.full(len(TIME), np.nan), r"most cannot be \(\d+ hold no number\)"),
         (np.random.default_rng(0).permutation(READING), TIME, r"most cannot be \(\d+ are out of order\)"),
+        (
+            READING * np.array([1, 1, 1, 0]),
+            TIME,
+            "the right wheel never counts on a segment, while the other does 499 times",
+        ),
+        (
+            READING * np.array([1, 1, 1000, 1000]),
+            TIME,
+            r"the wheels drive 220 m/s in the median, and more than 30 m/s is not",
+        ),
+        (
+            np.column_stack([READING[:, :2], np.random.default_rng(0).permutation(READING[:, 2:])]),
+            TIME,
+            r"the wheels drive 31.9 m/s in the median",
+        ),
+        (
+            READING + np.random.default_rng(0).integers(0, 2, (len(READING), 1)) * np.array([0, 0, 10**5, 10**5]),
+            TIME,
+            r"at \d+ of \d+ readings the ticks jump",
+        ),
+        (
+            READING + (np.arange(len(READING)) % 8 == 3)[:, None] * np.array([0, 0, 10**5, 10**5]),
+            TIME,
+            r"at 65 of \d+ readings the ticks jump, so they are no counts of wheels",
+        ),
         (READING + np.array([0, 10**6, 0, 0]), TIME, r"most cannot be \(\d+ belong to no observation\)"),
     ],
 )

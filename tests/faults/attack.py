@@ -110,7 +110,9 @@ def carry_out(
         jobs = [(test, n) for test in tests if test.alone == (lanes == 1) for n in _choose(test, seed, scale, only)]
         waiting = Counter(test for test, _ in jobs)
         with ThreadPoolExecutor(lanes) as pool:
-            for (test, number), verdict in zip(jobs, pool.map(lambda job: _try(*job, seed, place), jobs), strict=True):
+            for (test, number), verdict in zip(
+                jobs, pool.map(lambda job: _try(job[0], job[1], seed, place), jobs), strict=True
+            ):
                 results[test].add(number, verdict)
                 waiting[test] -= 1
                 if not verdict.held:
