@@ -37,9 +37,14 @@ class Kind:
     files: re.Pattern[str]
 
     @property
+    def head(self) -> str:
+        """How the mark begins."""
+        return f"deepgps {self.name} folder"
+
+    @property
     def text(self) -> str:
         """Contents of the mark."""
-        return f"deepgps {self.name} folder: deepgps writes and removes files of its own here, and no others.\n"
+        return f"{self.head}: deepgps writes and removes files of its own here, and no others.\n"
 
 
 def is_older(folder: Path, kind: Kind) -> bool:
@@ -95,11 +100,15 @@ def check_owner(folder: Path, kind: Kind) -> None:
         raise InputError(f"--out {folder} is a file, and must be a folder") from None
     except OSError as error:
         raise InputError(f"--out {folder} cannot be read: {error.strerror}") from None
-    if text == kind.text or (text == "" and names == [MARK]):
+    if (text or "").startswith(kind.head) or (text == "" and names == [MARK]):
         return
-    other = re.match(r"deepgps (\w+) folder", text or "")
-    if other:
-        raise InputError(f"--out {folder} is a {other[1]} folder; choose another for a {kind.name}")
+    if text is not None:
+        other = re.match(r"deepgps (\w+) folder", text)
+        what = f"says that it is a {other[1]} folder" if other else "is damaged, or not from deepgps"
+        raise InputError(
+            f"--out {folder}: its mark {MARK} {what}; choose another folder for a {kind.name}, or, if it is one, "
+            f"write '{kind.head}' into the mark"
+        )
     if is_older(folder, kind):
         raise InputError(
             f"--out {folder} holds a {kind.name} of an earlier version, which is read but not changed; "

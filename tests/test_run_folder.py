@@ -3,6 +3,7 @@
 import os
 import random
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from deepgps import owned_folder
 from deepgps.cli import main
 from deepgps.owned_folder import FRESH, MARK
+from deepgps.run import STAGES
 from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
 from sim.errors import DamagedError, InputError
@@ -184,6 +186,18 @@ def test_no_link_is_followed_and_no_file_is_emptied(name: str, tmp_path: Path):
     assert os.listdir(tmp_path / "out") == [name]
 
 
+@pytest.mark.parametrize(
+    ("mark", "says"), [("deepgps study folder", "says that it is a study folder"), ("x", "damaged")]
+)
+def test_another_mark_is_named(mark: str, says: str, tmp_path: Path):
+    make_run(tmp_path)
+    (tmp_path / MARK).write_text(mark)
+    with pytest.raises(InputError, match=rf"its mark \.deepgps .*{says}"):
+        make_run(tmp_path)
+    (tmp_path / MARK).write_text("deepgps run folder")
+    make_run(tmp_path)
+
+
 def test_a_folder_in_use_is_refused(tmp_path: Path):
     with claim(SCENARIO, tmp_path, False), pytest.raises(InputError, match="in use by another process"):
         make_run(tmp_path)
@@ -216,12 +230,13 @@ def test_every_byte_of_a_user_s_survives_every_command(
     words += [word for more in rng.sample(MORE, rng.randint(0, 2)) for word in more.split()]
     # Whatever gets as far as to work is stopped there: this is about what happens before, and on the way out.
     monkeypatch.setattr("deepgps.run.collect", stop)
+    monkeypatch.setitem(STAGES, "collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.carry_out", stop)
     monkeypatch.setattr("sim.gallery.draw_gallery", stop)
     monkeypatch.setattr("deepgps.bench.run_bench", stop)
     monkeypatch.setattr("deepgps.viewer.show.view", stop)
     monkeypatch.chdir(home)
-    with pytest.raises(SystemExit):
+    with suppress(SystemExit):
         main(words)
     after = remember(home)
     assert {name: after.get(name) for name in before} == before, words

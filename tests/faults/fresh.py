@@ -16,7 +16,6 @@ FAULTS = (
     ("--drive.sample", "3"),
     ("--world", "room", "--room.mjcf", "typo.xml"),
     ("--world", "room", "--room.mjcf", "wrong.xml"),
-    ("--learn.train.device", "cuda:7"),
     ("--grid.spacing_m", "50"),
     ("--methods", "explicit", "deepgps", "odometry", "pca_knn"),
 )
