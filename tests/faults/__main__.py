@@ -3,6 +3,7 @@
 import argparse
 import random
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -11,6 +12,7 @@ from pathlib import Path
 
 from tests.faults import bits, bombs, cores, disk, endings, fresh, kills, readings, users, web
 from tests.faults.attack import Result, Test, carry_out
+from tests.faults.command import end_all
 from tests.faults.material import Material, make_material
 from tests.faults.page import write_page
 
@@ -35,6 +37,8 @@ def main() -> int:
     arguments = parse(sys.argv[1:])
     seed = random.SystemRandom().randrange(10**6) if arguments.seed is None else arguments.seed
     say(f"seed {seed}: the same tries come again with --seed {seed}")
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ending, stop)
     place = Path(tempfile.mkdtemp(prefix="faults-"))
     tempfile.tempdir = str(place)
     start = time.monotonic()
@@ -47,6 +51,14 @@ def main() -> int:
         arguments.out.write_text(page, encoding="utf-8")
     print(page)
     return int(any(one.held < one.tries for one in results))
+
+
+def stop(number: int, frame: object) -> None:
+    """End this attack and all that it started."""
+    for ending in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ending, signal.SIG_IGN)  # what is under way tidies up
+    end_all()
+    sys.exit(128 + number)
 
 
 def attack(arguments: argparse.Namespace, seed: int, place: Path) -> Iterator[Result]:

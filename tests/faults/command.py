@@ -121,7 +121,7 @@ def start(
     """
     own = words[0] != "-c"
     program = [sys.executable, *(["-m", "deepgps.cli"] if own else [])]
-    mark = uuid.uuid4().hex
+    mark = f"{os.getpid()}-{uuid.uuid4().hex}"
     out, err = (Path(gettempdir()) / f"{mark}.{name}" for name in ("out", "err"))
     with out.open("wb") as to_out, err.open("wb") as to_err:
         process = subprocess.Popen(
@@ -196,13 +196,22 @@ def kill(running: Running) -> None:
 
 def kill_all(running: Running) -> None:
     """Kill -9 of the command and of all that it started."""
-    for pid in find_marked(running.mark):
+    _kill_marked(running.mark)
+
+
+def end_all() -> None:
+    """Kill -9 of all commands of this process, and of all that they started."""
+    _kill_marked(f"{os.getpid()}-")
+
+
+def _kill_marked(mark: str) -> None:
+    for pid in find_marked(mark):
         with suppress(ProcessLookupError):
             os.kill(pid, signal.SIGKILL)
 
 
 def find_marked(mark: str) -> list[int]:
-    """Processes that have this mark in their environment."""
+    """Processes that have a mark in their environment that starts like this."""
     wanted, found = f"{MARK}={mark}".encode(), []
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit():

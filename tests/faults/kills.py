@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -16,7 +17,10 @@ from tests.faults.moments import wait_for_moment
 
 HANGS_S = 90.0
 """A command of some seconds, one worker of which was stopped, must have replaced it and ended by then."""
-WORKER = b"spawn_main"
+WORKERS = (b"spawn_main", b"renderers import work")
+"""What stands in the command line of a process that trains or draws."""
+CHANCES = 3
+"""How often a command is given until a worker could be hit: it may be done before."""
 
 
 def list_tests(material: Material) -> list[Test]:
@@ -65,11 +69,10 @@ def _hit_workers(words: Sequence[str], clean: Print, how: signal.Signals, most: 
     """Workers of a command get a signal once; the command, or the same again where it failed in one line, does all."""
 
     def attempt(case: Case) -> Verdict:
-        running = start(words, cwd=case.folder)
-        hit = _hit(running, how, most, case.rng)
+        running, hit = _start_and_hit(words, case, how, most)
         ended, told = finish(running, time_s=HANGS_S), f"{how.name} to {hit} workers"
         if not hit:
-            return Verdict("over before a worker could be hit", not ended.fell, ended.show())
+            return Verdict("no worker found", False, ended.show())
         if ended.code == 1 and not ended.fell and len(ended.problems) == 1:
             again = _judge(deepgps(*words, cwd=case.folder), case.folder / "out", clean, told)
             return Verdict(f"one line, then {again.kind}", again.held, again.detail)
@@ -80,25 +83,38 @@ def _hit_workers(words: Sequence[str], clean: Print, how: signal.Signals, most: 
 
 def _stop_and_kill(words: Sequence[str]) -> Callable[[Case], Verdict]:
     def attempt(case: Case) -> Verdict:
-        running = start(words, cwd=case.folder)
-        hit = _hit(running, signal.SIGSTOP, 1, case.rng)
+        running, hit = _start_and_hit(words, case, signal.SIGSTOP, 1)
         kill(running)
         ended = finish(running)
+        if not hit:
+            return Verdict("no worker found", False, ended.show())
         if ended.left:
             return Verdict(
                 "process left behind", False, f"{ended.left} after SIGSTOP of {hit} and kill -9: {ended.show()}"
             )
-        return Verdict("no orphan" if hit else "over before a worker could be hit", True)
+        return Verdict("no orphan", True)
 
     return attempt
 
 
+def _start_and_hit(words: Sequence[str], case: Case, how: signal.Signals, most: int) -> tuple[Running, int]:
+    """Start a command and signal some of its workers; again where it was over before that; returns how many got it."""
+    running = start(words, cwd=case.folder)
+    for _ in range(CHANCES - 1):
+        if hit := _hit(running, how, most, case.rng):
+            return running, hit
+        finish(running)
+        shutil.rmtree(case.folder / "out", ignore_errors=True)
+        running = start(words, cwd=case.folder)
+    return running, _hit(running, how, most, case.rng)
+
+
 def _hit(running: Running, how: signal.Signals, most: int, rng: random.Random) -> int:
     """Signal at most so many workers at a moment after the first was seen; returns how many got it."""
-    while not (workers := find_workers(running)) and not has_ended(running):
+    while not find_workers(running) and not has_ended(running):
         time.sleep(0.01)
-    time.sleep(rng.uniform(0.0, 2.0))
-    hit = 0
+    time.sleep(rng.uniform(0.0, 1.5))
+    workers, hit = find_workers(running), 0
     for pid in rng.sample(workers, min(most, len(workers))):
         with suppress(ProcessLookupError):
             os.kill(pid, how)
@@ -111,7 +127,8 @@ def find_workers(running: Running) -> list[int]:
     found = []
     for pid in find_marked(running.mark):
         with suppress(OSError):
-            if pid != running.process.pid and WORKER in Path(f"/proc/{pid}/cmdline").read_bytes():
+            line = Path(f"/proc/{pid}/cmdline").read_bytes()
+            if pid != running.process.pid and any(worker in line for worker in WORKERS):
                 found.append(pid)
     return found
 
