@@ -377,7 +377,7 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     assert not (out / STUDY_RRD).exists()
-    (out / f"{STUDY_RRD}.1.part").write_text("half")
+    (out / f"{STUDY_RRD}.1.deepgps-part").write_text("half")
     view_it = [sys.executable, "-m", "deepgps.cli", "view", str(out)]
     done = subprocess.run(view_it, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (
@@ -386,7 +386,7 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     )
     said = finish(start(study, out, "--tiny"))
     assert f"look at it: deepgps view {out}, or at a run: deepgps view {out}/runs/" in said
-    assert not list(out.glob("*.part"))
+    assert not list(out.glob("*.deepgps-part"))
     verify(out / STUDY_RRD)
     runs = {plan.scenario.encoder.gap_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
     for index, noise in enumerate((0.0, 0.3)):
