@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import get_args
 
-from deepgps.owned_folder import FRESH, Kind, check_owner, choose_place, discard, hold, is_older, replace
+from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
 from deepgps.scenario import MethodName, Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
@@ -70,8 +70,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
         _check_older(scenario, folder, fresh)
         yield folder
         return
-    check_owner(folder, RUN)
-    cut_off = (folder / FRESH / "complete.json").is_file()
+    cut_off = (folder / FRESH / COMPLETE).is_file()
     with hold(folder, RUN):
         if cut_off and fresh and open_run(folder) == scenario:
             fresh = False  # killed while it replaced the old run, which is finished now
