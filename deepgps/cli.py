@@ -62,6 +62,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and what it needs."""
 
     def command(words: Sequence[str]) -> None:
+        from deepgps.report import describe_left_out
         from deepgps.run import STAGES, ask_for_device, list_undriven
         from deepgps.run_folder import claim, default_folder, find_place
 
@@ -81,6 +82,9 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
                 work(scenario, place, report)
                 if name == stage:
                     break
+            left_out = describe_left_out(place, scenario.methods) if stage == "train" else None
+        if left_out:
+            console.print(left_out, soft_wrap=True)
         console.print(f"{stage} is done: {folder}", soft_wrap=True)
 
     return command

@@ -126,6 +126,12 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
     return sentences
 
 
+def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
+    """What training left out of the readings or repaired, in a sentence; None: nothing."""
+    counts = (read_json(run / method / "training.json").get("readings", {}) for method in methods)
+    return next(filter(None, map(describe_readings, counts)), None)
+
+
 def describe_errors(metrics: Mapping[str, Any]) -> str:
     """Where the errors were measured and what they are, in a sentence."""
     where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"

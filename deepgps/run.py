@@ -91,16 +91,16 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     """Measure all methods; write ``metrics.json`` and ``error_field.npz``."""
     from deepgps.evaluate import evaluate as measure
 
-    path = folder / "metrics.json"
-    if not is_measured(folder):
-        with timed(folder, "evaluate"):
-            progress("evaluate", 0, 1)
-            measured = measure(folder, scenario)
-            progress("evaluate", 1, 1)
-        head = {"scenario": scenario.name, "seed": scenario.seed}
-        tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
-        write_json(path, {**head, **measured, **tail})
-    return read_json(path)
+    if metrics := read_measured(folder):
+        return metrics
+    with timed(folder, "evaluate"):
+        progress("evaluate", 0, 1)
+        measured = measure(folder, scenario)
+        progress("evaluate", 1, 1)
+    head = {"scenario": scenario.name, "seed": scenario.seed}
+    tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
+    write_json(folder / "metrics.json", {**head, **measured, **tail})
+    return read_json(folder / "metrics.json")
 
 
 def show(scenario: Scenario, folder: Path, progress: Report) -> None:
@@ -118,18 +118,18 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
             progress("show", 2, 2)
 
 
-def is_measured(folder: Path) -> bool:
-    """Whether a run holds its figures and error fields undamaged."""
+def read_measured(folder: Path) -> dict[str, Any] | None:
+    """The contents of a run's ``metrics.json``; none: it, or an error field, is missing or damaged."""
     if not (folder / "metrics.json").is_file():
-        return False
+        return None
     try:
         metrics = read_json(folder / "metrics.json")
         for name in ("error_field.npz", "label_field.npz")[: 2 if "labels" in metrics else 1]:
             read_arrays(folder / name)
     except DamagedError as error:
         log.warning("%s; the methods are measured again", error)
-        return False
-    return True
+        return None
+    return metrics
 
 
 @contextmanager

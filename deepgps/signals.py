@@ -20,6 +20,8 @@ AGAIN_S = 0.2
 """How often a signal is repeated until it is heard: some packages go on after any exception in their imports."""
 PATIENCE_S = 10.0
 """How long clearing up may take before a further signal ends the process at once."""
+LIMIT_S = 20.0
+"""How long clearing up may take at all: every file is whole at any time, and a package may wait for ever."""
 CONTINUED = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
@@ -77,6 +79,7 @@ class Stop:
         if self.number is None:
             self.number, self._first = number, now
             threading.Thread(target=_repeat, args=(number,), daemon=True).start()
+            threading.Thread(target=_end_late, args=(number,), daemon=True).start()
         if is_interrupt(sys.exception()):  # it is heard, and clearing up goes on
             if now - self._first > PATIENCE_S:
                 _leave(self.number, frame)
@@ -103,6 +106,14 @@ def _repeat(number: int) -> None:
         _thread.interrupt_main(
             signal.Signals(number)
         )  # a true signal could meet a handler that a library has set meanwhile
+
+
+def _end_late(number: int) -> None:
+    """End the process where clearing up does not; without a word if that has been said."""
+    time.sleep(LIMIT_S)
+    if isinstance(signal.getsignal(number), Stop):
+        _leave(number, None)
+    os._exit(128 + number)
 
 
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:

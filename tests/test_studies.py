@@ -385,4 +385,4 @@ def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
 def find_workers(parent: int) -> list[int]:
     """Processes started by another to do runs."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-    return [int(child) for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [int(child) for child in children if b"engine_local" in Path(f"/proc/{child}/cmdline").read_bytes()]

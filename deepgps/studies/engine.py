@@ -13,7 +13,7 @@ from typing import Literal
 
 from deepgps.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.progress import Report
-from deepgps.run import is_measured
+from deepgps.run import read_measured
 from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.scenario import Scenario
 from deepgps.studies import engine_local, engine_ray
@@ -120,7 +120,7 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run
-        if not is_measured(run) or (study.record and not is_intact(run / "recording.rrd")):
+        if read_measured(run) is None or (study.record and not is_intact(run / "recording.rrd")):
             missing.append(plan)
     return missing
 

@@ -2,15 +2,18 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
+from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
 from pathlib import Path
+from subprocess import Popen
 from typing import NamedTuple
 
+from deepgps.outlets import open_streams
 from deepgps.progress import Look, Report
 from deepgps.studies.study import Plan
 from deepgps.studies.worker import Failures, count_steps, do_run
-from sim.processes import WORKERS, end_with_parent, usable_cores
+from deepgps.terminal import warn_plainly
+from sim.processes import start_process, usable_cores
 
 
 def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
@@ -27,7 +30,7 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
     """
     failed, done = {}, {plan.run: 0 for plan in plans}
     total, waiting = sum(count_steps(plan.scenario) for plan in plans), list(plans)
-    active: dict[Connection, tuple[Plan, BaseProcess]] = {}
+    active: dict[Connection, tuple[Plan, Popen[bytes]]] = {}
     try:
         while waiting or active:
             while waiting and len(active) < usable_cores():
@@ -39,25 +42,24 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
                 try:
                     told = pipe.recv()
                 except EOFError:  # the process has died
-                    process.join()
-                    failed[plan.run] = f"its process ended with {process.exitcode}"
+                    failed[plan.run] = f"its process ended with {process.wait()}"
                     told = Told(0, ended=True)
                 if told.failure:
                     failed[plan.run] = told.failure
                 steps = count_steps(plan.scenario)
                 done[plan.run] = steps if told.ended else min(told.steps, steps)
                 progress(f"steps of {len(plans)} runs", sum(done.values()), total)
-                if told.ended and waiting and process.is_alive():
+                if told.ended and waiting and process.poll() is None:
                     active[pipe] = _give(pipe, waiting), process
                 elif told.ended:
                     pipe.close()  # which ends the process
-                    process.join()
+                    process.wait()
                     del active[pipe]
     finally:
         for _, process in active.values():
-            process.terminate()
+            process.kill()  # what it has written is whole
         for _, process in active.values():
-            process.join()
+            process.wait()
     return failed
 
 
@@ -69,10 +71,17 @@ class Told(NamedTuple):
     failure: str | None = None
 
 
-def work(folder: Path, record: bool, pipe: Connection) -> None:
-    """In a process of its own: do the runs that come through ``pipe``, until no more come."""
-    end_with_parent()
-    with suppress(EOFError):
+def work(handle: int) -> None:
+    """In a process of its own: do the runs that come through a pipe, until no more come.
+
+    Args:
+        handle: The pipe's; first come the study's folder and whether to record, then one run after another.
+    """
+    open_streams()
+    warn_plainly()
+    pipe = Connection(handle)
+    with suppress(EOFError, BrokenPipeError):  # the parent needs no more, or is gone
+        folder, record = pipe.recv()
         while True:
             _do(pipe.recv(), folder, record, pipe)
 
@@ -95,9 +104,10 @@ def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
     return waiting.pop(0)
 
 
-def _start(folder: Path, record: bool) -> tuple[Connection, BaseProcess]:
-    pipe, end = WORKERS.Pipe()
-    process = WORKERS.Process(target=work, args=(folder, record, end))
-    process.start()
+def _start(folder: Path, record: bool) -> tuple[Connection, Popen[bytes]]:
+    pipe, end = Pipe()
+    code = "from deepgps.studies.engine_local import work; work(int(sys.argv[1]))"
+    process = start_process(code, [str(end.fileno())], [end.fileno()])
     end.close()
+    pipe.send((folder, record))
     return pipe, process

@@ -16,7 +16,7 @@ from tests.faults.command import end_all
 from tests.faults.material import Material, make_material
 from tests.faults.page import write_page
 
-SCALES = {"quick": 0.2, "full": 3.0}
+SCALES = {"quick": 0.2, "full": 5.0}
 ON_RUNS: dict[str, Callable[[Material], Sequence[Test | Result]]] = {
     "users": users.list_tests,
     "fresh": fresh.list_tests,
@@ -87,7 +87,7 @@ def parse(words: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--test", default="", help="only tests with this in their name")
     parser.add_argument("--number", type=int, help="only this try of each test, to see a failure again")
     parser.add_argument("--quick", action="store_true", help="a fifth of the tries")
-    parser.add_argument("--full", action="store_true", help="three times as many tries")
+    parser.add_argument("--full", action="store_true", help="five times as many tries")
     parser.add_argument("--out", type=Path, help="file for the table")
     return parser.parse_args(words)
 
