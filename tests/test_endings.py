@@ -120,6 +120,29 @@ def test_a_signal_that_is_swallowed_is_repeated(swallow: str) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "heard 15\n", "")
 
 
+WAITING = """
+import os, signal, sys, time
+sys.argv[0] = "deepgps"
+from deepgps import begin, signals
+
+signals.LIMIT_S = 0.5
+signals.stop_at_signals()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(1)
+finally:
+    {said}
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("said", "line"), [("pass", "terminated\n"), ("signals.ignore_signals()", "")])
+def test_clearing_up_that_never_ends_is_ended(said: str, line: str) -> None:
+    command = [sys.executable, "-c", WAITING.format(said=said)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+    assert (done.returncode, done.stderr) == (143, line)
+
+
 READERS = [
     (["--help"], ">&-", 0),
     (["--help"], "| true", 0),
