@@ -116,13 +116,17 @@ class Pace:
     slip: float
 
     def fits(self, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Which gaps (n, 2) [ticks] can be, that take so many seconds (n,) and lie on a segment or not (n,)."""
+        """Which gaps (n, 2) [ticks] can be, that take so many seconds (n,) and lie on a segment or not (n,).
+
+        On a segment the robot drives straight on: no wheel turns back there, and never one against the other.
+        """
         speed, turn = np.where(inside, self.inside, self.between), np.where(inside, 0.0, self.turn)
         far = (FASTER * speed * seconds + turn)[:, None]
         noise = DEVIATIONS * (self.gap_noise * far + self.slip * np.sqrt(far)) + ROUNDING
         one_way = inside[:, None] & (self.forward != 0)
         ahead = gap.astype(float) * np.where(self.forward == 0, 1, self.forward)
-        return (ahead <= far + noise) & (ahead >= np.where(one_way, 0.0, -far) - noise)
+        turned = (inside & (np.abs(gap) > noise).all(axis=1) & (np.sign(gap).prod(axis=1) < 0))[:, None]
+        return (ahead <= far + noise) & (ahead >= np.where(one_way, 0.0, -far) - noise) & ~turned
 
     def is_straight(self, gap: np.ndarray, seconds: np.ndarray) -> np.ndarray:
         """Whether the wheels go together in gaps (n, 2) [ticks]: both at about the same share of their usual speeds."""

@@ -34,6 +34,8 @@ class Cost(NamedTuple):
     elements: int = 0
     bodies: int = 0
     geoms: int = 0
+    lights: int = 0
+    cameras: int = 0
     copies: int = 0
     texture_bytes: int = 0
     cells: int = 0
@@ -50,6 +52,8 @@ MOST = Cost(
     elements=200_000,
     bodies=8_000,
     geoms=20_000,
+    lights=1_000,
+    cameras=1_000,
     copies=10_000,
     texture_bytes=2_000_000_000,
     cells=16_000_000,
@@ -57,7 +61,7 @@ MOST = Cost(
 )
 """Times that MuJoCo takes grow with the square of bodies and copies: two seconds at these."""
 _NAMES = (
-    *("elements", "bodies", "geoms", "copies by replicate, composite and attach"),
+    *("elements", "bodies", "geoms", "lights", "cameras", "copies by replicate, composite and attach"),
     *("bytes of textures", "cells of terrain", "triangles"),
 )
 
@@ -109,7 +113,8 @@ class _Scales:
         return cost
 
     def _weigh_one(self, element: ET.Element, document: Document) -> Cost:
-        cost = Cost(elements=1, bodies=element.tag in {"body", "composite"}, geoms=element.tag == "geom")
+        tag = element.tag
+        cost = Cost(1, tag in {"body", "composite"}, tag == "geom", tag == "light", tag == "camera")
         if element.tag == "texture":
             cost = cost._replace(texture_bytes=self._weigh_texture(element))
         elif element.tag == "hfield":

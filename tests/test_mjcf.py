@@ -246,6 +246,8 @@ TEXTURE = '<asset><texture name="t" type="2d" file="a.png"/></asset>'
         ("<body>" * 200 + "</body>" * 200, "", "more than 100 elements, one in the other"),
         ("<body/>" * 8001, "", "more than 8000 bodies"),
         (GEOM * 20_001, "", "more than 20000 geoms"),
+        ("<light/>" * 1_001, "", "more than 1000 lights"),
+        ('<replicate count="1001"><camera/></replicate>', "", "more than 1000 cameras"),
         ("<a/>" * 100_001, "", "more than 100000 elements"),
         ('<geom size="1" pos="nan 0 0"/>', "", "geom pos nan: a number must lie between"),
         ('<geom size="1" pos="0 -inf 0"/>', "", "geom pos -inf: a number must lie between"),

@@ -253,3 +253,15 @@ def test_the_sentence_counts_all_that_was_done():
         "the counters of the wheels wrap around at 1 gaps, which are unwrapped."
     )
     assert describe_readings({}) is None
+
+
+@pytest.mark.parametrize("ends_only", [False, True])
+def test_turns_in_the_middle_of_a_segment_are_noticed(ends_only: bool):
+    """Where all readings claim one segment, the wheels turn against each other on it, however few readings it has."""
+    change = np.diff(READING[:, 0]) != 0
+    chosen = np.append(True, change) | np.append(change, True) | (not ends_only)
+    reading = READING[chosen] * np.array([0, 1, 1, 1])
+    try:
+        assert check(reading, TIME[chosen]).counts["breaks"] > 0
+    except InputError as error:
+        assert "jump" in str(error)
