@@ -24,12 +24,12 @@ from deepgps.cli_arguments import (
     parse_scenario,
     parse_seeds,
 )
-from deepgps.faults import explain, working_in
-from deepgps.outlets import flush_streams
+from deepgps.command.failures import explain, working_in
+from deepgps.command.signals import ignore_signals, stop_at_signals
+from deepgps.command.streams import flush_streams
+from deepgps.command.terminal import console, errors, print_error, show_warnings, warn_plainly
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
-from deepgps.signals import ignore_signals, stop_at_signals
-from deepgps.terminal import console, errors, print_error, show_warnings, warn_plainly
 from sim.errors import InputError, WorkError
 from sim.files import check_overwrite
 from sim.paths import STUDIES
@@ -40,7 +40,7 @@ if IS_WORKER:
 
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive, see, learn, measure, show."""
-    from deepgps.report import print_report
+    from deepgps.figures.run_report import print_report
     from deepgps.run import list_undriven, run
     from deepgps.run_folder import default_folder, find_place
 
@@ -62,7 +62,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and what it needs."""
 
     def command(words: Sequence[str]) -> None:
-        from deepgps.report import describe_left_out
+        from deepgps.figures.run_report import describe_left_out
         from deepgps.run import STAGES, ask_for_device, list_undriven
         from deepgps.run_folder import claim, default_folder, find_place
 
@@ -101,8 +101,8 @@ def study_command(words: Sequence[str]) -> None:
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than to tell what is wrong in a study.
-    from deepgps.studies.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
-    from deepgps.studies.report import check_publish, publish, report_study
+    from deepgps.studies.engine.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
+    from deepgps.studies.reports.report import check_publish, publish, report_study
 
     folder = arguments.out or default_folder(study)
     _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
@@ -120,7 +120,7 @@ def study_command(words: Sequence[str]) -> None:
             publish(place, arguments.publish / study.name)
             console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
         if len(failures) < len(plans):
-            from deepgps.viewer.study import write_study
+            from deepgps.viewer.study.study import write_study
 
             write_study(place)
         if failures:
@@ -139,9 +139,9 @@ def view_command(words: Sequence[str]) -> None:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
     if arguments.port is not None and not arguments.web:
         raise InputError("--port needs --web")
-    from deepgps.viewer.show import view
-    from deepgps.viewer.study_read import is_study
-    from deepgps.viewer.web import choose_ports, serve
+    from deepgps.viewer.study.read import is_study
+    from deepgps.viewer.window.show import view
+    from deepgps.viewer.window.web import choose_ports, serve
 
     for folder in folders:
         if len(folders) == 2 or not is_study(folder):
@@ -157,7 +157,7 @@ def rooms_command(words: Sequence[str]) -> None:
     arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
     kinds, seeds = parse_kinds(arguments.kinds), parse_seeds(arguments.seeds)
     _choose_renderer()
-    from sim.gallery import draw_gallery, is_gallery
+    from sim.tools.gallery import draw_gallery, is_gallery
 
     check_overwrite(arguments.out, is_gallery)
     with show_progress(errors) as progress:
@@ -169,9 +169,9 @@ def bench_command(words: Sequence[str]) -> None:
     """Measure speed, latency, memory and steadiness beside the naive ways and their targets; up to fifteen minutes."""
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
     _choose_renderer()
-    from deepgps.bench import choose_size, run_bench
-    from deepgps.bench_rows import find_before, is_bench, list_notes, tabulate
-    from sim.bench import draw_poses, measure_rendering
+    from deepgps.bench.bench import choose_size, run_bench
+    from deepgps.bench.rows import find_before, is_bench, list_notes, tabulate
+    from sim.tools.render_bench import draw_poses, measure_rendering
 
     check_overwrite(arguments.out, is_bench)
     before = find_before(arguments.against)
@@ -186,8 +186,8 @@ def bench_command(words: Sequence[str]) -> None:
 def doctor_command(words: Sequence[str]) -> None:
     """Check this machine: renderer, packages, processor, device, and the cure for what is missing."""
     parse(NoArguments, "doctor", words, doctor_command.__doc__)
-    from deepgps.train import describe_device
-    from sim.doctor import diagnose
+    from deepgps.learning.trainer import describe_device
+    from sim.tools.doctor import diagnose
 
     findings = diagnose()
     for finding in findings:
@@ -269,7 +269,7 @@ def _watch(
         return nullcontext(progress)
     # Read when rerun is imported: it raises what it would log, and a viewer that goes away is one line.
     os.environ.setdefault("RUST_LOG", "off")
-    from deepgps.viewer.live import show_live
+    from deepgps.viewer.live.live import show_live
 
     return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))
 
@@ -284,7 +284,7 @@ def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
 
 
 def _choose_renderer() -> None:
-    from sim.gl import choose_backend
+    from sim.sensors.gl import choose_backend
 
     choose_backend()
 

@@ -16,7 +16,7 @@ from deepgps.scenario import Scenario
 from sim.errors import DamagedError
 from sim.files import is_intact, read_arrays, read_json, write_json
 from sim.processes import usable_cores
-from sim.records import is_whole, read_manifest
+from sim.recording.format import is_whole, read_manifest
 from sim.settings import WorldName
 
 log = logging.getLogger(__name__)
@@ -52,7 +52,7 @@ def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenari
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
     """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
     if scenario.learn.train.device.startswith("cuda") and not is_whole(folder / "recording"):
-        from deepgps.train import choose_device
+        from deepgps.learning.trainer import choose_device
 
         choose_device(scenario.learn.train.device)
 
@@ -71,9 +71,9 @@ def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Train each method that does not stand yet."""
-    from deepgps.methods import METHODS
-    from deepgps.positioner import is_finished
-    from sim.records import open_recording
+    from deepgps.methods.catalog import METHODS
+    from deepgps.methods.positioner import is_finished
+    from sim.recording.format import open_recording
 
     recording = open_recording(folder / "recording")
     seed = training_seed(scenario)
@@ -89,7 +89,7 @@ def training_seed(scenario: Scenario) -> int:
 
 def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
     """Measure all methods; write ``metrics.json`` and ``error_field.npz``."""
-    from deepgps.evaluate import evaluate as measure
+    from deepgps.evaluation.evaluate import evaluate as measure
 
     if metrics := read_measured(folder):
         return metrics
@@ -105,8 +105,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
 
 def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
-    from deepgps.figures import draw_figures
-    from deepgps.viewer.recording import write_recording
+    from deepgps.figures.run_figures import draw_figures
+    from deepgps.viewer.run.recording import write_recording
 
     path = folder / "recording.rrd"
     if not is_intact(path):
@@ -198,19 +198,19 @@ def _cpu_name() -> str:
 
 
 def _record_room(scenario: Scenario, folder: Path, progress: Report) -> None:
-    from sim.collect import collect as collect_room
+    from sim.recording.collect import collect as collect_room
 
     collect_room(scenario.sim, scenario.seed, folder, progress)
 
 
 def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> None:
-    from sim.landmarks import collect as collect_landmarks
+    from sim.planar.landmarks import collect as collect_landmarks
 
     collect_landmarks(scenario.sim, scenario.seed, folder, progress)
 
 
 def _record_lidar(scenario: Scenario, folder: Path, progress: Report) -> None:
-    from sim.lidar_map import collect as collect_lidar
+    from sim.planar.obstacles import collect as collect_lidar
 
     collect_lidar(scenario.sim, scenario.seed, folder, progress)
 

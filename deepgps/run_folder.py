@@ -10,7 +10,7 @@ from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, h
 from deepgps.scenario import MethodName, Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
-from sim.records import COLLECTING, RECORDING, is_whole
+from sim.recording.format import COLLECTING, RECORDING, is_whole
 
 _METHODS = "|".join(get_args(MethodName))
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"

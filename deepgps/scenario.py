@@ -15,7 +15,7 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
-from sim.records import SCHEMA
+from sim.recording.format import SCHEMA
 from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 

@@ -1,21 +1,21 @@
 """The room as a ``dm_env.Environment``: wheel speeds in; polar image, encoder ticks and ranges out.
 
 It runs on dm_control's ``Physics`` over the compiled room, so dm_control's tools (named access, cameras, its viewer)
-see the same state. There is no task: the reward is always zero. Call ``sim.gl.choose_backend`` before this module is
-imported.
+see the same state. There is no task: the reward is always zero. Call ``sim.sensors.gl.choose_backend`` before this
+module is imported.
 """
 
 import mujoco
 import numpy as np
 
-from sim.encoder import count_ticks, scale_wheels
 from sim.errors import InputError, WorkError
-from sim.gl import choose_backend
-from sim.ranges import REACH_M
-from sim.render import Fisheye
-from sim.robot import PREFIX, WHEELS
+from sim.robot.model import PREFIX, WHEELS
+from sim.robot.range_finder import REACH_M
+from sim.robot.world import RoomWorld
+from sim.sensors.encoder import count_ticks, scale_wheels
+from sim.sensors.fisheye import Fisheye
+from sim.sensors.gl import choose_backend
 from sim.settings import NO_FAULTS, SimSettings
-from sim.world import RoomWorld
 
 try:
     import dm_env

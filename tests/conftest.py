@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.gl import choose_backend
+from sim.sensors.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 
 choose_backend()
@@ -27,7 +27,7 @@ def small_settings() -> SimSettings:
 @pytest.fixture(scope="session")
 def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording of a small room, driven and rendered for real by one worker."""
-    from sim.collect import collect
+    from sim.recording.collect import collect
 
     folder = tmp_path_factory.mktemp("small") / "recording"
     collect(SMALL, 0, folder, lambda *_: None, workers=1)

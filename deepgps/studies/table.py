@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deepgps.report import read_metrics
+from deepgps.figures.run_report import read_metrics
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from sim.files import drop_sum, write_bytes, write_sum

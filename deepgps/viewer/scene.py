@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps import playback
-from deepgps.error_field import SCALE_M, TICKS_M, WorstField, colours_of, limits
-from sim.records import FreeSpace
+from deepgps.figures.field_plot import SCALE_M, TICKS_M, WorstField, colours_of, limits
+from deepgps.viewer import playback
+from sim.recording.format import FreeSpace
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import rerun as rr
 
-from sim.records import Recording
+from sim.recording.format import Recording
 
 DRIVE_TIME, STEP, PROGRESS = "drive_time", "step", "progress"
 PROGRESS_END = 10_000

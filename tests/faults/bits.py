@@ -15,7 +15,7 @@ import hashlib, sys
 from pathlib import Path
 from deepgps.run_folder import open_run
 from deepgps.viewer.read import read_error_table
-from deepgps.viewer.show import find_shown
+from deepgps.viewer.window.show import find_shown
 from sim.errors import InputError, WorkError
 try:
     open_run(Path(sys.argv[1]))

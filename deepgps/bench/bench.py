@@ -1,0 +1,225 @@
+"""The bench: what is promised about speed, latency, memory and steadiness, measured anew beside the naive ways."""
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepgps.bench.from_studies import read_studies
+from deepgps.bench.memory import measure_memory
+from deepgps.bench.paper import measure_paper
+from deepgps.bench.rows import KEPT, Row, write_bench
+from deepgps.bench.speed import measure_speed, measure_spread
+from deepgps.evaluation.evaluate import evaluate
+from deepgps.methods.positioner import NetworkPositioner, load_positioner
+from deepgps.progress import Report, ignore
+from deepgps.run import collect, describe_environment, stage_times, train
+from deepgps.scenario import Scenario, load_scenario
+from sim.errors import InputError, WorkError
+from sim.files import read_arrays, read_json
+from sim.recording.format import open_recording
+from sim.settings import GridSettings, SimSettings
+
+DrawPoses = Callable[[SimSettings, np.ndarray], tuple[np.ndarray, float]]
+MeasureRendering = Callable[[SimSettings, np.ndarray, int], dict[str, float]]
+
+
+DRAWN = 8  # poses by which ways of drawing are compared, at most
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is measured.
+
+    Attributes:
+        scenario: What the demo runs.
+        quick: The scenario of the quick schedule, on the demo's recording.
+        settings: Settings by dotted name, for both.
+        places: Where predictions are compared over headings.
+        headings: How many.
+        repeats: How often what is timed is repeated; medians count.
+        long: Observations of the long recording.
+        steps: Of each training on it.
+        paper_steps: Of the paper's recipe.
+    """
+
+    scenario: str
+    quick: str
+    settings: Mapping[str, Any]
+    places: int
+    headings: int
+    repeats: int
+    long: int
+    steps: int
+    paper_steps: int
+
+
+FULL = Size("living_room", "quick", {}, places=60, headings=64, repeats=9, long=1_000_000, steps=200, paper_steps=40)
+TINY_SETTINGS = {
+    "camera.rings": 8,
+    "camera.sectors": 32,
+    "camera.face_px": 16,
+    "drive.samples": 120,
+    "grid.spacing_m": 0.5,
+    "learn.train.steps": 60,
+}
+TINY = Size("tiny", "tiny", TINY_SETTINGS, places=3, headings=4, repeats=2, long=500, steps=20, paper_steps=2)
+
+
+def choose_size(tiny: bool, memory_samples: int | None) -> Size:
+    """The size asked for; raises InputError where the long recording would be shorter than the demo's."""
+    size = TINY if tiny else FULL
+    if memory_samples is None:
+        return size
+    least = load_scenario(size.scenario, size.settings).drive.samples
+    if memory_samples < least:
+        raise InputError(f"--memory-samples {memory_samples}: at least {least}, as many as the recording it repeats")
+    return replace(size, long=memory_samples)
+
+
+def run_bench(
+    size: Size, out: Path, keep: bool, draw_poses: DrawPoses, measure_rendering: MeasureRendering, progress: Report
+) -> list[Row]:
+    """Measure everything and write it.
+
+    Args:
+        size: How much.
+        out: The file to write.
+        keep: Whether rows have verdicts and a copy is kept, for later benches to be compared with.
+        draw_poses, measure_rendering: As for ``measure``.
+        progress: Told how far it is.
+    """
+    started, load = time.strftime("%Y-%m-%dT%H%M"), os.getloadavg()[0]  # before its own
+    KEPT.mkdir(parents=True, exist_ok=True)
+    begun = time.perf_counter()
+    with tempfile.TemporaryDirectory(dir=KEPT, prefix="work-") as work:  # not in /tmp, which may lie in memory
+        rows, environment = measure(size, Path(work), draw_poses, measure_rendering, progress)
+    if not keep:  # so small a bench meets no target and misses none
+        rows = [replace(row, target=None) for row in rows]
+    head = {"date": started, "took_s": round(time.perf_counter() - begun, 1), "load": load, **environment}
+    write_bench(out, rows, head)
+    if keep:
+        write_bench(KEPT / f"{started}-{environment['git']}.json", rows, head)
+    return rows
+
+
+def measure(
+    size: Size, folder: Path, draw_poses: DrawPoses, measure_rendering: MeasureRendering, progress: Report
+) -> tuple[list[Row], dict[str, Any]]:
+    """Measure everything.
+
+    Args:
+        size: How much.
+        folder: An empty folder to work in.
+        draw_poses: What the robot sees at poses (n, 3), and images a second.
+        measure_rendering: Seconds of an observation by each way of drawing it.
+        progress: Told how far it is.
+
+    Returns:
+        The rows, and what they were measured with.
+    """
+    scenario = load_scenario(size.scenario, size.settings)
+    demo = folder / "demo"
+    parts: list[Callable[[], list[Row]]] = [
+        lambda: measure_demo(size, folder),
+        lambda: measure_quick(size, demo, folder / "quick", progress),
+        lambda: measure_pictures(scenario, size, demo, draw_poses, measure_rendering),
+        lambda: measure_positions(demo, size),
+        lambda: measure_paper(
+            load_scenario("paper", size.settings), demo, size.paper_steps, folder / "paper", progress
+        ),
+        lambda: measure_memory(demo / "recording", scenario.learn, size.long, size.steps, min(size.repeats, 3), folder),
+        read_studies,
+    ]
+    rows = []
+    for number, part in enumerate(parts):
+        progress("bench", number, len(parts))
+        rows += part()
+    progress("bench", len(parts), len(parts))
+    return rows, describe_environment(demo)
+
+
+def measure_demo(size: Size, folder: Path) -> list[Row]:
+    """The whole demo as a user starts it, its training, and the collecting of its samples without the test grid."""
+    scenario = load_scenario(size.scenario, size.settings)
+    words = [word for name, value in size.settings.items() for word in (f"--{name}", str(value))]
+    command = [sys.executable, "-m", "deepgps.cli", "run", size.scenario, "--out", str(folder / "demo"), *words]
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    demo_s = time.perf_counter() - start
+    if done.returncode != 0:
+        raise WorkError(f"deepgps run {size.scenario}: {done.stderr.strip()[-300:]}")
+    (folder / "samples").mkdir()
+    grid = GridSettings(spacing_m=1.0, headings=1)
+    collect(scenario.model_copy(update={"grid": grid}), folder / "samples", ignore)
+    collect_s = stage_times(folder / "samples")["collect"]
+    times = read_json(folder / "demo" / "timing.json")
+    training = read_json(folder / "demo" / "deepgps" / "training.json")
+    grid_s = f"physics, pictures, writing; the demo's test grid takes {times['collect'] - collect_s:.0f} s more"
+    tries = f"features and {training['attempts']} training of {training['steps']} steps; naive: PoseNet"
+    samples = f"{scenario.drive.samples:,} samples"
+    return [
+        Row("train", f"training on {samples}", times["train deepgps"], "s", 90.0, False, times["train posenet"], tries),
+        Row("demo", "the whole demo", demo_s, "s", 240.0, note=", ".join(f"{n} {s:.0f} s" for n, s in times.items())),
+        Row("collect", f"collecting {samples}", collect_s, "s", 40.0, note=grid_s),
+    ]
+
+
+def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> list[Row]:
+    """The quick schedule on the demo's recording: its time with everything, and its error."""
+    scenario = load_scenario(size.quick, size.settings).model_copy(update={"methods": ("deepgps",)})
+    folder.mkdir()
+    (folder / "recording").symlink_to((demo / "recording").resolve())
+    train(scenario, folder, progress)
+    found = evaluate(folder, scenario)["methods"]["deepgps"]
+    seconds = read_json(folder / "timing.json")["train deepgps"]
+    rms = 100 * found["relative_rms"]
+    rival = 100 * read_json(demo / "metrics.json")["methods"]["posenet"]["relative_rms"]
+    note = f"of the shorter side: {100 * found['rms_m']:.1f} cm; {found['steps']} steps; naive: PoseNet, whole"
+    return [
+        Row("quick", "quick schedule", seconds, "s", 15.0, note="features, first map, training, search for folds"),
+        Row("quick_rms", "RMS of the quick schedule", rms, "%", 2.0, False, rival, note),
+    ]
+
+
+def measure_pictures(
+    scenario: Scenario, size: Size, demo: Path, draw_poses: DrawPoses, measure_rendering: MeasureRendering
+) -> list[Row]:
+    """Drawing, and how steady predictions are over really drawn headings."""
+    cell = read_arrays(demo / "error_field.npz")["truth"]
+    place = cell[np.linspace(0, len(cell) - 1, size.places).round().astype(int)]
+    yaw = np.arange(size.headings) * 2.0 * np.pi / size.headings
+    poses = np.concatenate([place.repeat(size.headings, axis=0), np.tile(yaw, len(place))[:, None]], axis=1)
+    images, rate = draw_poses(scenario.sim, poses)
+    images = images.reshape(len(place), size.headings, *images.shape[1:])
+    seen = f"{size.headings} headings at {len(place)} places; naive: PoseNet"
+    ours, rival = (measure_spread(load_positioner(demo / name), images) for name in ("deepgps", "posenet"))
+    some = poses[:: size.headings][:: -(-len(place) // DRAWN)]  # the slowest way takes half a second for each
+    seconds = measure_rendering(scenario.sim, some, min(size.repeats, 5))
+    faster, plain = seconds["faces"] / seconds["fisheye"], seconds["plain"] / seconds["fisheye"]
+    drawn = f"{seconds['geoms']:.0f} geoms; {1e3 * seconds['fisheye']:.2f} ms against {1e3 * seconds['faces']:.2f} ms"
+    shadows = f"with shadows: {1e3 * seconds['plain']:.0f} ms"
+    alone = "naive: five faces, one process"
+    return [
+        Row("spread", "spread over headings, RMS", 1e3 * ours[0], "mm", 5.0, False, 1e3 * rival[0], seen),
+        Row("spread_worst", "spread, worst heading", 1e3 * ours[1], "mm", naive=1e3 * rival[1], note=seen),
+        Row("render", "fisheye, times faster than 5 faces", faster, "", 3.0, True, 1.0, drawn),
+        Row("render_plain", "... than 5 faces by default", plain, "", naive=1.0, note=shadows),
+        Row("render_rate", "observations, 2 processes", rate, "/s", 400.0, True, 1.0 / seconds["faces"], alone),
+    ]
+
+
+def measure_positions(demo: Path, size: Size) -> list[Row]:
+    """Time of positions on the demo's images."""
+    positioner = load_positioner(demo / "deepgps")
+    if not isinstance(positioner, NetworkPositioner):
+        raise WorkError(f"{demo / 'deepgps'} holds no network")
+    images = np.array(open_recording(demo / "recording").observation[:2000])
+    return measure_speed(positioner, images, size.repeats)

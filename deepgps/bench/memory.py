@@ -1,0 +1,139 @@
+"""What a long recording costs in memory and time: one drive, repeated on disk as often as it takes."""
+
+import shutil
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.bench.rows import Row
+from deepgps.data.features import describe
+from deepgps.methods.catalog import METHODS
+from deepgps.progress import ignore
+from deepgps.settings import LearnSettings
+from sim.errors import WorkError
+from sim.files import read_json, write_array, write_json
+from sim.processes import WORKERS
+from sim.recording.format import Recording, open_recording
+
+LOOK_EVERY_S = 0.01
+SPARE_BYTES = 2_000_000_000  # of the disk: features and weights, and not to fill it
+
+
+@dataclass(frozen=True)
+class Training:
+    """A short training.
+
+    Attributes:
+        recording: Folder of the recording.
+        folder: Where it is trained; features made there are used again.
+        settings: How.
+    """
+
+    recording: Path
+    folder: Path
+    settings: LearnSettings
+
+
+def measure_memory(
+    source: Path, settings: LearnSettings, samples: int, steps: int, repeats: int, folder: Path
+) -> list[Row]:
+    """Peak of anonymous memory and time of a step with a long recording, beside those with the recording itself.
+
+    Args:
+        source: A recording.
+        settings: How it is learned.
+        samples: Observations of the long one; fewer where the disk has no room.
+        steps: Of each training.
+        repeats: How often both are trained for the time of a step; medians count.
+        folder: An empty folder, where the long recording is made.
+    """
+    recording = open_recording(source)
+    image_bytes = recording.observation[0].nbytes
+    room = (shutil.disk_usage(folder).free - SPARE_BYTES) // (image_bytes + 4 * settings.features.components)
+    count = int(min(samples, max(room, len(recording.observation))))
+    repeat_recording(recording, count, folder / "long")
+    train = settings.train.model_copy(update={"steps": steps})
+    once = settings.model_copy(update={"train": train, "fold": settings.fold.model_copy(update={"restarts": 0})})
+    trainings = {
+        "long": Training(folder / "long", folder / "train-long", once),
+        "short": Training(source, folder / "train-short", once),
+    }
+    peak = {name: measure_peak(training) for name, training in trainings.items()}
+    step = {name: [] for name in trainings}
+    for _ in range(repeats):
+        for name, training in trainings.items():
+            step[name].append(_time_step(training))
+    ms = {name: 1e3 * float(np.median(each)) for name, each in step.items()}
+    whole = len(describe(recording.observation[:1], settings.features.frequencies)[0]) * 4 * count / 1e9
+    short = f"; the disk had room for no more than {count:,}" if count < samples else ""
+    with_short = f"{len(recording.observation):,} samples: {peak['short'] / 1e9:.2f} GB; naive: all described at once"
+    title = f"training on {count:,} samples"
+    ratio = Row("step_ratio", f"{title}, a step", ms["long"] / ms["short"], "times", 1.2, note=f"{ms['long']:.1f} ms")
+    return [
+        Row("memory", f"{title}, anonymous memory", peak["long"] / 1e9, "GB", 2.0, False, whole, with_short + short),
+        ratio,
+    ]
+
+
+def repeat_recording(source: Recording, count: int, folder: Path) -> None:
+    """Write a recording of ``count`` observations: the drive again and again, each time as new segments.
+
+    It has what training reads, and neither a test grid nor truth.
+    """
+    folder.mkdir(parents=True)
+    images = source.observation
+    length = len(images)
+    copies = -(-count // length)
+    with (folder / "observation.npy").open("wb") as file:  # without a sync: it is thrown away
+        head = {"descr": images.dtype.str, "fortran_order": False, "shape": (count, *images.shape[1:])}
+        np.lib.format.write_array_header_1_0(file, head)
+        for number in range(copies):
+            np.ascontiguousarray(images[: count - number * length]).tofile(file)
+    first, last = source.reading[0], source.reading[-1]
+    shift = np.array([last[0] + 1, length, *(last - first)[2:]])
+    reading = np.concatenate([source.reading + number * shift for number in range(copies)])
+    longer_s = source.time[-1] - source.time[0] + 1.0
+    time_s = np.concatenate([source.time + number * longer_s for number in range(copies)])
+    kept = reading[:, 1] < count
+    write_array(folder / "reading.npy", reading[kept])
+    write_array(folder / "time.npy", time_s[kept])
+    write_array(folder / "test" / "observation.npy", np.zeros((0, 1, *images.shape[1:]), images.dtype))
+    write_json(folder / "manifest.json", {**source.manifest, "sha256": {}})  # nobody keeps it
+
+
+def measure_peak(training: Training) -> int:
+    """The most anonymous memory [bytes] that a process of its own needs for a training."""
+    process = WORKERS.Process(target=train_once, args=(training,))
+    process.start()
+    most = 0
+    while process.is_alive():
+        most = max(most, read_anonymous(process.pid))
+        time.sleep(LOOK_EVERY_S)
+    if process.exitcode != 0:
+        raise WorkError(f"the training on {training.recording} failed with code {process.exitcode}")
+    return most
+
+
+def train_once(training: Training) -> None:
+    """Train in the way of the method, from the recording on."""
+    METHODS["deepgps"](open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
+
+
+def read_anonymous(process: int | None) -> int:
+    """Anonymous memory of a process [bytes]; 0 once it is gone."""
+    try:
+        lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return sum(1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon:"))
+
+
+def _time_step(training: Training) -> float:
+    # From a random start: a step costs the same, and no first map is made for it.
+    folder = training.folder / "deepgps"
+    shutil.rmtree(folder, ignore_errors=True)
+    random = training.settings.model_copy(update={"start": "random"})
+    train_once(Training(training.recording, training.folder, random))
+    return read_json(folder / "training.json")["train_s"] / training.settings.train.steps

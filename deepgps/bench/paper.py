@@ -1,0 +1,53 @@
+"""The paper's own recipe beside ours: how long it would take here, and where it stands after about the same time."""
+
+from pathlib import Path
+
+from deepgps.bench.rows import Row
+from deepgps.evaluation.evaluate import measure_part
+from deepgps.methods.catalog import METHODS
+from deepgps.progress import Report
+from deepgps.scenario import Scenario
+from sim.files import read_json
+from sim.recording.format import open_recording
+
+EVERY = 4
+"""Of the test positions and training samples, which a ResNet on a processor takes minutes for, one in so many."""
+
+
+def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, progress: Report) -> list[Row]:
+    """Train the paper's recipe for a few steps on the demo's recording.
+
+    Args:
+        scenario: The recipe.
+        demo: The demo's run folder.
+        steps: How many; its schedule is shortened to them.
+        folder: Where it is trained.
+        progress: Told how far it is.
+    """
+    train = scenario.learn.train.model_copy(update={"steps": steps, "snapshots": 2, "device": "cpu"})
+    settings = scenario.learn.model_copy(update={"train": train})
+    METHODS["deepgps"](open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
+    took_s = read_json(folder / "deepgps" / "training.json")["train_s"]
+    ours = read_json(demo / "metrics.json")["methods"]["deepgps"]
+    found = measure_part(demo, folder / "deepgps", "deepgps", EVERY)
+    whole = scenario.learn.train.steps
+    schedule = f"{whole:,} steps of {1e3 * took_s / steps:.0f} ms; naive: what replaced it"
+    after = f"{steps} steps, {took_s:.0f} s (ours: {ours['train_s']:.0f} s); naive: what replaced it"
+    return [
+        Row(
+            "paper",
+            "the paper's recipe, whole",
+            took_s / steps * whole / 3600,
+            "h",
+            naive=ours["train_s"] / 3600,
+            note=schedule,
+        ),
+        Row(
+            "paper_rms",
+            "... after about our time, RMS",
+            100 * found["rms_m"],
+            "cm",
+            naive=100 * ours["rms_m"],
+            note=after,
+        ),
+    ]

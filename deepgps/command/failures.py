@@ -1,0 +1,121 @@
+"""What a command says, in one line, of an exception that ends it, and its exit code."""
+
+import errno
+import os
+import platform
+import shutil
+import signal
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from deepgps.command.signals import describe_signal, is_interrupt
+from sim.errors import InputError, WorkError, one_line
+
+FULL = (errno.ENOSPC, errno.EDQUOT, None)  # none: numpy tells how many bytes were written, and not why
+FAULT = "deepgps-fault-"
+"""How the name of a file with a traceback begins."""
+
+
+class Fault(Exception):
+    """What went wrong while a command worked in a folder is the cause of this exception.
+
+    Attributes:
+        folder: The folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.folder = folder
+
+
+@contextmanager
+def working_in(folder: Path) -> Iterator[None]:
+    """Raise ``Fault`` for every exception but InputError and WorkError, so that what is said of it names the folder."""
+    try:
+        yield
+    except (InputError, WorkError, Fault):
+        raise
+    except Exception as error:
+        raise Fault(folder) from error
+
+
+def explain(error: BaseException, words: Sequence[str], number: int | None = None) -> tuple[int, str, str]:
+    """What is said of the exception that ends a command.
+
+    Args:
+        error: The exception.
+        words: The command line.
+        number: The signal that came, if any: then all else follows from it, as what a package makes of the exception.
+
+    Returns:
+        The exit code; the kind of the line, and its text.
+    """
+    folder = None
+    if isinstance(error, Fault) and error.__cause__:
+        folder, error = error.folder, error.__cause__
+    if number or is_interrupt(error):
+        number = number or signal.SIGINT
+        return 128 + number, "", describe_signal(number, words)
+    if isinstance(error, InputError):
+        return 2, "error", one_line(error)
+    return 1, "failed", _describe(error, words, folder)
+
+
+def write_fault(error: BaseException, words: Sequence[str], folder: Path | None) -> Path | None:
+    """Write a new file with what is needed to find a fault, in the folder or else among the system's temporary files.
+
+    Returns:
+        The file; none: it could be written nowhere.
+    """
+    told = "".join(traceback.format_exception(error))
+    text = f"deepgps {_version()}, Python {platform.python_version()}, {platform.platform()}\n{list(words)}\n\n{told}"
+    for place in (folder, Path(tempfile.gettempdir())):
+        with suppress(OSError):
+            if place is not None and place.is_dir():
+                # a new file under a name that nothing has, and no link is followed
+                handle, path = tempfile.mkstemp(".txt", FAULT, place)
+                with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+                    file.write(text)
+                return Path(path)
+    return None
+
+
+def _describe(error: BaseException, words: Sequence[str], folder: Path | None) -> str:
+    if isinstance(error, WorkError):
+        return one_line(error)
+    if isinstance(error, OSError):
+        return _explain_file(error, folder)
+    if isinstance(error, MemoryError):
+        return f"the memory of this machine is not enough ({one_line(error)})"
+    return _report(error, words, folder)
+
+
+def _report(error: BaseException, words: Sequence[str], folder: Path | None) -> str:
+    what = f"{type(error).__name__}: {one_line(error)[:300]}"
+    path = write_fault(error, words, folder)
+    where = f"please report it with the file {path}, which holds the traceback" if path else "its traceback is lost"
+    if isinstance(error, RecursionError):
+        return f"something in the input is nested too deeply ({what}); if it is not, {where}"
+    if isinstance(error, UnicodeError):
+        return f"a name or a file holds text that cannot be read or written ({what}); if none does, {where}"
+    return f"{what}; this is a fault of deepgps {_version()}, {where}"
+
+
+def _explain_file(error: OSError, folder: Path | None) -> str:
+    path = error.filename or folder
+    text = one_line(error) if error.strerror is None else error.strerror
+    if error.errno in FULL and folder is not None:
+        with suppress(OSError):
+            text += f" ({shutil.disk_usage(folder).free / 1e6:.1f} MB free)"
+    return f"{os.fsdecode(path)}: {text}" if isinstance(path, str | bytes | Path) else text
+
+
+def _version() -> str:
+    try:
+        return version("deepgps")
+    except PackageNotFoundError:
+        return "of unknown version"

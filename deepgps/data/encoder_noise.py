@@ -1,0 +1,110 @@
+"""What encoders are expected to be wrong by: residuals are divided by it, and plots draw it as a line.
+
+The distance between two readings of a straight segment is the mean of two wheels' ways. Expected squared errors of it:
+
+- quantisation: each wheel's is the difference of two errors, uniform over a tick ``t``: t^2 / 6, their mean's t^2 / 12;
+- gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A); where readings were lost, a gap
+  is the sum of ``k`` and has (w g)^2 / k;
+- slip: each wheel's grows with the way ``c`` as s^2 c, their mean's as s^2 c / 2.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from deepgps.data.segments import Segments, find_runs, travel
+from sim.recording.format import Recording
+from sim.sensors.encoder import read_odometry, ticks_to_distance
+from sim.settings import EncoderSettings
+
+DOUBTED = 4.0
+"""Standard deviations by which two wheels may differ on a straight segment."""
+RESOLUTION_M = 0.003
+"""Errors of the network itself, beside which smaller ones of encoders do not matter, chosen in one room [m]."""
+
+
+def expect_errors(recording: Recording, segments: Segments) -> Segments:
+    """The segments with the errors that their distances are expected to have, and how far each is believed.
+
+    Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree. A segment on which they
+    do so by ``z`` standard deviations, more than ``DOUBTED``, is believed by (DOUBTED / z)^2.
+    """
+    odometry = read_odometry(recording.manifest)
+    gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
+    made_of = segments.index.diff(dim=1).clamp_min(1)
+    grown = (odometry.get("gap_noise", 0.0) * gap).square() / made_of + odometry.get("slip_per_m", 0.0) ** 2 * gap / 2.0
+    variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
+    tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
+    doubt = torch.from_numpy(measure_doubt(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
+    weight = (DOUBTED / doubt.clamp_min(DOUBTED)).square()
+    return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, weight=weight)
+
+
+def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
+    """RMS error that distances of whole segments should have with these faults [m]; ``segments`` with expected errors.
+
+    Beside the noise: a wheel's radius, wrong by e, makes all ways longer by e / 2, and an encoder that sticks takes
+    half of the way from that part of the segments.
+    """
+    last = (segments.count - 1)[:, None]
+    way = segments.distance.gather(1, last).double()
+    noise = _variance(segments).gather(1, last).double() + segments.rounding_m2
+    steady = (encoder.radius_error_left + encoder.radius_error_right) / 2.0 * way
+    # Ways are as measured: those of a stuck encoder are halved already.
+    halved = encoder.stuck / (1.0 - 0.75 * encoder.stuck) * (way / 2.0).square()
+    return float((noise + steady.square() + halved).mean().sqrt())
+
+
+def find_believed(segments: Segments) -> Segments:
+    """The segments without those that are believed by less than a half."""
+    return segments if segments.weight is None else segments.take((segments.weight >= 0.5).nonzero()[:, 0])
+
+
+def measure_doubt(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:
+    """By how many standard deviations the wheels disagree on each segment (L,), a steady ratio of theirs allowed.
+
+    Their difference has the variance t^2 / 3 + 2 s^2 c. A wheel that is larger than the other differs on all segments
+    in proportion to the way, which is taken off; and what is left on half of the segments counts as usual.
+    """
+    way = travel(recording.reading[:, 2:], recording.manifest)
+    ends = np.array([way[run[-1]] - way[run[0]] for run in find_runs(recording) if len(run) >= 2])
+    driven, apart = np.abs(ends.mean(axis=1)), ends[:, 1] - ends[:, 0]
+    apart -= np.median(apart / driven.clip(tick_m)) * driven
+    usual = 1.4826 * np.median(np.abs(apart))
+    return np.abs(apart) / np.sqrt(tick_m**2 / 3.0 + 2.0 * slip_per_m**2 * driven + usual**2)
+
+
+def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
+    """Which whole segments are wrong (L,) by more than ``DOUBTED`` expected deviations, their true errors (L,) [m]."""
+    expected = _variance(segments).gather(1, (segments.count - 1)[:, None])[:, 0].numpy() + segments.rounding_m2
+    return np.abs(error) > DOUBTED * np.sqrt(expected + RESOLUTION_M**2)
+
+
+def _variance(segments: Segments) -> torch.Tensor:
+    assert segments.variance is not None, "expect_errors comes first"
+    return segments.variance
+
+
+def trust_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
+    """What residuals of distances between all readings are multiplied by (S, m, m), from those of readings (S, m).
+
+    1 / sqrt(1 + v / r^2), ``v`` the expected squared error and ``r`` the network's own: 1 where encoders are perfect.
+    """
+    between = (variance[:, :, None] - variance[:, None]).abs() + rounding_m2
+    return (1.0 + between / RESOLUTION_M**2).rsqrt()
+
+
+def trust_places(variance: torch.Tensor, valid: torch.Tensor, rounding_m2: float) -> torch.Tensor:
+    """The same of residuals along the line, of readings from the mean of their segment (S, m).
+
+    Errors that add up have the covariance min(v_i, v_j), so that from the mean of n there are left
+    v_i - 2 mean_j min(v_i, v_j) + mean_jk min(v_j, v_k); of rounding, whose pairs have ``q``, q (1 - 1/n) / 2.
+    """
+    weight = valid.to(variance.dtype)
+    share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)
+    common = torch.minimum(variance[:, :, None], variance[:, None])
+    mean = (common * share[:, None]).sum(dim=2)
+    left = variance - 2.0 * mean + (mean * share).sum(dim=1, keepdim=True)
+    rounding = rounding_m2 / 2.0 * (1.0 - share.amax(dim=1, keepdim=True))
+    return (1.0 + (left.clamp_min(0.0) + rounding) / RESOLUTION_M**2).rsqrt()

@@ -1,0 +1,307 @@
+"""Spectral features of polar images: they do not change when the robot turns, and change slowly as it drives.
+
+Turning shifts a polar image along its sectors, which multiplies every ring's Fourier coefficient of frequency f by the
+phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a
+ring's coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
+
+A lidar's scan is drawn as a polar image first: each ray fills the rings that it passes, so that a ring tells in which
+directions there is room at its distance.
+
+Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that
+vary much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
+aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
+"""
+
+import hashlib
+import logging
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+
+from deepgps.data.segments import Segments, spread
+from deepgps.settings import FeatureSettings
+from sim.errors import DamagedError, InputError
+from sim.files import check_sha256, read_json, write_bytes, write_json
+
+log = logging.getLogger(__name__)
+CHUNK = 64  # what a processor's cache holds
+LARGEST = 1e9
+"""Numbers beyond this are no observations; their squares would leave the range of float32."""
+ALIKE = 1e-6
+"""Part of their size by which descriptions must differ in all: less is the rounding of float32."""
+TABLE, KEY = "features.safetensors", "features.key"
+
+
+@dataclass(frozen=True)
+class Features:
+    """Projection of descriptions, fitted on training observations.
+
+    Attributes:
+        shape: Shape of one observation.
+        frequencies: Highest frequency kept around the circle; unused for vectors.
+        mean: Mean of the descriptions (K,).
+        basis: Projection (K, components).
+        edges: Where the rings of a scan begin and end (rings + 1,) [m]; none: observations are no scans.
+    """
+
+    shape: tuple[int, ...]
+    frequencies: int
+    mean: torch.Tensor
+    basis: torch.Tensor
+    edges: torch.Tensor | None = None
+
+    def apply(self, observation: np.ndarray, heading: int = 0) -> torch.Tensor:
+        """Features (N, components) float32 of observations.
+
+        Args:
+            observation: (N, rings, sectors, 3) uint8, (N, headings, rays) float or (N, M) float.
+            heading: Which heading of scans is taken.
+        """
+        check_shape(observation, self.shape)
+        found = torch.empty((len(observation), self.basis.shape[1]))
+        for start in range(0, len(observation), CHUNK):
+            described = describe(observation[start : start + CHUNK], self.frequencies, self.edges, heading)
+            torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
+        return found
+
+
+def check_observations(observation: np.ndarray, name: str = "observation.npy") -> None:
+    """Raise InputError where observations cannot be learned from: not numbers, not finite, or far too large."""
+    if observation.dtype.kind not in "uif":
+        raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
+    if observation.dtype.kind != "f":
+        return
+    wrong = 0
+    for start in range(0, len(observation), CHUNK):
+        part = np.asarray(observation[start : start + CHUNK])
+        able = np.abs(part) <= LARGEST  # NaN is not
+        wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
+    if wrong:
+        raise InputError(
+            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
+        )
+
+
+def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
+    """Raise InputError where observations are not of the shape trained on."""
+    if tuple(observation.shape[1:]) != shape:
+        raise InputError(f"observations of shape {tuple(observation.shape[1:])}, but trained on shape {shape}")
+
+
+def describe(
+    observation: np.ndarray, frequencies: int, edges: torch.Tensor | None = None, heading: int = 0
+) -> torch.Tensor:
+    """Heading-invariant description of each observation; vectors are taken as they are.
+
+    Args:
+        observation: Polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays) or vectors (N, M).
+        frequencies: Highest frequency kept.
+        edges: Where the rings that scans are drawn as begin and end (rings + 1,) [m].
+        heading: Which heading of scans is taken.
+
+    Returns:
+        float32 (N, K).
+
+    Raises:
+        InputError: for any other shape.
+    """
+    array = np.asarray(observation)
+    if array.ndim == 2:
+        return torch.from_numpy(array.astype(np.float32))
+    if array.ndim == 3 and edges is not None:
+        image = draw_rings(torch.from_numpy(np.ascontiguousarray(array[:, heading])), edges)[:, :, None]
+    elif array.ndim == 4:
+        image = torch.from_numpy(np.ascontiguousarray(array.transpose(0, 1, 3, 2))).float()
+    else:
+        raise InputError(
+            f"observations must be (N, rings, sectors, colours), (N, headings, rays) or (N, M), not {array.shape}"
+        )
+    count, rings, colours, sectors = image.shape
+    wave = _waves(sectors, min(frequencies, sectors // 2))
+    real, imaginary = (image.view(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
+    size = (real.square() + imaginary.square()).sqrt_()
+    a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
+    # A product's amplitude to the power 1/4 is of the size of a magnitude's square root; its phase is kept. The small
+    # number keeps the phase of an empty pair from being noise.
+    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(1e-8).sqrt_()
+    shrink = (half * half.sqrt()).reciprocal_()
+    described = torch.empty((count, size[0].numel() + 2 * shrink[0].numel()))
+    magnitude, product = described.split([size[0].numel(), 2 * shrink[0].numel()], dim=1)
+    torch.sqrt(size.flatten(1), out=magnitude)
+    product = product.view(*shrink.shape, 2)
+    torch.mul(a * c + b * d, shrink, out=product[..., 0])
+    torch.mul(b * c - a * d, shrink, out=product[..., 1])
+    return described
+
+
+def draw_rings(scan: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
+    """Scans (N, rays) [m] as rings (N, rings, rays) between 0 and 255: how much of a ring each ray passes.
+
+    Between ``edges`` the rings lose nothing: their sum, each times its width, is the distance.
+    """
+    low, width = edges[:-1, None], edges.diff()[:, None]
+    return ((scan[:, None] - low) / width).clamp_(0.0, 1.0).mul_(255.0)
+
+
+def find_edges(observation: np.ndarray, rings: int) -> torch.Tensor | None:
+    """Edges of rings that scans (N, headings, rays) [m] fill equally often (rings + 1,) [m]; none for no scans."""
+    if observation.ndim != 3:
+        return None
+    some = np.asarray(observation[:: max(1, len(observation) // 2000), 0], float)
+    edges = np.quantile(some, np.linspace(0.0, 1.0, rings + 1))
+    # where the reach ends, many distances are the same
+    edges = np.maximum.accumulate(edges + 1e-4 * np.arange(rings + 1))
+    return torch.from_numpy(edges).float()
+
+
+def fit_features(
+    observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
+) -> tuple[Features, torch.Tensor]:
+    """Fit the projection on training observations, of a long recording on segments spread over it, and apply it to all.
+
+    Returns:
+        The projection and the observations' features (N, components); their mean square over those fitted on is 1.
+    """
+    sample, chosen = spread(segments, len(observation))
+    edges = find_edges(observation, settings.rings)
+    described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
+    mean = described.mean(dim=0)
+    described -= mean
+    _check_variety(described, mean)
+    basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
+    basis = basis @ _slow_axes(described @ basis, sample, settings.components)
+    projected = described @ basis
+    size = projected.square().mean().sqrt().clamp_min(1e-12)
+    fitted = Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size, edges)
+    return fitted, projected / size if len(chosen) == len(observation) else fitted.apply(observation)
+
+
+def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
+    """Features of vectors (N, M): each is moved by its mean, and all are scaled together to a mean square of 1.
+
+    Distances to landmarks change slowly along the drive, and not at all when the robot turns: nothing is to be chosen.
+
+    Returns:
+        The projection and the observations' features (N, M).
+    """
+    described = describe(observation, 0)
+    mean = described.mean(dim=0)
+    described -= mean
+    _check_variety(described, mean)
+    size = described.square().mean().sqrt().clamp_min(1e-12)
+    basis = torch.eye(described.shape[1]) / size
+    return Features(tuple(observation.shape[1:]), 0, mean, basis), described / size
+
+
+def cached_features(
+    folder: Path,
+    key: str,
+    observation: np.ndarray,
+    segments: Segments,
+    settings: FeatureSettings,
+    generator: torch.Generator,
+) -> tuple[Features, torch.Tensor]:
+    """As ``fit_features``, but taken from a folder where they were left undamaged with the same ``key``."""
+    found = _read_features(folder, key)
+    if found is None:
+        (folder / KEY).unlink(missing_ok=True)
+        fitted, features = fit_features(observation, segments, settings, generator)
+        found = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+        if fitted.edges is not None:
+            found["edges"] = fitted.edges
+        table = save(found)
+        write_bytes(folder / TABLE, table)
+        write_json(folder / KEY, {"key": key, "sha256": hashlib.sha256(table).hexdigest()})
+    shape = tuple(observation.shape[1:])
+    fitted = Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges"))
+    return fitted, found["features"]
+
+
+def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
+    """Features that were left in a folder with this key; none where there are others, or they are damaged."""
+    if not has_features(folder):
+        return None
+    try:
+        return load_file(folder / TABLE) if check_features(folder) == key else None
+    except (DamagedError, SafetensorError) as error:
+        log.warning("%s; the features are made again", error)
+        return None
+
+
+def check_features(folder: Path) -> str:
+    """The key of the features in a folder, which are compared with their checksum; raises DamagedError."""
+    stored = read_json(folder / KEY)
+    check_sha256(folder / TABLE, str(stored.get("sha256")))
+    return str(stored.get("key"))
+
+
+def has_features(folder: Path) -> bool:
+    """Whether a folder holds the whole of some features: the key is written last."""
+    return (folder / KEY).is_file() and (folder / TABLE).is_file()
+
+
+def _describe_all(
+    observation: np.ndarray, chosen: np.ndarray, frequencies: int, edges: torch.Tensor | None
+) -> torch.Tensor:
+    size = describe(observation[:1], frequencies, edges).shape[1]
+    described = torch.empty((len(chosen), size))
+    for start in range(0, len(chosen), CHUNK):
+        part = chosen[start : start + CHUNK]
+        described[start : start + CHUNK] = describe(observation[part], frequencies, edges)
+    return described
+
+
+def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
+    apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
+    if apart <= ALIKE * size:
+        raise InputError(f"observation.npy: all {len(centred)} observations look alike, so none tells where it was")
+
+
+@lru_cache(maxsize=8)
+def _waves(sectors: int, frequencies: int) -> torch.Tensor:
+    # Cosines, then sines, of each frequency (sectors, 2 frequencies + 2): of a few frequencies a product with these is
+    # faster than a Fourier transform. Its coefficients are means over the circle of an image between 0 and 1.
+    angle = 2.0 * np.pi / sectors * np.outer(np.arange(sectors), np.arange(frequencies + 1))
+    wave = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) / (255.0 * sectors)
+    return torch.from_numpy(wave.astype(np.float32))
+
+
+def _principal_axes(centred: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
+    # Randomised subspace iteration (Halko, Martinsson, Tropp 2011, algorithm 4.4).
+    width = min(count + 16, *centred.shape)
+    guess = torch.randn((centred.shape[1], width), generator=generator)
+    for _ in range(3):
+        guess, _ = torch.linalg.qr(centred.T @ (centred @ guess))
+    _, _, axes = torch.linalg.svd(centred @ guess, full_matrices=False)
+    return (guess @ axes.T)[:, :count]
+
+
+def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
+    x = x.double()
+    triple = segments.valid[:, 2:]
+    if triple.sum() < 2 * x.shape[1]:
+        # Too few readings in a row to tell slow from fast, as with two readings a segment.
+        return torch.eye(x.shape[1])[:, :count]
+    first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
+    bend = x[first] - 2.0 * x[middle] + x[last]
+    noise = bend.T @ bend / len(bend)
+    if not noise.any():
+        return torch.eye(x.shape[1])[:, :count].float()  # nothing bends, so nothing is slower than the rest
+    ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
+    ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
+    # Each axis has bends of size 1; a fourth root more keeps the slowest in front and damps what is nearly noise.
+    return (axes * ratio.clamp_min(1e-12) ** 0.25).flip(1)[:, :count].float()
+
+
+def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Solve ``a v = w b v`` for symmetric a and positive b: w ascending, and v as columns with ``v.T b v = 1``."""
+    lower = torch.linalg.cholesky(b)
+    inner = torch.linalg.solve_triangular(lower, a, upper=False)
+    inner = torch.linalg.solve_triangular(lower, inner.T, upper=False)
+    w, v = torch.linalg.eigh((inner + inner.T) / 2.0)
+    return w, torch.linalg.solve_triangular(lower.T, v, upper=True)

@@ -1,0 +1,21 @@
+"""What supervised methods learn from: a recording's own labels where it has any, else the simulator's truth."""
+
+import numpy as np
+import torch
+
+from sim.errors import InputError
+from sim.recording.format import Recording, open_labels, open_truth
+
+
+def read_places(recording: Recording) -> tuple[torch.Tensor, torch.Tensor]:
+    """Labelled observations (n,) and their positions (n, 2) float64 [m]; those without a label are left out.
+
+    Raises:
+        InputError: The recording has labels, but none of an observation.
+    """
+    labels = open_labels(recording.folder)
+    place = (open_truth(recording.folder).pose if labels is None else labels.pose)[:, :2]
+    known = np.flatnonzero(np.isfinite(place).all(axis=1))
+    if not len(known):
+        raise InputError(f"{recording.folder}: no observation has a label, so there is nothing to learn from")
+    return torch.from_numpy(known), torch.from_numpy(place[known].astype("float64"))

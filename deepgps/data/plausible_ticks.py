@@ -1,0 +1,241 @@
+"""Ticks that cannot be: every gap between two consecutive readings is judged by how fast the wheels usually turn.
+
+The usual speed is a median, which half of all gaps would have to be wrong to change. Encoders that are known to be
+noisy are given their noise.
+
+- A counter of 16 or 32 bits that wrapped around is unwrapped, each wheel for itself.
+- A few readings that lie off while those before and after them fit each other are left out ("jumps").
+- Where what follows never fits what came before, as after a counter was reset, the gap is left out ("breaks"): a
+  segment is divided there, and the path by dead reckoning goes on from the same place.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sim.errors import InputError
+from sim.sensors.encoder import ticks_to_distance
+
+FASTER = 2.0
+"""How many times the median speed a wheel may turn. The simulator's drives come to 1.2 times."""
+DEVIATIONS = 6.0
+"""Standard deviations of known noise that a gap may be off by."""
+ROUNDING = 3
+"""Ticks that a gap may be off by whatever its length."""
+TURNS = 1.0
+"""Full turns in place that a robot may make between two segments, whatever the time."""
+ONE_WAY = 0.9
+"""Share of the gaps on segments that must go one way before the other way counts as a fault."""
+SPIKE = 6
+"""Readings in a row, at most, that are left out because those around them fit each other."""
+WIDTHS = (16, 32)
+"""Bits of counters that wrap around."""
+APART = 0.1
+"""Share of their usual speeds by which the wheels may differ on a segment where a counter is unwrapped."""
+LARGEST = 2.0**63
+"""No difference of ticks is larger."""
+FASTEST_MPS = 30.0
+"""No robot that drives through a room is faster in the median [m/s]."""
+ENOUGH = 100
+"""Gaps in which one wheel turns and the other does not once, after which the other's counter is taken for dead."""
+MOST_WRONG = 0.1
+"""Share of the gaps that may be jumps and breaks; with more of them no gap is believed."""
+
+
+@dataclass(frozen=True)
+class CheckedTicks:
+    """Ticks that can be.
+
+    Attributes:
+        ticks: Cumulative ticks (K, 2) int64 of the readings kept, without wraps; breaks have no ticks.
+        jumped: Readings that are left out (n,) bool.
+        broken: Readings kept before which there is a break (K,) bool.
+        wrapped: Gaps at which a counter wrapped around.
+    """
+
+    ticks: np.ndarray
+    jumped: np.ndarray
+    broken: np.ndarray
+    wrapped: int
+
+
+def check_ticks(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, odometry: Mapping[str, Any]) -> CheckedTicks:
+    """Unwrap ticks, and find jumps and breaks.
+
+    Args:
+        ticks: Cumulative ticks (n, 2) int64, in the order driven; at least one.
+        time: Of each reading (n,) [s]; it rises.
+        segment: Of each reading (n,).
+        odometry: Constants of the manifest.
+
+    Raises:
+        InputError: A wheel's counter is dead, the wheels are faster than any robot, or too many gaps cannot be.
+    """
+    gap, seconds, inside = np.diff(ticks, axis=0), np.diff(time), np.diff(segment) == 0
+    pace = measure_pace(gap, seconds, inside, odometry)
+    _refuse_nonsense(gap[inside], pace, odometry)
+    whole = unwrap(ticks, gap, seconds, inside, pace)
+    wrapped = int((whole != gap).any(axis=1).sum())
+    if wrapped:
+        ticks = _add_up(ticks[0], whole)
+    jumped, broken = find_jumps(ticks, time, segment, pace)
+    if (wrong := int(jumped.sum() + broken.sum())) > max(1.0, MOST_WRONG * len(ticks)):
+        raise InputError(
+            f"reading.npy: at {wrong} of {len(ticks)} readings the ticks jump, so they are no counts of wheels"
+        )
+    ticks, broken = ticks[~jumped], broken[~jumped]
+    if broken.any():
+        gap = np.diff(ticks, axis=0)
+        gap[broken[1:]] = 0
+        ticks = _add_up(ticks[0], gap)
+    return CheckedTicks(ticks, jumped, broken, wrapped)
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How fast the wheels usually turn.
+
+    Attributes:
+        inside: Median speed on segments [ticks/s].
+        each: The same of each wheel (2,).
+        between: Median speed between segments, or that on them if it is higher [ticks/s].
+        forward: Which way each wheel turns on segments (2,): 1, -1, or 0 where it turns both ways.
+        turn: Way of a wheel in the turns that are allowed between segments [ticks].
+        gap_noise: Standard deviation of a gap, as a fraction of it.
+        slip: Standard deviation of a way [ticks] by the square root of the way [ticks].
+    """
+
+    inside: float
+    each: np.ndarray
+    between: float
+    forward: np.ndarray
+    turn: float
+    gap_noise: float
+    slip: float
+
+    def fits(self, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray) -> np.ndarray:
+        """Which gaps (n, 2) [ticks] can be, that take so many seconds (n,) and lie on a segment or not (n,).
+
+        On a segment the robot drives straight on: no wheel turns back there, and never one against the other.
+        """
+        speed, turn = np.where(inside, self.inside, self.between), np.where(inside, 0.0, self.turn)
+        far = (FASTER * speed * seconds + turn)[:, None]
+        noise = DEVIATIONS * (self.gap_noise * far + self.slip * np.sqrt(far)) + ROUNDING
+        one_way = inside[:, None] & (self.forward != 0)
+        ahead = gap.astype(float) * np.where(self.forward == 0, 1, self.forward)
+        turned = (inside & (np.abs(gap) > noise).all(axis=1) & (np.sign(gap).prod(axis=1) < 0))[:, None]
+        return (ahead <= far + noise) & (ahead >= np.where(one_way, 0.0, -far) - noise) & ~turned
+
+    def is_straight(self, gap: np.ndarray, seconds: np.ndarray) -> np.ndarray:
+        """Whether the wheels go together in gaps (n, 2) [ticks]: both at about the same share of their usual speeds."""
+        usual = self.each * seconds[:, None]
+        slipped = DEVIATIONS * self.slip * np.sqrt(usual) + ROUNDING
+        share = np.abs(gap) / usual
+        return np.abs(share[:, 0] - share[:, 1]) <= APART + (slipped / usual).sum(axis=1)
+
+
+def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odometry: Mapping[str, Any]) -> Pace:
+    """Pace of gaps (n, 2) [ticks] that take so many seconds (n,) and lie on a segment or not (n,)."""
+    speed = np.abs(gap.astype(float)) / seconds[:, None]
+    usual = _median(speed[inside], LARGEST)
+    tick_m = _measure_tick(odometry)
+    ahead, back = (((sign * gap[inside]) > 0).sum(axis=0) for sign in (1, -1))
+    most = ONE_WAY * (ahead + back)
+    return Pace(
+        inside=usual,
+        each=np.array([_median(speed[inside, wheel], usual) for wheel in range(2)]),
+        between=max(usual, _median(speed[~inside], 0.0)),
+        forward=(ahead > most).astype(int) - (back > most),
+        turn=TURNS * np.pi * odometry["track_m"] / tick_m,
+        gap_noise=odometry.get("gap_noise", 0.0),
+        slip=odometry.get("slip_per_m", 0.0) / np.sqrt(tick_m),
+    )
+
+
+def unwrap(ticks: np.ndarray, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, pace: Pace) -> np.ndarray:
+    """The gaps (n, 2) with those made whole at which a counter wrapped around.
+
+    A gap is taken for a wrap if it cannot be and fits once it is made whole. Of a counter that never leaves the range
+    of its width, a gap on a segment need only turn the other way than most; and if there is any such, then every gap
+    that is longer than half of that range is a wrap.
+    """
+    found = gap.copy()
+    most = np.sign(np.median(found[inside], axis=0)) if inside.any() else np.zeros(2)
+    for width in WIDTHS:
+        full = 1 << width
+        short = (found + full // 2) % full - full // 2
+        able = (np.abs(short.astype(float) - found) == full) & pace.fits(short, seconds, inside)
+        able &= (~inside | pace.is_straight(np.where(able, short, found), seconds))[:, None]
+        wrap = able & ~pace.fits(found, seconds, inside)
+        low, high = ticks.min(axis=0), ticks.max(axis=0)
+        within = ((low >= 0) & (high < full)) | ((low >= -full // 2) & (high < full // 2))
+        turns_back = inside[:, None] & (np.sign(found) * most < 0)
+        narrow = within & (wrap | (able & turns_back)).any(axis=0)
+        found = np.where(wrap | narrow, short, found)
+    return found
+
+
+def find_jumps(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, pace: Pace) -> tuple[np.ndarray, np.ndarray]:
+    """Which readings are left out (n,) bool, and before which there is a gap that cannot be (n,) bool.
+
+    Gaps that cannot be divide the readings into blocks. A few readings between two blocks that fit each other are left
+    out, and so is a single one at either end.
+    """
+
+    def fits(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        gap, seconds = ticks[second] - ticks[first], time[second] - time[first]
+        return np.asarray(pace.fits(gap, seconds, segment[first] == segment[second]).all(axis=1))
+
+    count = len(ticks)
+    jumped, broken, block = np.zeros(count, bool), np.zeros(count, bool), 0
+    cut = np.flatnonzero(~fits(np.arange(count - 1), np.arange(1, count)))
+    start, end = np.append(0, cut + 1), np.append(cut, count - 1)
+    while block < len(cut):
+        later = np.arange(block + 2, min(block + 2 + SPIKE, len(start)))
+        later = later[start[later] - end[block] - 1 <= SPIKE]
+        fitting = later[fits(np.full(len(later), end[block]), start[later])]
+        if len(fitting):
+            jumped[end[block] + 1 : start[fitting[0]]] = True
+            block = int(fitting[0])
+            continue
+        if end[block] == 0:
+            jumped[0] = True
+        elif start[block + 1] == count - 1:
+            jumped[-1] = True
+        else:
+            broken[start[block + 1]] = True
+        block += 1
+    return jumped, broken
+
+
+def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -> None:
+    turned = (gap != 0).sum(axis=0)
+    for name, own, other in (("left", *turned), ("right", *turned[::-1])):
+        if own == 0 and other >= ENOUGH:
+            raise InputError(
+                f"reading.npy: the {name} wheel never counts on a segment, while the other does {other} times"
+            )
+    speed_mps = pace.inside * _measure_tick(odometry)
+    if turned.any() and speed_mps > FASTEST_MPS:
+        raise InputError(
+            f"reading.npy, time.npy: the wheels drive {speed_mps:.3g} m/s in the median, and more than "
+            f"{FASTEST_MPS:g} m/s is not believed; ticks, times or the manifest's odometry are wrong"
+        )
+
+
+def _measure_tick(odometry: Mapping[str, Any]) -> float:
+    """Way of a wheel in one tick [m]."""
+    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
+
+
+def _median(speed: np.ndarray, otherwise: float) -> float:
+    """Median of the speeds of wheels that turned."""
+    turned = speed[speed > 0]
+    return float(np.median(turned)) if len(turned) else otherwise
+
+
+def _add_up(first: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """Cumulative ticks (n + 1, 2) from the first ones (2,) and the gaps (n, 2)."""
+    return first + np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(gap, axis=0)])

@@ -1,0 +1,271 @@
+"""Evaluation: every method on the test grid, or on test samples of the drive, against the simulator's truth.
+
+Where a recording has labels of its own, every method is measured against these too, as one has to where there is no
+simulator to ask (paper, Sec. IV-C).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from deepgps.alignment import AlignmentKind, fit_alignment
+from deepgps.data.features import check_observations
+from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.data.segments import dead_reckon
+from deepgps.evaluation.segment_errors import judge_encoders
+from deepgps.learning.trainer import use_threads
+from deepgps.methods.positioner import load_positioner, read_training
+from deepgps.scenario import MethodName, Scenario
+from sim.errors import InputError, WorkError
+from sim.files import write_arrays
+from sim.recording.format import Labels, Recording, Truth, open_labels, open_recording, open_truth
+
+# Distances cannot tell left from right, so their map may be mirrored; everything else knows.
+ALIGNMENT: dict[MethodName, AlignmentKind] = {
+    "deepgps": "E2",
+    "deepgps_aware": "E2",
+    "deepgps_turns": "SE2",
+    "posenet": "SE2",
+    "posenet_noisy": "SE2",
+    "odometry": "SE2",
+    "knn": "SE2",
+    "pca_knn": "SE2",
+    "explicit": "E2",
+    "explicit_mds": "E2",
+}
+SEEN_WITHIN_M = 0.25
+
+
+@dataclass(frozen=True)
+class ErrorField:
+    """One method's error over the room.
+
+    Attributes:
+        truth: Test positions (C, 2) [m].
+        heading: Test headings (H,) [rad], or of each position its own (C, H).
+        predicted: Aligned predictions (C, H, 2) [m].
+    """
+
+    truth: np.ndarray
+    heading: np.ndarray
+    predicted: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Distance of prediction and truth (C, H) [m]."""
+        return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
+
+    @property
+    def worst(self) -> np.ndarray:
+        """The largest error over the headings of each position (C,) [m], the paper's measure (Sec. IV-B)."""
+        return self.error.max(axis=1)
+
+
+def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
+    """Measure all methods of a run and write its ``error_field.npz``.
+
+    Args:
+        run: Run folder with a recording and the trained methods.
+        scenario: What the run was made of.
+
+    Returns:
+        The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
+    """
+    with use_threads(scenario.learn.train.threads):
+        return _measure(run, scenario)
+
+
+def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
+    recording = keep_plausible(open_recording(run / "recording"))
+    truth = open_truth(run / "recording")
+    _check_tests(recording, truth)
+    labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
+    fields, label_fields, methods = {}, {}, {}
+    for method in scenario.methods:
+        maps = predict(run / method, recording)
+        fields[method], scale = measure_field(maps, method, truth)
+        methods[method] = {
+            **summarise(fields[method].worst, side_m),
+            "heading_spread_m": measure_heading_spread(fields[method].predicted),
+            "scale": scale,
+            **measure_grid(fields[method], scenario),
+            "alignment": ALIGNMENT[method],
+            **read_training(run / method),
+        }
+        if labels is not None:
+            label_fields[method], scale = measure_field(maps, method, labels)
+            methods[method]["against_labels"] = {**summarise(label_fields[method].worst, side_m), "scale": scale}
+    write_fields(run / "error_field.npz", fields)
+    if labels is not None:
+        write_fields(run / "label_field.npz", label_fields)
+    some = fields[scenario.methods[0]]
+    return {
+        **({} if labels is None else {"labels": measure_labels(labels, truth)}),
+        "shorter_side_m": side_m,
+        "samples": len(recording.observation),
+        "segments": recording.manifest["segments"],
+        "distance_driven_m": recording.manifest["distance_driven_m"],
+        **count_readings(recording),
+        "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
+        "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
+        "trajectory": measure_trajectory(recording, truth),
+        "distances": judge_encoders(recording, truth),
+        "methods": methods,
+    }
+
+
+def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Where a trained method says training (N, 2) and test images (C, H, 2) were taken, in a frame of its own [m]."""
+    positioner = load_positioner(folder)
+    cells, headings = recording.test_observation.shape[:2]
+    images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
+    training, test = positioner(recording.observation), positioner(images)
+    if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
+        raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
+    return training, test.reshape(cells, headings, 2)
+
+
+def _check_tests(recording: Recording, truth: Truth) -> None:
+    check_observations(recording.test_observation, "test/observation.npy")
+    for name, observed, known in (
+        ("observation.npy", recording.observation.shape[:1], truth.pose.shape[:1]),
+        ("test/observation.npy", recording.test_observation.shape[:2], truth.test_pose.shape[:2]),
+    ):
+        if observed != known:
+            raise InputError(f"{recording.folder}: {name} has {observed} observations, but the truth {known} poses")
+        if 0 in observed:
+            raise InputError(f"{recording.folder}: {name} holds no observation, so nothing can be measured")
+
+
+def _find_labels(folder: Path) -> Labels | None:
+    """A recording's labels, if there are any to measure against in training and test."""
+    labels = open_labels(folder)
+    if labels is None or not np.isfinite(labels.pose).all(axis=1).any():
+        return None
+    return labels if np.isfinite(labels.test_pose).all(axis=(1, 2)).any() else None
+
+
+def measure_field(
+    maps: tuple[np.ndarray, np.ndarray], method: MethodName, truth: Truth | Labels
+) -> tuple[ErrorField, float]:
+    """Error field of a method's predictions, aligned by a transform fitted on the training samples, and its scale.
+
+    Against labels, what has none is left out, of the training as of the test samples.
+    """
+    training, test = maps
+    known = np.isfinite(truth.pose).all(axis=1)
+    alignment = fit_alignment(training[known], truth.pose[known, :2], ALIGNMENT[method])
+    predicted = alignment.apply(test.reshape(-1, 2)).reshape(test.shape)
+    known = np.isfinite(truth.test_pose).all(axis=(1, 2))
+    pose, predicted = truth.test_pose[known], predicted[known]
+    heading = pose[..., 2]
+    shared = heading[:1] == heading  # a drive comes to each place with a heading of its own
+    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment.scale
+
+
+def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
+    """Write the error fields of several methods at the same places."""
+    some = next(iter(fields.values()))
+    predictions = {method: field.predicted for method, field in fields.items()}
+    write_arrays(path, {"truth": some.truth, "heading": some.heading, **predictions})
+
+
+def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
+    """What only a grid can tell: how much of the map is turned over."""
+    if scenario.grid.held_out:
+        return {}
+    return {"flipped": measure_flipped(field.truth, field.predicted.mean(axis=1), scenario.grid.spacing_m)}
+
+
+def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
+    """How many samples have no label, and the labels' own errors [m], aligned on those to learn from."""
+    known, test_known = (np.isfinite(pose[..., 0]) for pose in (labels.pose, labels.test_pose))
+    alignment = fit_alignment(labels.pose[known, :2], truth.pose[known, :2], "SE2")
+    error, test_error = (
+        np.linalg.norm(alignment.apply(label[some, :2]) - true[some, :2], axis=-1)
+        for label, true, some in (
+            (labels.pose, truth.pose, known),
+            (labels.test_pose, truth.test_pose, test_known),
+        )
+    )
+    return {
+        "unlabelled": int((~known).sum()),
+        "test_unlabelled": int((~test_known).sum()),
+        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "median_m": float(np.median(error)),
+        "max_m": float(error.max()),
+        "test_rms_m": float(np.sqrt(np.mean(test_error**2))),
+        "scale": alignment.scale,
+    }
+
+
+def measure_part(run: Path, folder: Path, method: MethodName, every: int) -> dict[str, float]:
+    """Figures of a method trained in ``folder`` on a run's recording, by every so many-th position and sample."""
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    thin = replace(
+        recording, observation=recording.observation[::every], test_observation=recording.test_observation[::every]
+    )
+    fewer = replace(truth, pose=truth.pose[::every], test_pose=truth.test_pose[::every])
+    field, _ = measure_field(predict(folder, thin), method, fewer)
+    return summarise(field.worst, truth.free_space.shorter_side_m)
+
+
+def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
+    """RMS, median, 75th and 95th percentile and maximum of errors (C,) [m]; RMS over the room's shorter side."""
+    rms = float(np.sqrt(np.mean(error**2)))
+    median, p75, p95 = (float(value) for value in np.percentile(error, [50, 75, 95]))
+    return {
+        "rms_m": rms,
+        "median_m": median,
+        "p75_m": p75,
+        "p95_m": p95,
+        "max_m": float(error.max()),
+        "relative_rms": rms / shorter_side_m,
+    }
+
+
+def measure_heading_spread(predicted: np.ndarray) -> float:
+    """RMS distance [m] of predictions (C, H, 2) [m] from their mean over the headings of a position; 0 for one."""
+    away = predicted - predicted.mean(axis=1, keepdims=True)
+    return float(np.sqrt(np.mean((away**2).sum(axis=-1))))
+
+
+def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
+    """How much of a map is turned over, as a fold does: 0 for a right map, at most a half.
+
+    Args:
+        truth: Test positions (C, 2) [m] on a grid.
+        predicted: One prediction for each (C, 2) [m]; a rigid motion of all, mirrored or not, changes nothing.
+        spacing_m: Spacing of the grid [m].
+
+    Returns:
+        The share of neighbourhoods (a position, its right and its upper neighbour) of the rarer orientation.
+    """
+    cell = np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int)
+    number = np.full(cell.max(axis=0) + 2, -1)  # a margin, so that the last have neighbours that are not there
+    number[tuple(cell.T)] = np.arange(len(cell))
+    right, up = number[cell[:, 0] + 1, cell[:, 1]], number[cell[:, 0], cell[:, 1] + 1]
+    whole = (right >= 0) & (up >= 0)
+    if not whole.any():
+        return 0.0
+    (right_x, right_y), (up_x, up_y) = (predicted[right] - predicted).T, (predicted[up] - predicted).T
+    area = (right_x * up_y - right_y * up_x)[whole]
+    return float(min((area > 0).mean(), (area < 0).mean()))
+
+
+def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, int]:
+    """Count test positions (C, 2) [m], and those with a training sample (N, 2) [m] near enough to have been seen."""
+    distance, _ = KDTree(samples).query(cells)
+    return {"reachable_cells": len(cells), "cells_seen": int((distance <= SEEN_WITHIN_M).sum())}
+
+
+def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:
+    """Drift of the dead-reckoned path itself: RMS and largest error [m] after an SE2 alignment of the whole path."""
+    path = dead_reckon(recording)[:, :2]
+    driven = truth.pose[recording.reading[:, 1], :2]
+    error = np.linalg.norm(fit_alignment(path, driven, "SE2").apply(path) - driven, axis=1)
+    return {"rms_m": float(np.sqrt(np.mean(error**2))), "max_m": float(error.max())}

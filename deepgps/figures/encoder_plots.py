@@ -1,0 +1,134 @@
+"""What the encoders told of a drive, against the truth: each segment's error, the faults that were set, the drift."""
+
+import numpy as np
+from matplotlib import style
+from matplotlib.figure import Figure
+
+from deepgps.alignment import fit_alignment
+from deepgps.figures.style import SCREEN
+from deepgps.viewer.playback import find_lasts, find_starts, measure_distances
+from sim.recording.format import Recording
+from sim.sensors.encoder import ticks_to_distance
+from sim.settings import EncoderSettings, RobotSettings
+
+HEADED_BY_M = 3.0
+ENCODER, TRUE = "#ff9628", "#5aa0ff"
+
+
+def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """True length of each segment, and by how much the encoders tell more, both (S,) [m].
+
+    Args:
+        recording: What was sensed; segments with one reading are left out.
+        pose: True pose at each observation (N, 3).
+    """
+    encoder, true, _ = measure_distances(recording, pose)
+    start = find_starts(recording.reading[:, 0])
+    last = find_lasts(start)
+    last = last[last > start[last]]
+    return true[last], (encoder - true)[last]
+
+
+def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
+    """The dead-reckoned path (R, 2) [m] from where the robot really started, headed as on its first three metres.
+
+    Args:
+        recording: What was sensed.
+        pose: True pose at each observation (N, 3).
+    """
+    from deepgps.data.segments import dead_reckon  # brings torch, which takes seconds
+
+    path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
+    driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
+    first = 2 + int((driven < HEADED_BY_M).sum())
+    turn = fit_alignment(path[:first], true[:first], "SE2").rotation
+    return (path - path[0]) @ turn.T + true[0]
+
+
+def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:
+    """What was set and what came of it, as Markdown.
+
+    Args:
+        recording: What was sensed.
+        pose: True pose at each observation (N, 3).
+        drift: Distance of the dead-reckoned path from the true one (R,) [m].
+    """
+    length, error = measure_segments(recording, pose)
+    odometry = recording.manifest["odometry"]
+    tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+    measured = {
+        "one tick": f"{tick_mm:.3g} mm",
+        "segments": f"{len(length)}, {length.sum():.0f} m in all",
+        "RMS error of a segment": f"{1000 * np.sqrt(np.mean(error**2)):.3g} mm",
+        "mean error": f"{1000 * error.mean():+.3g} mm",
+        "largest error": f"{1000 * np.abs(error).max():.3g} mm",
+        "encoder / true distance": f"{1 + error.sum() / length.sum():.4f}",
+        "drift of the reckoned path": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
+    }
+    return "\n".join(
+        [
+            "## What the encoders told",
+            "",
+            *list_faults(recording),
+            "",
+            "| measured | |",
+            "|---|---|",
+            *(f"| {name} | {value} |" for name, value in measured.items()),
+            "",
+            "Above: blue is where the robot drove, orange where its wheels alone reckon that it did, both of the last "
+            "two minutes; the red line joins the two of one moment.",
+        ]
+    )
+
+
+def list_faults(recording: Recording) -> list[str]:
+    """A Markdown table of faults and settings that differ from sound encoders, or the sentence that none does."""
+    settings = recording.manifest["settings"]
+    ticks = recording.manifest["odometry"]["ticks_per_rev"]
+    sound = {f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()}
+    sound["robot.wheel_radius_error"] = RobotSettings().wheel_radius_error
+    was_set = {
+        f"{group}.{name}": value for group in ("encoder", "robot") for name, value in settings.get(group, {}).items()
+    }
+    was_set["encoder.ticks_per_rev"] = ticks
+    faults = {name: value for name, value in was_set.items() if name in sound and value != sound[name]}
+    if not faults:
+        return [f"No fault was set: {ticks} ticks per revolution, and each of them true."]
+    rows = (f"| {name} | **{value}** | {sound[name]} |" for name, value in faults.items())
+    return ["| fault or setting | here | usually |", "|---|---:|---:|", *rows]
+
+
+def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
+    """Error of each segment (S,) against its length (S,) [m], and how often each error came, on one axis.
+
+    The line is the RMS error of the segments of about one length.
+    """
+    with style.context("dark_background"):
+        figure = Figure(figsize=(9, 3.6), layout="constrained", facecolor=SCREEN[0])
+        cloud, counts = figure.subplots(1, 2, sharey=True, width_ratios=[5, 2])
+        error_mm = 1000 * error
+        cloud.axhline(0, color="#888888", linewidth=0.8)
+        cloud.scatter(length, error_mm, s=9, color=ENCODER, alpha=0.6, linewidths=0)
+        middle, rms = _rms_along(length, error_mm)
+        cloud.plot(middle, rms, color=TRUE, linewidth=1.6, label="RMS of like lengths, either way")
+        cloud.plot(middle, -rms, color=TRUE, linewidth=1.6)
+        cloud.set(xlabel="length of the segment [m]", ylabel="encoder minus truth [mm]", xlim=(0, None))
+        cloud.legend(frameon=False, loc="upper left", fontsize=9)
+        counts.hist(error_mm, bins=40, orientation="horizontal", color=ENCODER, alpha=0.8)
+        counts.set(xlabel="segments")
+        for axes in (cloud, counts):
+            axes.set_facecolor(SCREEN[0])
+            axes.grid(alpha=0.15)
+            axes.spines[["top", "right"]].set_visible(False)
+        rms_mm = np.sqrt(np.mean(error_mm**2))
+        figure.suptitle(
+            f"Error of {len(error)} segments: RMS {rms_mm:.3g} mm, mean {error_mm.mean():+.3g} mm", fontsize=12
+        )
+    return figure
+
+
+def _rms_along(length: np.ndarray, error: np.ndarray, parts: int = 10) -> tuple[np.ndarray, np.ndarray]:
+    """Mean length and RMS error of equally many segments each, from short ones to long ones."""
+    order = np.array_split(np.argsort(length), min(parts, len(length)))
+    mean = np.array([length[part].mean() for part in order])
+    return mean, np.array([np.sqrt(np.mean(error[part] ** 2)) for part in order])

@@ -1,0 +1,162 @@
+"""The error field: where a method thinks each test position is, read from a run and drawn over its room.
+
+Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
+from matplotlib.figure import Figure
+
+from deepgps.figures.run_report import MEASURE_AGAIN
+from deepgps.figures.style import PAPER, SCREEN, Floor, count_by_decades
+from sim.errors import DamagedError, InputError
+from sim.files import damaged, read_arrays
+from sim.recording.format import FreeSpace, open_truth
+
+# Logarithmic, since errors of one centimetre and of one metre stand in one picture.
+SCALE_M = (0.01, 1.0)
+TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+COLOURS = LinearSegmentedColormap.from_list(
+    "error", ["#2b5fd9", "#22a7d6", "#3fd0a5", "#c9e265", "#ffc13b", "#ff7a33", "#e8254f"]
+)
+
+
+@dataclass(frozen=True)
+class WorstField:
+    """One method's error field, of each test position the heading that did worst.
+
+    Attributes:
+        truth: Test positions (C, 2) [m].
+        predicted: Aligned prediction of the heading that did worst at each position (C, 2) [m].
+        error: Its distance from the truth (C,) [m].
+    """
+
+    truth: np.ndarray
+    predicted: np.ndarray
+    error: np.ndarray
+
+
+def read_fields(run: Path) -> dict[str, WorstField]:
+    """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
+    path = run / "error_field.npz"
+    if not path.is_file():
+        raise InputError(f"{run} is no whole run: error_field.npz is missing")
+    try:
+        data = read_arrays(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+    missing = {"truth", "heading"} - set(data)
+    if missing:
+        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
+    methods = (name for name in data if name not in {"truth", "heading"})
+    return {name: worst_heading(data["truth"], data[name]) for name in methods}
+
+
+def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
+    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m]: per position the largest error."""
+    error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
+    worst = error.argmax(axis=1)
+    cells = np.arange(len(truth))
+    return WorstField(truth, predicted[cells, worst], error[cells, worst])
+
+
+def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.ndarray:
+    """Colours (..., 4) uint8 RGBA of errors (...,) [m] on a logarithmic scale."""
+    return (COLOURS(LogNorm(*scale_m, clip=True)(np.maximum(error, scale_m[0]))) * 255).round().astype(np.uint8)
+
+
+def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
+    """Draw one method's error field of a run into these axes, on paper white; ``add_scale`` says what colours mean.
+
+    Args:
+        axes: Where; their title is left to the caller.
+        run: The run's folder.
+        name: The method.
+        scale_m: Errors at the ends of the colour scale [m].
+
+    Returns:
+        What was drawn.
+    """
+    field = read_fields(run)[name]
+    draw_field(axes, open_truth(run / "recording").free_space, field, PAPER, scale_m)
+    return field
+
+
+def print_floor(axes: Axes, run: Path) -> None:
+    """Draw the floor of a run's room on paper white: grey is where the robot cannot be."""
+    draw_room(axes, open_truth(run / "recording").free_space, PAPER)
+
+
+def draw_field(
+    axes: Axes,
+    space: FreeSpace,
+    field: WorstField,
+    floor: Floor = SCREEN,
+    scale_m: tuple[float, float] = SCALE_M,
+) -> None:
+    """Dots at the truth, lines to the predictions with a head's share drawn by width, colour by magnitude."""
+    draw_room(axes, space, floor)
+    order = np.argsort(field.error)  # the worst lie on top
+    truth, predicted = field.truth[order], field.predicted[order]
+    colours = colours_of(field.error[order], scale_m) / 255
+    axes.scatter(*truth.T, s=7, c=colours, linewidths=0)
+    axes.quiver(
+        *truth.T,
+        *(predicted - truth).T,
+        color=colours,
+        angles="xy",
+        scale_units="xy",
+        scale=1,
+        width=0.0022,
+        headwidth=4,
+        headlength=5,
+        headaxislength=4.5,
+        minlength=0,
+    )
+
+
+def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
+    """The floor: where the robot can come to, where it would fit but cannot come to, where it does not fit."""
+    rows, columns = space.free.shape
+    kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
+    half = space.cell_m / 2
+    x, y = space.origin
+    extent = (x - half, x + (columns - 0.5) * space.cell_m, y - half, y + (rows - 0.5) * space.cell_m)
+    axes.imshow(
+        kind,
+        origin="lower",
+        extent=extent,
+        cmap=ListedColormap(floor),
+        vmin=0,
+        vmax=2,
+        interpolation="nearest",
+    )
+    low, high = limits(space)
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    axes.tick_params(labelsize=9)
+    for spine in axes.spines.values():
+        spine.set_color("#888888")
+
+
+def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = SCALE_M) -> None:
+    """The colour bar of error fields, beside these axes."""
+    bar = figure.colorbar(
+        ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
+    )
+    bar.set_label("error of the worst heading [m]", fontsize=10)
+    count_by_decades(bar.ax.yaxis)
+    bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
+
+
+def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
+    """South-west and north-east corner (2,) [m] of the reachable area with a margin around it."""
+    row, column = np.nonzero(space.reachable)
+    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
+    low, high = space.origin + corner * space.cell_m
+    return low - margin_m, high + margin_m

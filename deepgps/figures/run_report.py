@@ -1,0 +1,210 @@
+"""The figures of a run in words: one table, as text for the terminal, for the recording and for a report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepgps.data.plausible_readings import describe_readings
+from sim.errors import DamagedError, InputError
+from sim.files import read_json
+
+MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
+TITLES = {
+    "deepgps": "DeepGPS",
+    "deepgps_aware": "DeepGPS, noise-aware",
+    "deepgps_turns": "DeepGPS, with turns",
+    "posenet": "PoseNet",
+    "posenet_noisy": "PoseNet, noisy labels",
+    "explicit": "Explicit positioning",
+    "explicit_mds": "Explicit, from MDS",
+    "knn": "Nearest neighbour",
+    "pca_knn": "PCA + nearest neighbour",
+    "odometry": "Odometry labels",
+}
+
+Row = tuple[str, ...]
+
+
+def _centimetres(value: float) -> str:
+    return f"{100 * value:.1f}"
+
+
+Column = tuple[str, str, Callable[[Any], str]]
+# heading, key in metrics.json, how a value is written
+COLUMNS: tuple[Column, ...] = (
+    ("RMS [cm]", "rms_m", _centimetres),
+    ("median [cm]", "median_m", _centimetres),
+    ("p75 [cm]", "p75_m", _centimetres),
+    ("p95 [cm]", "p95_m", _centimetres),
+    ("max [cm]", "max_m", _centimetres),
+    ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
+    ("scale", "scale", lambda value: f"{value:.4f}"),
+    ("align", "alignment", str),
+    ("train [s]", "train_s", lambda value: f"{value:.1f}"),
+)
+OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
+
+
+def read_metrics(run: Path) -> dict[str, Any]:
+    """Read a run's metrics.json; raises InputError for a folder that is no run or whose metrics are broken."""
+    path = run / "metrics.json"
+    if not path.is_file():
+        raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
+    try:
+        metrics = read_json(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+    if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
+        raise InputError(f"{path} holds no methods: it is no run's metrics.json")
+    return metrics
+
+
+def method_title(name: str) -> str:
+    """A method's name as people write it."""
+    return TITLES.get(name, name)
+
+
+def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
+    """Headings and one row per method; a figure that a method does not have is a dash."""
+    headings = ("method", *(heading for heading, _, _ in columns))
+    return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
+
+
+def describe_time(times: Mapping[str, float]) -> str:
+    """Where the time went, in a sentence."""
+    parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
+    return f"Time: {parts}; {sum(times.values()):.1f} s in all, over all sittings."
+
+
+def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of each stage of a run in all sittings; where ``timing.json`` cannot be read, those in the metrics."""
+    try:
+        stored = {name: float(value) for name, value in read_json(run / "timing.json").items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return dict(metrics["timing_s"])
+    times: dict[str, float] = {}
+    for name, seconds in stored.items():
+        stage = name.partition(" ")[0]  # a method's training has its own name
+        times[stage] = times.get(stage, 0.0) + seconds
+    return times
+
+
+def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
+    """What was driven, what was seen and where the time went, a sentence each.
+
+    Args:
+        metrics: Contents of ``metrics.json``.
+        times: Seconds of each stage; none: as far as the metrics have them, without ``show``.
+    """
+    coverage = metrics["coverage"]
+    seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
+    places = "test samples" if _is_held_out(metrics) else "reachable test positions"
+    sentences = [
+        f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
+        f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
+        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) lie within "
+        "0.25 m of an observation the robot learned from.",
+        describe_time(metrics["timing_s"] if times is None else times),
+    ]
+    if trajectory := metrics.get("trajectory"):
+        drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
+        sentences.insert(1, f"The path that the wheels alone reckon drifts by {drift}.")
+    if distances := metrics.get("distances"):
+        measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
+        sentences.insert(
+            1,
+            f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
+            f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
+        )
+    if left_out := describe_readings(metrics.get("readings", {})):
+        sentences.insert(1, left_out)
+    return sentences
+
+
+def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
+    """What training left out of the readings or repaired, in a sentence; None: nothing."""
+    counts = (read_json(run / method / "training.json").get("readings", {}) for method in methods)
+    return next(filter(None, map(describe_readings, counts)), None)
+
+
+def describe_errors(metrics: Mapping[str, Any]) -> str:
+    """Where the errors were measured and what they are, in a sentence."""
+    where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"
+    worst = "" if metrics.get("test", {}).get("headings") == 1 else ", the worst heading of each position"
+    return f"Errors {where}{worst}; aligned on training samples, never scaled."
+
+
+def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> str:
+    """The methods' figures as a Markdown table."""
+    headings, rows = tabulate(metrics, columns)
+    align = ["---", *["---:"] * (len(headings) - 1)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (headings, align, *rows))
+
+
+def markdown_report(metrics: Mapping[str, Any]) -> str:
+    """The whole report in Markdown: title, table, what was driven, environment."""
+    environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
+    return "\n".join(
+        [
+            f"# {metrics['scenario']}, seed {metrics['seed']}",
+            "",
+            markdown_table(metrics),
+            "",
+            describe_errors(metrics),
+            "",
+            *(f"- {sentence}" for sentence in describe(metrics)),
+            "",
+            "## Made with",
+            "",
+            *environment,
+            "",
+        ]
+    )
+
+
+def print_report(run: Path, console: Console, sitting_s: float | None = None) -> None:
+    """Print a run's table and the sentences under it.
+
+    Args:
+        run: The run folder.
+        console: Where to.
+        sitting_s: Seconds since the command began, with its start and with what lies between the stages.
+
+    Raises:
+        InputError: The folder is no run.
+    """
+    metrics = read_metrics(run)
+    headings, rows = tabulate(metrics)
+    title = f"{metrics['scenario']}, seed {metrics['seed']}"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=0, show_edge=False)
+    for index, heading in enumerate(headings):
+        # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
+        table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
+    for row in rows:
+        table.add_row(*row, style="bold" if row[0] == TITLES["deepgps"] else None)
+    console.print(table)
+    console.print()
+    for sentence in describe(metrics, read_times(run, metrics)):
+        console.print(sentence, highlight=False)
+    if sitting_s is not None:
+        console.print(f"This sitting took {sitting_s:.1f} s by the clock.", highlight=False)
+
+
+def _is_held_out(metrics: Mapping[str, Any]) -> bool:
+    return metrics.get("test", {}).get("held_out", False)  # older runs do not say
+
+
+def _row(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> Row:
+    figures = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
+    return (method_title(name), *figures)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {item}" for name, item in value.items())
+    return str(value)

@@ -1,0 +1,75 @@
+"""Figures that a study is judged by, beside their targets and the paper's."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from deepgps.figures.markdown import tabulate
+
+# unit -> factor, digits, what follows
+FORMS = {
+    "cm": (100, 1, " cm"),
+    "mm": (1000, 2, " mm"),
+    "s": (1, 0, " s"),
+    "%": (100, 1, " %"),
+    "": (1, 2, ""),
+    "count": (1, 0, ""),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure that a target can stand beside.
+
+    Attributes:
+        title: What it is.
+        value: Its value in metres, seconds or as a ratio; none: there was nothing to compute it from.
+        unit: How it is written, one of ``FORMS``.
+        at_least: Whether a target is the least it shall be, not the most.
+        worst: The worst that went into it, where that says something.
+    """
+
+    title: str
+    value: float | None
+    unit: str
+    at_least: bool = False
+    worst: float | None = None
+
+
+def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float], paper: Mapping[str, float]) -> str:
+    """Markdown table of figures by name, with the targets and the paper's figures of the same names."""
+    rows = []
+    for name, figure in figures.items():
+        wanted = target.get(name)
+        sign = ">= " if figure.at_least else "<= "
+        rows.append(
+            [
+                figure.title,
+                write(figure.value, figure.unit),
+                write(figure.worst, figure.unit),
+                "-" if wanted is None else sign + write(wanted, figure.unit),
+                judge(figure, wanted),
+                write(paper.get(name), figure.unit),
+            ]
+        )
+    return tabulate(["figure", "measured", "worst", "target", "verdict", "paper"], rows)
+
+
+def judge(figure: Figure, target: float | None) -> str:
+    """Whether a target is met."""
+    if target is None:
+        return "-"
+    if figure.value is None:
+        return "not measured"
+    met = figure.value >= target if figure.at_least else figure.value <= target
+    return "met" if met else "missed"
+
+
+def write(value: float | None, unit: str) -> str:
+    """A value in its unit, or a dash; what is too small for its digits is not written as nothing."""
+    if value is None:
+        return "-"
+    factor, digits, after = FORMS[unit]
+    least = 10**-digits
+    if 0 < abs(factor * value) < least / 2:
+        return f"< {least:g}{after}"
+    return f"{factor * value:.{digits}f}{after}"

@@ -1,0 +1,95 @@
+"""Does a learned map lie folded on itself? Two signs, neither of which looks at the truth.
+
+A segment was driven straight, so its ends must be predicted as far apart as driven: a fold bends what crosses it. And
+places predicted side by side must look alike: a fold puts different places on one another.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from deepgps.data.segments import Segments, find_owners
+from deepgps.settings import FoldSettings
+
+SAMPLES = 2000
+NEIGHBOURS = 32
+NEAR_M = 0.1
+LOOK_M = 0.3
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Signs of a fold, each a fraction between 0 (none) and 1.
+
+    Attributes:
+        bent: Of the way driven, the part on segments whose predicted ends lie too close or too far apart.
+        doubled: Of the observations with neighbours on the map from other segments, the part that look unlike these.
+    """
+
+    bent: float
+    doubled: float
+
+    def worst(self, settings: FoldSettings) -> float:
+        """The larger sign in units of its limit."""
+        return max(self.bent / settings.bent, self.doubled / settings.doubled)
+
+    def folded(self, settings: FoldSettings) -> bool:
+        """Whether the map counts as folded."""
+        return self.worst(settings) > 1.0
+
+
+def find_signs(positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator) -> Signs:
+    """Measure the signs of a fold.
+
+    Args:
+        positions: Predictions of the training observations (N, 2) [m].
+        features: Heading-invariant features of the same (N, K).
+        segments: Weak constraints.
+        generator: Chooses the observations looked at.
+    """
+    return Signs(measure_bent(positions, segments), measure_doubled(positions, features, segments, generator))
+
+
+def measure_bent(positions: np.ndarray, segments: Segments) -> float:
+    """Part of the way driven on segments whose ends are wrong by more than 0.1 m and a tenth of the way."""
+    rows = torch.arange(len(segments.count))
+    last = segments.count - 1
+    driven = segments.distance[rows, last].numpy()
+    ends = positions[segments.index[rows, last].numpy()] - positions[segments.index[:, 0].numpy()]
+    wrong = np.abs(np.linalg.norm(ends, axis=1) - driven)
+    return float(driven[wrong > 0.1 + 0.1 * driven].sum() / max(driven.sum(), 1e-9))
+
+
+def measure_doubled(
+    positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
+) -> float:
+    """Part of the observations of whose neighbours within ``NEAR_M`` on the map a quarter looks unlike them.
+
+    Unlike is what differs 1.5 times as much as nine in ten pairs do that lie ``LOOK_M`` apart on one segment.
+    """
+    owner = find_owners(segments, len(positions))[1].numpy()
+    known = np.flatnonzero(owner >= 0)
+    chosen = known[torch.randperm(len(known), generator=generator)[:SAMPLES].numpy()]
+    apart, found = KDTree(positions[known]).query(positions[chosen], k=min(NEIGHBOURS, len(known)))
+    other = known[found]
+    near = (apart < NEAR_M) & (owner[other] != owner[chosen][:, None])
+    unlike = (features[chosen][:, None] - features[other]).norm(dim=2).numpy() > 1.5 * _usual_difference(
+        features, segments
+    )
+    some = near.any(axis=1)
+    share = (unlike & near).sum(axis=1)[some] / near.sum(axis=1)[some]
+    return float((share >= 0.25).mean()) if len(share) else 0.0
+
+
+def _usual_difference(features: torch.Tensor, segments: Segments) -> float:
+    found = [torch.zeros(0)]
+    for row, count in enumerate(segments.count.tolist()):
+        way = segments.distance[row, :count].numpy()
+        partner = np.searchsorted(way, way + LOOK_M)
+        there = partner < count
+        index = segments.index[row]
+        found.append((features[index[:count][there]] - features[index[partner[there]]]).norm(dim=1))
+    joined = torch.cat(found).numpy()
+    return float(np.quantile(joined, 0.9)) if len(joined) else float("inf")

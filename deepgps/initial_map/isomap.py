@@ -1,0 +1,146 @@
+"""A first map without folds: Isomap on the graph of segments and look-alike places (Tenenbaum et al. 2000).
+
+Consecutive readings of a segment are joined by the distance driven, and observations of different segments that are one
+another's most similar by a distance estimated from how fast features change along the segments there. Shortest paths
+through this graph and classical scaling of them (from landmarks: de Silva and Tenenbaum 2004) give positions. Paths
+around furniture are longer than straight lines: that bends the map but does not fold it; the pose graph straightens it.
+"""
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from deepgps.data.segments import Segments, find_owners
+from sim.errors import InputError
+
+LANDMARKS = 300
+LONGEST_LINK = 2.0
+CHUNK = 1000
+
+Links = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""First (n,) and second (n,) of observations that look alike, and their estimated distance (n,) [m]."""
+
+
+def has_lines(segments: Segments) -> bool:
+    """Whether most readings lie on segments of at least three, close enough to tell how fast features change."""
+    return bool(segments.count[segments.count >= 3].sum() > segments.count.sum() / 2)
+
+
+def map_by_paths(observations: int, segments: Segments, links: Links, generator: torch.Generator) -> np.ndarray:
+    """Positions of the training observations, by shortest paths.
+
+    Args:
+        observations: How many there are, N.
+        segments: Weak constraints.
+        links: Observations that look alike.
+        generator: Chooses the landmarks.
+
+    Returns:
+        (N, 2) [m] in a frame of its own; not a number for observations that hang together with few others.
+
+    Raises:
+        InputError: when the segments do not hang together.
+    """
+    first, second, length = join_links(segments, links)
+    graph = _join(first, second, length, observations)
+    main = _largest_part(graph)
+    landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
+    path = dijkstra(graph, directed=False, indices=landmarks)[:, main]
+    places = np.full((observations, 2), np.nan)
+    places[main] = scale_classically(path, np.searchsorted(main, landmarks))
+    return places
+
+
+def find_links(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[Links]:
+    """Pairs of observations of different segments, each among the other's most similar by features (N, K).
+
+    Args:
+        features: Features (N, K).
+        segments: Weak constraints.
+        neighbours: How many are the most similar, for each list of pairs that is returned.
+    """
+    rate, spacing = _rate_of_change(features, segments)
+    before, after = find_owners(segments, len(features))
+    most = min(max(neighbours), len(features))
+    second, apart = [], []
+    for chunk in torch.arange(len(features)).split(CHUNK):
+        difference = torch.cdist(features[chunk], features)
+        same = torch.zeros(difference.shape, dtype=torch.bool)
+        for own in (before, after):
+            same |= (own[chunk][:, None] == before) | (own[chunk][:, None] == after)
+        difference.masked_fill_(same | (after < 0), torch.inf)
+        nearest = difference.topk(most, largest=False)
+        second.append(nearest.indices)
+        apart.append(nearest.values)
+    j, difference = torch.cat(second), torch.cat(apart)
+    i = torch.arange(len(features))[:, None].expand_as(j)
+    length = difference / ((rate[i] + rate[j]) / 2.0)
+    near = (length < LONGEST_LINK * spacing) & (after[i] >= 0)
+    found = []
+    for count in neighbours:
+        a, b, way = i[:, :count].flatten(), j[:, :count].flatten(), length[:, :count].flatten()
+        kept = torch.isin(a * len(features) + b, b * len(features) + a) & near[:, :count].flatten()
+        found.append((a[kept].numpy(), b[kept].numpy(), way[kept].double().numpy()))
+    return found
+
+
+def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
+    """Places (N, 2) [m] from distances (L, N) [m] to landmarks, which are columns ``landmark`` (L,) of it."""
+    size, axes = find_axes(path[:, landmark])
+    mean = (path[:, landmark] ** 2).mean(axis=1)
+    return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
+
+
+def find_axes(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues (L,), ascending [m^2], and axes (L, L) of points with these distances (L, L) [m] (Torgerson 1952).
+
+    The squares, centred in rows and columns and halved with a minus, are the scalar products of the points about their
+    middle: the points' coordinates are the axes, each times the root of its eigenvalue.
+    """
+    squared = distance**2
+    mean = squared.mean(axis=1)
+    inner = -0.5 * (squared - mean[:, None] - mean[None] + mean.mean())
+    size, axes = np.linalg.eigh((inner + inner.T) / 2.0)
+    return size, axes
+
+
+def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Consecutive readings' first (r,) and second (r,) observations, and the way between them (r,) [m]."""
+    valid = segments.valid[:, 1:]
+    way = segments.distance[:, 1:] - segments.distance[:, :-1]
+    chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
+    return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
+
+
+def join_links(segments: Segments, links: Links) -> Links:
+    """Steps along the segments and look-alikes together: first and second observations, the way between them [m]."""
+    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), links, strict=True))
+    return first, second, length
+
+
+def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:
+    # How much features change per metre at each observation (N,), and the median way between readings.
+    first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
+    change = (features[first] - features[second]).norm(dim=1)
+    total, length = torch.zeros(len(features)), torch.zeros(len(features))
+    for end in (first, second):
+        total.index_add_(0, end, change)
+        length.index_add_(0, end, way.float())
+    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), float(way.median())
+
+
+def _join(first: np.ndarray, second: np.ndarray, length: np.ndarray, count: int) -> csr_array:
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    order = np.lexsort((length, high, low))
+    low, high, length = low[order], high[order], length[order].clip(1e-6)
+    fresh = np.append(np.ones(len(low[:1]), bool), (np.diff(low) != 0) | (np.diff(high) != 0))
+    return csr_array((length[fresh], (low[fresh], high[fresh])), shape=(count, count))
+
+
+def _largest_part(graph: csr_array) -> np.ndarray:
+    _, part = connected_components(graph, directed=False)
+    main = np.flatnonzero(part == np.bincount(part).argmax())
+    if len(main) < 3:
+        raise InputError("the recording's segments do not hang together: no two of them look alike anywhere")
+    return main

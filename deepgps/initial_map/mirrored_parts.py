@@ -1,0 +1,74 @@
+"""Parts that hang on the rest of a map like a door on its hinge: as good a map the other way round.
+
+Behind a passage hardly wider than the robot lies a part that few segments reach. Mirrored about the way through the
+passage it keeps all distances but those along these few, so that every map of shortest paths may have it wrong way
+round. Parts are found as sparse cuts of the graph of segments and look-alikes (normalised cuts; Shi and Malik 2000).
+"""
+
+import numpy as np
+from scipy.sparse import csr_array, diags_array
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import eigsh
+
+from deepgps.data.segments import Segments
+from deepgps.initial_map.isomap import Links, join_links
+
+FEW = 20
+"""Steps and look-alikes by which a part may hang on the rest; where there are more, they tell left from right."""
+CUTS = 3
+SMALLEST = 0.02
+"""Part of all observations that lies on either side of a cut."""
+
+
+def find_doors(placed: np.ndarray, segments: Segments, links: Links) -> list[np.ndarray]:
+    """Observations (N,) bool of parts that hang on the rest by few steps, of the observations ``placed`` (N,)."""
+    first, second, _ = join_links(segments, links)
+    graph = csr_array((np.ones(len(first)), (first, second)), shape=(len(placed), len(placed)))
+    joined = graph + graph.T
+    kept = np.flatnonzero(placed)
+    part = connected_components(joined[kept][:, kept], directed=False)[1]
+    kept = kept[part == np.bincount(part).argmax()]
+    if len(kept) * SMALLEST < CUTS + 2:
+        return []
+    joined = joined[kept][:, kept]
+    joined.data[:] = 1.0
+    doors = []
+    for order, cut in _cut(joined):
+        if cut <= FEW:
+            doors.append(np.zeros(len(placed), bool))
+            doors[-1][kept[order]] = True
+    return doors
+
+
+def mirror(places: np.ndarray, door: np.ndarray, segments: Segments, links: Links) -> np.ndarray:
+    """Places (N, 2) [m] with a part (N,) mirrored about the way that leads into it."""
+    first, second, _ = join_links(segments, links)
+    through = (door[first] != door[second]) & np.isfinite(places[first] + places[second]).all(axis=1)
+    step = places[second[through]] - places[first[through]]
+    along = np.linalg.eigh(step.T @ step)[1][:, -1]
+    middle = np.median((places[first[through]] + places[second[through]]) / 2.0, axis=0)
+    turned = places.copy()
+    ahead = places[door] - middle
+    turned[door] = middle + 2.0 * np.outer(ahead @ along, along) - ahead
+    return turned
+
+
+def _cut(joined: csr_array) -> list[tuple[np.ndarray, float]]:
+    """The smaller sides (n,) of the best cut along each of the slowest axes of a graph, and how many edges they cut."""
+    degree = np.asarray(joined.sum(axis=1)).ravel()
+    scale = diags_array(1.0 / np.sqrt(degree))
+    size, axes = eigsh(scale @ joined @ scale, k=CUTS + 1, which="LA", v0=np.ones(len(degree)))
+    cuts = []
+    for axis in np.argsort(-size)[1:]:
+        order = np.argsort(axes[:, axis] / np.sqrt(degree), kind="stable")
+        rank = np.argsort(order)
+        low, high = np.sort(rank[np.stack(joined.nonzero())], axis=0)
+        # each edge stands twice in a symmetric graph; an edge is cut at all places between its ends
+        change = (np.bincount(low, minlength=len(order)) - np.bincount(high, minlength=len(order))) / 2.0
+        cut, size_before = np.cumsum(change), np.cumsum(degree[order])
+        least = int(SMALLEST * len(order))
+        share = (cut / np.minimum(size_before, size_before[-1] - size_before).clip(1.0))[least:-least]
+        best = least + int(share.argmin())
+        side = order[: best + 1]
+        cuts.append((side if len(side) <= len(order) / 2 else order[best + 1 :], float(cut[best])))
+    return cuts

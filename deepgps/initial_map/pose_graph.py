@@ -1,0 +1,113 @@
+"""A first map made exact: segments as rigid bars, held together where they look alike (Lu and Milios 1997).
+
+What was driven straight is a bar with its observations at the distances driven: three unknowns, middle and heading.
+Where a segment begins at the end of the last, the two bars meet; where observations of two look alike, these lie
+nearly on one another. A few look-alikes are false, such as the undersides of two desks: they lose their weight as the
+scale of what is believed shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
+"""
+
+import numpy as np
+from scipy.sparse import csc_array, eye_array
+from scipy.sparse.linalg import splu
+
+from deepgps.data.segments import Segments
+from deepgps.initial_map.isomap import Links
+
+ROUNDS = 12
+BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
+"""Scale of the differences that are believed in the first and the last round, in steps between readings."""
+LOOK, MEET = 0.25, 0.06
+"""Standard deviation of a difference of two look-alikes at distance zero, and of two bars that meet, in such steps."""
+LARGEST_TURN = 0.5
+DAMPING = 1e-9
+
+
+def relax(
+    places: np.ndarray, segments: Segments, links: Links, believed_first: float = BELIEVED_FIRST
+) -> tuple[np.ndarray, float]:
+    """Move all segments, as rigid bars, to where they fit one another.
+
+    Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
+    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale believed.
+
+    Args:
+        places: Where the observations lie at first (N, 2) [m]; not a number: unknown, and so it stays.
+        segments: Weak constraints.
+        links: Observations that look alike, each pair in both orders.
+        believed_first: The scale b of the first round, in steps between readings; the last one is ``BELIEVED_LAST``.
+
+    Returns:
+        Places (N, 2) float64 [m]; observations on no segment stay where they are. And their cost, the sum of
+        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
+    """
+    index = segments.index.numpy()
+    placed = np.asarray(np.isfinite(places).all(axis=1))
+    row, column = np.nonzero(segments.valid.numpy() & placed[index])
+    observation, along = index[row, column], _from_middle(segments)[row, column]
+    bar = np.unique(row, return_inverse=True)[1]
+    step = float(np.median(np.diff(along)[np.diff(bar) == 0]))
+    middle, heading = _lay_bars(places[observation], bar, along)
+    reading = np.full(len(places), -1)
+    reading[observation[::-1]] = np.arange(len(bar))[::-1]
+    meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))
+    first, second, length = links
+    known = (reading[first] >= 0) & (reading[second] >= 0) & (first < second)
+    a = np.concatenate([reading[first[known]], reading[observation[meet]]])
+    b = np.concatenate([reading[second[known]], meet])
+    firm = np.arange(len(a)) >= known.sum()
+    weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
+    for believed in step * np.geomspace(believed_first, BELIEVED_LAST, ROUNDS):
+        ahead = _ahead(heading, bar, along)
+        apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
+        trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)
+        move = _solve(bar, a, b, ahead, apart, trust).reshape(-1, 3)
+        middle += move[:, :2]
+        heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+    point = middle[bar] + _ahead(heading, bar, along)
+    squared = ((point[a] - point[b]) ** 2).sum(axis=1)
+    cost = weight * np.where(firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * step) ** 2))
+    found = np.array(places, float)
+    found[observation] = point
+    return found, float(cost.sum())
+
+
+def _from_middle(segments: Segments) -> np.ndarray:
+    """Distance of each reading from the mean of its segment's readings (L, longest) [m]."""
+    valid = segments.valid
+    distance = segments.distance.double() * valid
+    return (distance - (distance.sum(dim=1) / segments.count)[:, None]).numpy()
+
+
+def _lay_bars(point: np.ndarray, bar: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Middle (L, 2) [m] and heading (L,) [rad] of the bars that fit the readings' points (r, 2) best."""
+    count = np.bincount(bar)
+    middle = np.stack([np.bincount(bar, point[:, axis]) / count for axis in range(2)], axis=1)
+    pull = [np.bincount(bar, along * point[:, axis]) for axis in range(2)]
+    return middle, np.arctan2(pull[1], pull[0])
+
+
+def _ahead(heading: np.ndarray, bar: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Where each reading lies from the middle of its bar (r, 2) [m]."""
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
+
+
+def _solve(
+    bar: np.ndarray, a: np.ndarray, b: np.ndarray, ahead: np.ndarray, apart: np.ndarray, trust: np.ndarray
+) -> np.ndarray:
+    """The Gauss-Newton step (3 L,): of each bar x, y [m] and heading [rad]."""
+    pairs = np.arange(len(a))
+    one = np.ones(len(a))
+    rows, columns, values = [], [], []
+    for end, sign in ((a, one), (b, -one)):
+        # Turning a bar moves its points at right angles to it.
+        for axis, lever in ((0, -ahead[end, 1]), (1, ahead[end, 0])):
+            rows += [pairs + axis * len(a)] * 2
+            columns += [3 * bar[end] + axis, 3 * bar[end] + 2]
+            values += [sign, sign * lever]
+    shape = (2 * len(a), 3 * (int(bar[-1]) + 1))
+    jacobian = csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+    weighted = jacobian.multiply(np.concatenate([trust, trust])[:, None]).tocsc()
+    normal = (jacobian.T @ weighted).tocsc()
+    # The whole map may move and turn freely, and what no link reaches stays, even if there is no link at all.
+    damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(shape[1], format="csc")
+    return -splu(damped).solve(weighted.T @ apart.T.ravel())

@@ -1,0 +1,98 @@
+"""What every method learns from: a recording's segments, its observations' features, and the network's input."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from deepgps.data.features import Features, cached_features, normalise
+from deepgps.data.segments import Segments, read_segments
+from deepgps.initial_map.wheel_turns import Turns
+from deepgps.learning.networks import make_network
+from deepgps.learning.trainer import Inputs, choose_device, make_generator, use_threads
+from deepgps.methods.positioner import NetworkPositioner
+from deepgps.settings import LearnSettings
+from sim.recording.format import Recording
+
+FEATURES = "features"
+"""The run's folder of features, which all of its methods share."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """A recording made ready for learning.
+
+    Attributes:
+        segments: Weak constraints.
+        projection: From observations to features.
+        features: Features of the training observations (N, components).
+        inputs: What the network takes, on the device.
+        shape: Shape of one observation.
+        turns: What the wheels say of the whole drive; None: not asked.
+    """
+
+    segments: Segments
+    projection: Features
+    features: torch.Tensor
+    inputs: Inputs
+    shape: tuple[int, ...]
+    turns: Turns | None = None
+
+
+def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:
+    """Read the segments and make the features, or take these from ``folder``, where another method has left them.
+
+    Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised.
+    """
+    segments = read_segments(recording)
+    if recording.observation.ndim == 2:
+        projection, features = normalise(recording.observation)
+    else:
+        key, generator = digest_features(recording, settings, seed), make_generator(seed, "features")
+        with use_threads(settings.train.threads):
+            projection, features = cached_features(
+                folder / FEATURES, key, recording.observation, segments, settings.features, generator
+            )
+    table = add_headings(projection, features, recording.observation)
+    if settings.network.architecture != "spectral":
+        table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
+    inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
+    return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+
+
+def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:
+    """Hexadecimal digits of all that decides the features: settings, seed, images, and which images follow one another.
+
+    Ticks do not, so that runs which differ only in these can share features.
+    """
+    images = recording.manifest.get("sha256", {}).get("observation.npy")
+    # where the manifest holds no checksum, ticks tell recordings apart
+    order = recording.reading[:, :2] if images else recording.reading
+    made_by = f"{settings.features} {settings.train.threads} {seed} {images}"
+    return hashlib.sha256(made_by.encode() + np.asarray(order).tobytes()).hexdigest()
+
+
+def add_headings(projection: Features, features: torch.Tensor, observation: np.ndarray) -> torch.Tensor:
+    """Features (N, headings, components) of scans at every heading kept; features alone where there is but one."""
+    if observation.ndim != 3 or observation.shape[1] == 1:
+        return features
+    others = [projection.apply(observation, heading) for heading in range(1, observation.shape[1])]
+    return torch.stack([features, *others], dim=1)
+
+
+def new_network(material: Material, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:
+    """A network for this material with weights of this seed and attempt."""
+    generator = make_generator(seed, "weights", attempt)
+    return make_network(settings.network, material.features.shape[1], outputs, generator)
+
+
+def as_positioner(
+    material: Material, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
+) -> NetworkPositioner:
+    """The trained network as a positioner on the CPU."""
+    features = material.projection if settings.network.architecture == "spectral" else None
+    network = network.cpu().eval()
+    return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())

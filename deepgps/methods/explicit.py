@@ -1,0 +1,184 @@
+"""Explicit positioning, the paper's rival without a network (Sec. III-B1): landmarks and positions as unknowns.
+
+The paper's Eq. 6 is a system of distances: between a landmark and a position, as observed, and between two positions of
+one segment, as driven. Both are ``|q_a - q_b| = c`` with points q, which here are positions first, then landmarks. Its
+least-squares solution by a trust region finds the nearest minimum, so all depends on where it starts: at random, as in
+the paper, or at a map of the landmarks by multidimensional scaling (MDS), which the paper does not try.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import shortest_path
+
+from deepgps.data.plausible_readings import count_readings
+from deepgps.data.segments import Segments, read_segments
+from deepgps.initial_map.isomap import scale_classically
+from deepgps.learning.trainer import derive_seed
+from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
+from deepgps.methods.trilateration import LandmarkPositioner, find_seen, triangulate
+from deepgps.progress import Report, ignore
+from deepgps.settings import LearnSettings
+from sim.errors import InputError
+from sim.recording.format import Recording
+
+TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Eq. 6: the distance of points ``first`` (R,) and ``second`` (R,) is ``length`` (R,) [m]."""
+
+    first: np.ndarray
+    second: np.ndarray
+    length: np.ndarray
+
+    def residual(self, unknown: np.ndarray) -> np.ndarray:
+        """By how much each distance (R,) [m] of the points in ``unknown`` (2 P,) is too long."""
+        return np.linalg.norm(self._apart(unknown), axis=1) - self.length
+
+    def jacobian(self, unknown: np.ndarray) -> csr_matrix:
+        """Derivative (R, 2 P) of the residuals, four numbers in each row.
+
+        Moving ``q_a`` changes ``|q_a - q_b|`` by its part along the unit vector u from ``q_b`` to ``q_a``, moving
+        ``q_b`` by the opposite: the row holds u at point a and -u at point b; zeros where both are one.
+        """
+        apart = self._apart(unknown)
+        direction = apart / np.linalg.norm(apart, axis=1).clip(1e-12)[:, None]
+        a, b = 2 * self.first, 2 * self.second
+        column = np.stack([a, a + 1, b, b + 1], axis=1)
+        value = np.concatenate([direction, -direction], axis=1)
+        row = np.arange(0, 4 * len(a) + 1, 4)
+        return csr_matrix((value.ravel(), column.ravel(), row), shape=(len(a), len(unknown)))
+
+    def _apart(self, unknown: np.ndarray) -> np.ndarray:
+        point = unknown.reshape(-1, 2)
+        return point[self.first] - point[self.second]
+
+
+Start = Callable[[np.ndarray, float, np.random.Generator], tuple[np.ndarray, np.ndarray]]
+"""From distances (n, M) [m], the reach [m] and chance to first positions (n, 2) and landmarks (M, 2) [m]."""
+
+
+def fit(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """Solve Eq. 6 from a random start into ``folder``; done work is loaded."""
+    return _fit(start_at_random, recording, settings, seed, folder, progress)
+
+
+def fit_from_mds(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """Solve Eq. 6 from a map of the landmarks by MDS into ``folder``; done work is loaded."""
+    return _fit(start_by_mds, recording, settings, seed, folder, progress)
+
+
+def start_at_random(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and landmarks uniform in a square as large as the longest distance."""
+    half = float(distance.max()) / 2.0
+    return rng.uniform(-half, half, (len(distance), 2)), rng.uniform(-half, half, (distance.shape[1], 2))
+
+
+def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Landmarks by classical scaling of the shortest ways between them, positions by triangulation.
+
+    A way from landmark k over position i to landmark l is ``x_ik + x_il`` long; of many positions some lie nearly on
+    the straight line between both, so that the shortest is nearly their distance. Landmarks never seen together are
+    joined by ways over others.
+
+    Raises:
+        InputError: Landmarks hang together by no positions.
+    """
+    measured = np.where(find_seen(distance, reach_m), np.asarray(distance, float), np.inf)
+    way = np.stack([(measured[:, [k]] + measured).min(axis=0) for k in range(measured.shape[1])])
+    np.fill_diagonal(way, 0.0)
+    way = shortest_path(way, method="FW", directed=False)
+    if not np.isfinite(way).all():
+        raise InputError("some landmarks were never seen together with any other: they have no common map")
+    landmark = scale_classically(way, np.arange(len(way)))
+    return triangulate(landmark, distance, reach_m), landmark
+
+
+def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
+    """Segments with every so many-th of their readings, so that about ``most`` are left.
+
+    Returns:
+        The segments, their observations numbered anew, and which observation each of these is (n,) int64.
+    """
+    every = max(1, -(-int(segments.count.sum()) // most))
+    index, distance = segments.index[:, ::every].contiguous(), segments.distance[:, ::every]
+    fewer = Segments(index, distance, (segments.count - 1) // every + 1, segments.skipped)
+    chosen = index[fewer.valid].unique()
+    return Segments(torch.searchsorted(chosen, index) * fewer.valid, distance, fewer.count, fewer.skipped), chosen
+
+
+def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
+    """Eq. 6 for positions that saw distances (n, M) [m] and lie on segments, whose numbers are theirs."""
+    position, landmark = np.nonzero(find_seen(distance, reach_m))
+    i, j = torch.triu_indices(segments.index.shape[1], segments.index.shape[1], offset=1)
+    pair = segments.valid[:, i] & segments.valid[:, j]
+    driven = (segments.distance[:, j] - segments.distance[:, i])[pair]
+    return Equations(
+        first=np.concatenate([position, segments.index[:, i][pair].numpy()]),
+        second=np.concatenate([len(distance) + landmark, segments.index[:, j][pair].numpy()]),
+        length=np.concatenate([distance[position, landmark], driven.numpy()]).astype(float),
+    )
+
+
+def solve(equations: Equations, first: np.ndarray, evaluations: int) -> OptimizeResult:
+    """Least squares of the equations from first points (P, 2) [m], by a trust region with a sparse Jacobian."""
+    return least_squares(
+        equations.residual,
+        first.ravel(),
+        equations.jacobian,  # pyright: ignore[reportArgumentType] (its stub knows dense ones only)
+        method="trf",
+        tr_solver="lsmr",
+        ftol=TOLERANCE,
+        xtol=TOLERANCE,
+        gtol=TOLERANCE,
+        max_nfev=evaluations,
+    )
+
+
+def _fit(
+    start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Positioner:
+    if is_finished(folder):
+        return load_positioner(folder)
+    began = time.perf_counter()
+    reach_m = read_reach(recording)
+    segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
+    distance = np.asarray(recording.observation[chosen.numpy()])
+    first = start(distance, reach_m, np.random.default_rng(derive_seed(seed, "start")))
+    solution = solve(set_up(distance, reach_m, segments), np.concatenate(first), settings.explicit.evaluations)
+    landmark = solution.x.reshape(-1, 2)[len(distance) :]
+    training = {
+        "steps": int(solution.nfev),
+        "train_s": round(time.perf_counter() - began, 1),
+        "parameters": len(solution.x),
+        "residual_rms_m": float(np.sqrt(np.mean(solution.fun**2))),
+        "converged": bool(solution.success),
+        **count_readings(recording),
+    }
+    save_positioner(folder, LandmarkPositioner(landmark, reach_m), training)
+    progress(folder.name, 1, 1)
+    return load_positioner(folder)
+
+
+def read_reach(recording: Recording) -> float:
+    """The distance at which landmarks are no longer seen [m], infinite where all are.
+
+    Raises:
+        InputError: The recording holds no distances to landmarks.
+    """
+    if recording.observation.ndim != 2:
+        raise InputError(f"{recording.folder} holds images; explicit positioning needs distances to landmarks")
+    reach_m = recording.manifest["settings"].get("landmarks", {}).get("reach_m")
+    return np.inf if reach_m is None else float(reach_m)

@@ -1,0 +1,25 @@
+"""The same network trained on dead-reckoned positions: what encoders alone would teach."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from deepgps.data.segments import dead_reckon
+from deepgps.methods.positioner import Positioner
+from deepgps.methods.supervised import fit_positions
+from deepgps.progress import Report, ignore
+from deepgps.settings import LearnSettings
+from sim.recording.format import Recording
+
+
+def fit(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """Train on dead-reckoned positions into ``folder``; done work is loaded, cut-off work continued."""
+    # A turning place has two readings at one position; either is its label. Lost readings leave no label.
+    index, first = np.unique(recording.reading[:, 1], return_index=True)
+    place = dead_reckon(recording)[first, :2].astype(np.float32)
+    return fit_positions(
+        recording, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress, "odometry"
+    )

@@ -1,0 +1,86 @@
+"""The paper's rival on scans (its appendix): a map of stored scans at many headings, with true positions.
+
+A scan turned by whole rays is the same scan shifted in a circle, so the many headings need not be observed again. They
+are stored all the same, each as its principal components: that is what the method's memory is.
+"""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.data.plausible_readings import count_readings
+from deepgps.learning.trainer import derive_seed
+from deepgps.methods.nearest_scan import ScanPositioner
+from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
+from deepgps.progress import Report, ignore
+from deepgps.settings import LearnSettings
+from sim.errors import InputError
+from sim.recording.format import Recording, open_truth
+
+FITTED = 50_000
+"""Scans whose principal components are sought, at most."""
+CHUNK = 100
+
+
+def fit(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
+) -> Positioner:
+    """Store the scans of all positions at random headings in ``folder``; done work is loaded.
+
+    Raises:
+        InputError: The recording holds no scans, or all of them are the same.
+    """
+    if is_finished(folder):
+        return load_positioner(folder)
+    if recording.observation.ndim != 3:
+        raise InputError(f"{recording.folder} holds no scans; pca_knn needs world lidar or sensor lidar")
+    start = time.perf_counter()
+    scans, rng = np.asarray(recording.observation), np.random.default_rng(derive_seed(seed, "features"))
+    count, kept, rays = scans.shape
+    if (scans == scans[:1]).all():
+        raise InputError(f"observation.npy: all {count} observations look alike, so none tells where it was")
+    turns = draw_turns(count, kept * rays, settings.pca.headings, rng)
+    places = open_truth(recording.folder).pose[:, :2].astype(float)
+    mean, axes = find_axes(scans, turns, settings.pca.components)
+    headings = turns.shape[1]
+    known = np.empty((count * headings, len(axes)), np.float32)
+    positioner = ScanPositioner(mean, axes, known, places, headings)
+    for first in range(0, count, CHUNK):
+        turned = turn_scans(scans[first : first + CHUNK], turns[first : first + CHUNK])
+        known[first * headings : first * headings + len(turned)] = positioner.project(turned)
+        progress("pca_knn", min(first + CHUNK, count), count)
+    stored = sum(tensor.numel() for tensor in positioner.tensors().values())
+    training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    training |= count_readings(recording)
+    save_positioner(folder, positioner, training)
+    return positioner
+
+
+def draw_turns(count: int, possible: int, wanted: int, rng: np.random.Generator) -> np.ndarray:
+    """Different turns (count, n) of so many places: ``wanted`` of the ``possible``, or as many as there are."""
+    if wanted >= possible:
+        return np.tile(np.arange(possible), (count, 1))
+    return rng.permuted(np.tile(np.arange(possible), (count, 1)), axis=1)[:, :wanted]
+
+
+def turn_scans(scans: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Scans (n h, rays) of robots that turned left.
+
+    Args:
+        scans: What they saw (n, headings, rays) [m].
+        turns: By what they turned (n, h), in parts of a ray's angle as small as there are headings.
+    """
+    _, headings, rays = scans.shape
+    ray = (np.arange(rays) + turns[..., None] // headings) % rays
+    place = np.arange(len(scans))[:, None, None]
+    return scans[place, (turns % headings)[..., None], ray].reshape(-1, rays)
+
+
+def find_axes(scans: np.ndarray, turns: np.ndarray, components: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (rays,) and principal axes (components, rays) of scans (N, headings, rays) at turns (N, h)."""
+    from sklearn.decomposition import PCA
+
+    some = turn_scans(scans, turns[:, : max(1, FITTED // len(scans))])
+    found = PCA(min(components, *some.shape), svd_solver="covariance_eigh").fit(some)
+    return np.asarray(found.mean_, np.float32), np.asarray(found.components_, np.float32)

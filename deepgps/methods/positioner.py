@@ -1,0 +1,194 @@
+"""What a method learned: from observations to positions, saved as weights and JSON, loaded from its folder alone."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from pydantic import ValidationError
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save
+from torch import nn
+
+from deepgps.data.features import Features, check_shape
+from deepgps.learning.networks import make_network
+from deepgps.learning.trainer import Inputs
+from deepgps.methods.nearest_scan import NAMES, ScanPositioner
+from deepgps.methods.trilateration import LandmarkPositioner
+from deepgps.settings import NetworkSettings
+from sim.errors import DamagedError, InputError, one_line
+from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
+
+SCHEMA = 1
+INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
+CHUNK = 500
+LARGEST_TABLE = 16_000_000
+"""Distances between observations and stored neighbours that are held at once, at most."""
+
+
+@dataclass(frozen=True)
+class NetworkPositioner:
+    """Positions by a trained network.
+
+    Attributes:
+        shape: Shape of one observation.
+        features: What turns observations into the network's input; none: the network takes images.
+        settings: Which network.
+        network: Its weights, in evaluation mode, on the CPU.
+        centre: Middle of the plane in the network's output space (D,) [m].
+        axes: Axes of the plane (D, 2).
+    """
+
+    shape: tuple[int, ...]
+    features: Features | None
+    settings: NetworkSettings
+    network: nn.Module
+    centre: torch.Tensor
+    axes: torch.Tensor
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+        return self.embed(observations) @ self.axes.double().numpy()
+
+    def embed(self, observations: np.ndarray) -> np.ndarray:
+        """What the network says before it is laid into the plane (B, D) float64 [m], from the middle of the plane."""
+        check_shape(observations, self.shape)
+        found = np.empty((len(observations), len(self.centre)))
+        with torch.inference_mode():
+            for start in range(0, len(observations), CHUNK):
+                found[start : start + CHUNK] = self._embed(np.asarray(observations[start : start + CHUNK])).numpy()
+        return found
+
+    def _embed(self, observations: np.ndarray) -> torch.Tensor:
+        table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
+        return self.network(Inputs(table).take(slice(None))) - self.centre
+
+
+@dataclass(frozen=True)
+class NeighbourPositioner:
+    """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared.
+
+    Attributes:
+        features: What turns observations into features.
+        known: Features of the training observations (N, components).
+        places: Their positions (N, 2) float64 [m].
+        neighbours: How many are averaged.
+    """
+
+    features: Features
+    known: torch.Tensor
+    places: torch.Tensor
+    neighbours: int
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m] of observations (B, ...)."""
+        chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
+        found = [self._position(part) for part in self.features.apply(observations).split(chunk)]
+        return np.concatenate([np.zeros((0, 2)), *found])
+
+    def _position(self, features: torch.Tensor) -> np.ndarray:
+        nearest = torch.cdist(features, self.known).topk(min(self.neighbours, len(self.known)), largest=False)
+        weight = nearest.values.double().square().clamp_min(1e-12).reciprocal()
+        weight = weight / weight.sum(dim=1, keepdim=True)
+        return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
+
+
+Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner
+
+
+def is_finished(folder: Path) -> bool:
+    """Whether a method's folder holds a whole positioner."""
+    return (folder / INDEX).is_file()
+
+
+def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str, Any]) -> None:
+    """Write ``weights.safetensors``, ``training.json`` (what the training was) and, last, ``positioner.json``."""
+    tensors, description = _take_apart(positioner)
+    weights = save({name: t.contiguous() for name, t in tensors.items()})
+    write_bytes(folder / WEIGHTS, weights)
+    write_json(folder / "training.json", training)
+    write_json(folder / INDEX, {"schema": SCHEMA, **description, "sha256": hashlib.sha256(weights).hexdigest()})
+
+
+def load_positioner(folder: Path) -> Positioner:
+    """Load what ``save_positioner`` wrote; raises InputError where it is missing or damaged."""
+    path = folder / INDEX
+    if not path.is_file():
+        raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
+    try:
+        description = check_positioner(folder)
+        if description["schema"] != SCHEMA:
+            raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
+        return _put_together(description, load_file(folder / WEIGHTS))
+    except DamagedError as error:
+        raise DamagedError(f"{error}; delete {folder} and train the method again") from None
+    except InputError:
+        raise
+    except (ValidationError, KeyError, TypeError, AttributeError) as error:
+        raise damaged(path, one_line(error)) from None
+    except (SafetensorError, OSError, RuntimeError) as error:
+        raise damaged(folder / WEIGHTS, one_line(error)) from None
+
+
+def check_positioner(folder: Path) -> dict[str, Any]:
+    """What a trained method is, its weights compared with their checksum; raises DamagedError."""
+    description = read_json(folder / INDEX)
+    if "sha256" in description:  # earlier versions wrote none
+        check_sha256(folder / WEIGHTS, str(description.pop("sha256")))
+    return description
+
+
+def read_training(folder: Path) -> dict[str, Any]:
+    """What the training of a method was, from its folder; raises DamagedError."""
+    try:
+        return read_json(folder / "training.json")
+    except DamagedError as error:
+        raise DamagedError(f"{error}; delete {folder} and train the method again") from None
+
+
+def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    if isinstance(positioner, LandmarkPositioner):
+        reach_m = None if np.isinf(positioner.reach_m) else positioner.reach_m
+        return {"landmark": torch.from_numpy(positioner.landmark)}, {"kind": "landmarks", "reach_m": reach_m}
+    if isinstance(positioner, ScanPositioner):
+        return positioner.tensors(), {"kind": "scans", "headings": positioner.headings}
+    features = positioner.features
+    tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
+    if features is not None and features.edges is not None:
+        tensors["features.edges"] = features.edges
+    frequencies = None if features is None else features.frequencies
+    if isinstance(positioner, NeighbourPositioner):
+        assert features is not None
+        tensors |= {"known": positioner.known, "places": positioner.places}
+        kind = {"kind": "neighbours", "neighbours": positioner.neighbours, "shape": list(features.shape)}
+    else:
+        tensors |= {f"network.{name}": tensor for name, tensor in positioner.network.state_dict().items()}
+        tensors |= {"centre": positioner.centre, "axes": positioner.axes}
+        network = positioner.settings.model_dump(mode="json")
+        kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
+    return tensors, {**kind, "frequencies": frequencies}
+
+
+def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> Positioner:
+    if description.get("kind") == "landmarks":
+        reach_m = description["reach_m"]
+        return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
+    if description.get("kind") == "scans":
+        mean, axes, known, places = (tensors[name].numpy() for name in NAMES)
+        return ScanPositioner(mean, axes, known, places, description["headings"])
+    shape = tuple(description["shape"])
+    features = None
+    if description["frequencies"] is not None:
+        mean, basis = tensors["features.mean"], tensors["features.basis"]
+        features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"))
+    if description["kind"] == "neighbours" and features is not None:
+        return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])
+    settings = NetworkSettings.model_validate(description["network"])
+    inputs = 0 if features is None else features.basis.shape[1]
+    network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
+    own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
+    network.load_state_dict(own)
+    return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"])

@@ -1,0 +1,113 @@
+"""The local engine: as many processes as there are cores, each doing run after run; no server."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from subprocess import Popen
+from typing import NamedTuple
+
+from deepgps.command.streams import open_streams
+from deepgps.command.terminal import warn_plainly
+from deepgps.progress import Look, Report
+from deepgps.studies.engine.worker import Failures, count_steps, do_run
+from deepgps.studies.study import Plan
+from sim.processes import start_process, usable_cores
+
+
+def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+    """Train and measure these runs, whose recordings stand.
+
+    Args:
+        plans: The runs.
+        folder: The study's folder.
+        record: Whether to draw figures and write a Rerun recording for each.
+        progress: Told how many training steps are done in all.
+
+    Returns:
+        Why some failed.
+    """
+    failed, done = {}, {plan.run: 0 for plan in plans}
+    total, waiting = sum(count_steps(plan.scenario) for plan in plans), list(plans)
+    active: dict[Connection, tuple[Plan, Popen[bytes]]] = {}
+    try:
+        while waiting or active:
+            while waiting and len(active) < usable_cores():
+                pipe, process = _start(folder, record)
+                active[pipe] = _give(pipe, waiting), process
+            for pipe in wait(list(active)):
+                assert isinstance(pipe, Connection)
+                plan, process = active[pipe]
+                try:
+                    told = pipe.recv()
+                except EOFError:  # the process has died
+                    failed[plan.run] = f"its process ended with {process.wait()}"
+                    told = Told(0, ended=True)
+                if told.failure:
+                    failed[plan.run] = told.failure
+                steps = count_steps(plan.scenario)
+                done[plan.run] = steps if told.ended else min(told.steps, steps)
+                progress(f"steps of {len(plans)} runs", sum(done.values()), total)
+                if told.ended and waiting and process.poll() is None:
+                    active[pipe] = _give(pipe, waiting), process
+                elif told.ended:
+                    pipe.close()  # which ends the process
+                    process.wait()
+                    del active[pipe]
+    finally:
+        for _, process in active.values():
+            process.kill()  # what it has written is whole
+        for _, process in active.values():
+            process.wait()
+    return failed
+
+
+class Told(NamedTuple):
+    """What a process tells of its run: training steps done, whether it has ended, and if it failed, why."""
+
+    steps: int
+    ended: bool = False
+    failure: str | None = None
+
+
+def work(handle: int) -> None:
+    """In a process of its own: do the runs that come through a pipe, until no more come.
+
+    Args:
+        handle: The pipe's; first come the study's folder and whether to record, then one run after another.
+    """
+    open_streams()
+    warn_plainly()
+    pipe = Connection(handle)
+    with suppress(EOFError, BrokenPipeError):  # the parent needs no more, or is gone
+        folder, record = pipe.recv()
+        while True:
+            _do(pipe.recv(), folder, record, pipe)
+
+
+def _do(plan: Plan, folder: Path, record: bool, pipe: Connection) -> None:
+    steps: dict[str, int] = {}
+
+    def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
+        if total > 1:  # a training
+            steps[label] = done
+            pipe.send(Told(sum(steps.values())))
+
+    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, record, tell)
+    pipe.send(Told(sum(steps.values()), ended=True, failure=failure))
+
+
+def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
+    with suppress(BrokenPipeError):  # the process has died, as reading from it will show
+        pipe.send(waiting[0])
+    return waiting.pop(0)
+
+
+def _start(folder: Path, record: bool) -> tuple[Connection, Popen[bytes]]:
+    pipe, end = Pipe()
+    code = "from deepgps.studies.engine.local import work; work(int(sys.argv[1]))"
+    process = start_process(code, [str(end.fileno())], [end.fileno()])
+    end.close()
+    pipe.send((folder, record))
+    return pipe, process

@@ -1,0 +1,118 @@
+"""The engine on Ray: each run a task of one core, on this machine or on a cluster of machines that share the folder.
+
+The recordings are made before, on the machine that gives the command and by all of its cores: it alone needs a
+renderer. On all others the same version of this project is installed. Without an address a cluster of this machine's
+cores is started, with a token that no other process knows, and ended with the command.
+"""
+
+import logging
+import os
+import secrets
+import signal
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from deepgps.progress import Report, ignore
+from deepgps.scenario import Scenario
+from deepgps.studies.engine.worker import Failures, count_steps, do_run
+from deepgps.studies.study import Plan
+from sim.errors import InputError, one_line
+from sim.processes import ENDINGS, usable_cores
+
+RETRIES = 2
+"""How often a run is taken up again whose process or machine was lost; it goes on from its last checkpoint."""
+KNOCK_S = 5.0
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # what GPUs can be seen stays as it is, without a word
+}
+
+
+@contextmanager
+def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path, bool, Report], Failures]]:
+    """Connect to the Ray cluster at an address, or start one here; ends what it started.
+
+    Args:
+        address: As Ray takes it: auto, host:port; none: a cluster of this machine's cores.
+
+    Raises:
+        InputError: Ray is not installed, or no cluster answers.
+    """
+    if find_spec("ray") is None:
+        raise InputError("--engine ray needs the package ray, which is not installed: pip install 'deepgps[ray]'")
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    own = {}
+    if not address:
+        own = {"num_cpus": usable_cores(), "include_dashboard": False}
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # else Ray leaves one in the user's home
+    import ray
+
+    try:
+        _knock(address or "")
+        with _keep_handlers():
+            ray.init(address or "local", logging_level=logging.ERROR, log_to_driver=False, **own)
+    except (OSError, ValueError, RuntimeError) as error:
+        own_fault = "--engine ray: no Ray cluster can be started here"
+        fault = f"--address {address}: no Ray cluster answers there" if address else own_fault
+        raise InputError(f"{fault}: {one_line(error)}") from None
+    try:
+        yield partial(_run_all, ray)
+    finally:
+        ray.shutdown()
+
+
+@contextmanager
+def _keep_handlers() -> Iterator[None]:
+    """Restore the handlers of signals: Ray sets its own, of which that of SIGTERM aborts with many lines."""
+    before, ended = {number: signal.getsignal(number) for number in ENDINGS}, False
+    try:
+        yield
+    except SystemExit:  # by Ray's own handler, which has ended its processes
+        ended = True
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    if ended:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+    """Train and measure these runs, as ``engine_local.run_all``; the progress counts the steps of runs that ended."""
+    failed, done, total = Failures(), 0, sum(count_steps(plan.scenario) for plan in plans)
+    gpus = int("GPU" in ray.cluster_resources())
+    running = {}
+    for plan in plans:
+        needs = {"num_cpus": 1, "num_gpus": gpus * _wants_gpu(plan.scenario), "max_retries": RETRIES}
+        home = folder.resolve() / "runs" / plan.run
+        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, record, ignore)
+        running[task] = plan
+    progress(f"steps of {len(plans)} runs", 0, total)
+    while running:
+        (task,), _ = ray.wait(list(running))
+        plan = running.pop(task)
+        try:
+            reason = ray.get(task)
+        except ray.exceptions.RayError as error:
+            reason = f"its process was lost: {one_line(error)}"
+        if reason:
+            failed[plan.run] = reason
+        done += count_steps(plan.scenario)
+        progress(f"steps of {len(plans)} runs", done, total)
+    return failed
+
+
+def _knock(address: str) -> None:
+    """Raise OSError where nothing answers at host:port: Ray itself would try for minutes."""
+    host, _, port = address.rpartition(":")
+    if host and "/" not in host and port.isdigit():
+        socket.create_connection((host, int(port)), timeout=KNOCK_S).close()
+
+
+def _wants_gpu(scenario: Scenario) -> bool:
+    return scenario.learn.train.device != "cpu"

@@ -1,0 +1,61 @@
+"""One run of a study, in a process that does one after another: train, measure, and where asked, draw."""
+
+import os
+import traceback
+from contextlib import suppress
+from pathlib import Path
+
+from deepgps.progress import Report
+from deepgps.run import evaluate, show, train
+from deepgps.run_folder import claim
+from deepgps.scenario import Scenario
+from sim.errors import InputError, WorkError, one_line
+from sim.files import write_text
+
+FAILURE = "failure.txt"
+TRAINED = ("deepgps", "deepgps_aware", "deepgps_turns", "posenet", "posenet_noisy", "odometry")  # step by step
+Failures = dict[str, str]  # reasons by the hash of the run
+
+
+def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progress: Report) -> str | None:
+    """Do what is missing of one run on a recording that stands.
+
+    Args:
+        scenario: What to run.
+        folder: The run's folder, in ``runs`` of the study's.
+        recording: Name of the recording's folder, in ``recordings`` of the study's.
+        record: Whether to draw figures and write a Rerun recording.
+        progress: Told how far each stage is.
+
+    Returns:
+        Why it failed; none: it is done.
+    """
+    # Read when torch is imported, which is not before the first run. The cores are shared out already.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ["OMP_NUM_THREADS"] = "1"
+    try:
+        from deepgps.studies.engine.shared_trainings import leave_trainings, take_trainings
+
+        with claim(scenario, folder, fresh=False):
+            link = folder / "recording"
+            if not link.is_symlink():
+                link.symlink_to(Path("..") / ".." / "recordings" / recording)
+            take_trainings(scenario, folder)
+            train(scenario, folder, progress)
+            leave_trainings(scenario, folder)
+            evaluate(scenario, folder, progress)
+            if record:
+                show(scenario, folder, progress)
+            (folder / FAILURE).unlink(missing_ok=True)
+    except (InputError, WorkError, OSError) as error:
+        return one_line(error)
+    except Exception as error:  # a fault of ours must not take the other runs with it
+        with suppress(OSError):
+            write_text(folder / FAILURE, traceback.format_exc())
+        return f"{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
+    return None
+
+
+def count_steps(scenario: Scenario) -> int:
+    """Training steps of a run without restarts; one at least, so that every run counts."""
+    return max(1, scenario.learn.train.steps * sum(method in TRAINED for method in scenario.methods))

@@ -1,0 +1,139 @@
+"""The report of camera faults: one fault at a time, beside the camera without any; means over seeds."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from matplotlib.figure import Figure as Picture
+from matplotlib.lines import Line2D
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.targets import Figure
+from deepgps.scenario import Scenario
+from deepgps.studies.reports.seeds import count_folded
+from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
+
+CLEAN = "no fault"
+# how a strength is written, by the setting's name
+TITLES = {
+    "image.read_noise": "read noise {:g}",
+    "image.shot_noise": "shot noise {:g}",
+    "image.exposure": "exposure x {:g}",
+    "image.vignetting": "vignetting {:g}",
+    "image.turn_deg": "turned {:g}° meanwhile",
+    "mount.driven_m": "driven {:g} m meanwhile",
+    "mount.roll_deg": "leans {:g}° to the right",
+    "mount.pitch_deg": "leans {:g}° ahead",
+    "mount.wobble_deg": "wobbles by {:g}°",
+    "use.light": "all light x {:g}",
+    "use.lamps": "lamps x {:g}",
+    "use.moved_m": "furniture moved {:g} m",
+}
+WHEN = {True: "use alone", False: "training and use"}
+NOTE = (
+    "Means over seeds; in brackets how many times that is the mean without faults. Errors in centimetres on the test "
+    "grid, the worst heading of each position; aligned on training samples, never scaled. Of what has changed between "
+    "training and use, training has seen nothing. Where furniture was moved, test positions on which it stands are "
+    "left out. Folded: maps that turn over more than a tenth of the neighbourhoods, as those that are merely wrong in "
+    "use do, too; said: those that the detector, which sees the training images alone, calls folded."
+)
+
+
+class Fault(NamedTuple):
+    """One fault at one strength, in words, and whether it is there in use alone."""
+
+    title: str
+    in_use: bool
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each fault and method, and how to read it."""
+    faults = group_faults(rows, varied)
+    cells = []
+    for fault, group in faults.items():
+        for method, ours in split_by(group, "method").items():
+            clean = [row for row in faults.get(Fault(CLEAN, False), ()) if row["method"] == method]
+            errors = [_write(name, ours, clean) for name in ERRORS]
+            said = "-" if ours[0]["fold_found"] is None else str(sum(row["fold_found"] for row in ours))
+            head = [fault.title, WHEN[fault.in_use], method_title(method), str(len(ours))]
+            cells.append([*head, *errors, count_folded(ours), said])
+    return [tabulate(["fault", "in", "method", "runs", *ERRORS.values(), "folded", "said"], cells), NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS without faults, and how many times as much the worst fault makes of it."""
+    names = [name for name in TITLES if name in rows[0]]
+    faults = group_faults([row for row in rows if row["method"] == "deepgps"], names)
+    clean = faults.get(Fault(CLEAN, False), ())
+    if not clean:
+        return {}
+    figures = {"clean_rms_m": Figure("RMS without faults", mean(clean, "rms_m"), "cm")}
+    for in_use, key in ((False, "both"), (True, "use")):
+        for name, title in (("rms_m", "RMS"), ("median_m", "median")):
+            ratios = [
+                mean(group, name) / mean(clean, name)
+                for fault, group in faults.items()
+                if fault.in_use == in_use and fault.title != CLEAN
+            ]
+            if ratios:
+                words = f"{title} / without faults, worst fault in {WHEN[in_use]}"
+                figures[f"{key}_{name.removesuffix('_m')}_ratio"] = Figure(words, max(ratios), "")
+    return figures
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Errors under each fault: RMS filled, median open, runs small and faint; without faults as lines."""
+    faults = group_faults(rows, varied)
+    methods = find_methods(rows)
+    picture = Picture(figsize=(7.4, 1.5 + 0.3 * len(faults)), layout="constrained")
+    axes = picture.add_subplot()
+    for place, group in enumerate(faults.values()):
+        for number, method in enumerate(methods):
+            ours = [row for row in group if row["method"] == method]
+            at = place + 0.5 * ((number + 0.5) / len(methods) - 0.5)
+            colour = LINES.get(method, "#555555")
+            for name, inside in (("rms_m", colour), ("median_m", "white")) if ours else ():
+                values = [100 * row[name] for row in ours]
+                axes.plot(values, [at] * len(ours), ".", color=colour, alpha=0.35, ms=4, mew=0)
+                axes.plot(100 * mean(ours, name), at, "o", color=colour, mfc=inside, ms=5, zorder=3)
+    for row_method, clean in split_by(faults.get(Fault(CLEAN, False), ()), "method").items():
+        for name, style in (("rms_m", "-"), ("median_m", (0, (3, 3)))):
+            colour = LINES.get(row_method, "#555555")
+            axes.axvline(100 * mean(clean, name), color=colour, linestyle=style, lw=1.0, alpha=0.55, zorder=1)
+    changed = [place for place, fault in enumerate(faults) if fault.in_use]
+    if changed:
+        axes.axhspan(changed[0] - 0.5, changed[-1] + 0.5, color="#f1ede4", zorder=0, lw=0)
+        axes.text(
+            0.995, changed[0] - 0.42, "in use alone", transform=axes.get_yaxis_transform(), ha="right", va="top", size=8
+        )
+    axes.set_yticks(range(len(faults)), [fault.title for fault in faults])
+    axes.set(xscale="log", ylim=(len(faults) - 0.5, -0.5))
+    axes.set_xlabel(
+        "error of the worst heading [cm]\nfilled: RMS, open: median, means over seeds; lines: without faults"
+    )
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.2, which="major", axis="x")
+    axes.tick_params(axis="y", length=0)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+    marks = [Line2D([], [], color=LINES.get(name, "#555555"), marker="o", ls="") for name in methods]
+    picture.legend(marks, map(method_title, methods), loc="outside upper right", ncols=len(methods), frameon=False)
+    return picture
+
+
+def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, Sequence[Row]]:
+    """Rows by what differs from the settings by default; those in use alone come last."""
+    usual = {name: read_setting(Scenario(), name) for name in varied if not is_seed(name)}
+    groups: dict[Fault, list[Row]] = {}
+    for row in rows:
+        faults = [name for name in usual if row[name] != usual[name]]
+        title = ", ".join(TITLES.get(name, f"{name} {{}}").format(row[name]) for name in faults) or CLEAN
+        in_use = bool(faults) and all(name.startswith("use.") for name in faults)
+        groups.setdefault(Fault(title, in_use), []).append(row)
+    return dict(sorted(groups.items(), key=lambda item: item[0].in_use))
+
+
+def _write(name: str, rows: Sequence[Row], clean: Sequence[Row]) -> str:
+    value = f"{100 * mean(rows, name):.1f}"
+    return f"{value} ({mean(rows, name) / mean(clean, name):.2f})" if clean else value

@@ -1,0 +1,140 @@
+"""The report that compares: means over rooms and seeds for each choice of what else varies, and for each method."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures.field_plot import add_scale, print_error_field
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades
+from deepgps.studies.reports.seeds import count_folded
+from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
+
+NOTE = (
+    "Means over runs that differ in seeds alone. Errors on the test grid, the worst heading of each position; aligned "
+    "on training samples, never scaled. Headings: RMS distance of the predictions at one position from their mean. "
+    "Folded: maps that turn over more than a tenth of the neighbourhoods; said: those that the detector, without the "
+    "truth, calls folded."
+)
+Groups = Mapping[tuple[str, ...], Sequence[Row]]
+
+
+def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] | None = None) -> list[str]:
+    """A line for each group, and how to read it.
+
+    Args:
+        rows: What was measured.
+        varied: Names that vary.
+        also: More columns [m], written in centimetres, with their headings.
+    """
+    more = {"heading_spread_m": "headings [cm]", **(also or {})}
+    names = choices(rows, varied)
+    kinds = shorten(names)
+    ours = [
+        "runs",
+        "images",
+        "travel [m]",
+        *ERRORS.values(),
+        "worst RMS",
+        *more.values(),
+        "folded",
+        "said",
+        "train [s]",
+    ]
+    cells = []
+    for key, group in group_rows(rows, names).items():
+        *kind, method = key
+        means = {name: mean(group, name) for name in ("samples", "distance_m", *ERRORS, "train_s")}
+        worst = f"{100 * max(row['rms_m'] for row in group):.1f}"
+        spreads = ["-" if group[0][name] is None else f"{100 * mean(group, name):.3g}" for name in more]
+        finder = group[0]["fold_found"] is not None
+        folded = [count_folded(group), str(sum(row["fold_found"] for row in group) if finder else "-")]
+        driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
+        figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
+        cells.append([*kind, method_title(method), str(len(group)), *figures])
+    follow = [name for name in varied if names and name not in names and not is_seed(name)]
+    told = [f"What goes with these: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
+    return [tabulate([*kinds, "method", *ours], cells), *told, NOTE]
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (filled) and median (open) of every run, a line for each group."""
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
+    picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
+    axes = picture.add_subplot()
+    for place, (key, group) in enumerate(groups.items()):
+        colour = LINES.get(key[-1], "#555555")
+        for name, inside in (("rms_m", colour), ("median_m", "none")):
+            axes.plot([100 * row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
+    axes.set_yticks(range(len(groups)), [describe(key, names) for key in groups])
+    axes.set(xscale="log", ylim=(len(groups) - 0.5, -0.5))
+    axes.set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.25, which="both")
+    return picture
+
+
+def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """The error field of each group's run whose RMS is the middle one."""
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
+    columns = min(3, len(groups))
+    lines = -(-len(groups) // columns)
+    picture = Picture(figsize=(4.6 * columns + 0.8, 3.3 * lines + 0.3), layout="constrained")
+    panels = list(picture.subplots(lines, columns, squeeze=False).flat)
+    for axes, (key, group) in zip(panels, groups.items(), strict=False):
+        row = sorted(group, key=lambda row: row["rms_m"])[(len(group) - 1) // 2]
+        print_error_field(axes, folder / "runs" / row["run"], row["method"])
+        axes.set_title(f"{describe(key, names)}\nRMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+    for axes in panels[len(groups) :]:
+        axes.set_axis_off()
+    add_scale(picture, panels)
+    return picture
+
+
+def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """Names that vary by choice: seeds vary only to repeat, and what follows from names before it is no choice."""
+    found: list[str] = []
+    for name in varied:
+        before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (found, [*found, name]))
+        if not is_seed(name) and after > before:
+            found.append(name)
+    return found
+
+
+def group_rows(rows: Sequence[Row], names: Sequence[str]) -> Groups:
+    """Rows by the values of these names, and the method at the end."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((*(str(row[name]) for name in names), row["method"]), []).append(row)
+    return groups
+
+
+def describe(key: tuple[str, ...], names: Sequence[str]) -> str:
+    """A group in words; numbers and flags are told with their names."""
+    pairs = zip(shorten(names), key, strict=False)
+    words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
+    return ", ".join([*words, method_title(key[-1])])
+
+
+def shorten(names: Sequence[str]) -> list[str]:
+    """Dotted names without their groups, but for the last group where two would be the same."""
+    last = [name.rpartition(".")[2] for name in names]
+    return [
+        short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
+        for name, short in zip(names, last, strict=True)
+    ]
+
+
+def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:
+    """With which choices a setting that follows from them is what: ``learn.start paths (dense), ends (endpoint)``."""
+    # few choices say it as well as all
+    few = next(names[: k + 1] for k in range(len(names)) if choices(rows, [*names[: k + 1], follows])[-1] != follows)
+    with_value: dict[str, dict[str, None]] = {}
+    for row in rows:
+        key = " ".join(str(row[name]) for name in few)
+        with_value.setdefault(str(row[follows]), {})[key] = None
+    return f"{follows} " + ", ".join(f"{value} ({'; '.join(keys)})" for value, keys in with_value.items())

@@ -1,0 +1,121 @@
+"""The report of concave: errors by how much of the room a straight drive reaches, the limit that the paper names."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure as Picture
+
+from deepgps.evaluation.visibility import measure_visible
+from deepgps.figures.field_plot import add_scale, print_error_field, read_fields
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.targets import Figure, write
+from deepgps.studies.reports.compare import group_rows
+from deepgps.studies.reports.compare import report as compare_choices
+from deepgps.studies.table import Row, find_methods
+from sim.recording.format import open_truth
+
+SHAPE = "room.shape"
+EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
+"""Shares of the floor between which positions are put together."""
+LITTLE = 2
+"""So many of the first parts are what reaches little of the room."""
+NOTE = (
+    "Reach: share of the floor where the robot fits that straight drives from a position come to. Positions of all "
+    "rooms together; errors of the worst heading. PoseNet learns from true positions: what both get wrong is not for "
+    "want of straight ways."
+)
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each shape and method, then a line for each share of the floor that is reached."""
+    methods = find_methods(rows)
+    headings = ["reach", "positions", *(f"{method_title(name)}, RMS [cm]" for name in methods)]
+    headings += [f"{method_title(name)}, median [cm]" for name in methods]
+    cells = []
+    for part, (low, high) in enumerate(pairwise(EDGES)):
+        errors = [pool([row for row in rows if row["method"] == name], [part]) for name in methods]
+        if not len(errors[0]):
+            continue
+        figures = [*map(_rms, errors), *map(np.median, errors)]
+        count = str(len(errors[0]))
+        cells.append([f"{100 * low:.0f}-{100 * high:.0f} %", count, *(f"{100 * one:.1f}" for one in figures)])
+    return [*compare_choices(rows, varied), tabulate(headings, cells), NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """How much worse it gets where little is reached, and in two rooms; for DeepGPS and for PoseNet."""
+    figures = {}
+    for (method,), group in group_rows(rows, []).items():
+        little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, len(EDGES) - 1))
+        title = f"{method_title(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
+        ratio = _rms(little) / _rms(rest) if len(little) and len(rest) else None
+        figures[f"{method}_little"] = Figure(title, ratio, "")
+        shapes = {key[0]: _rms(pool(some, range(len(EDGES) - 1))) for key, some in group_rows(group, [SHAPE]).items()}
+        if {"two_rooms", "rectangle"} <= set(shapes):
+            title = f"{method_title(method)}, RMS in two rooms / in a rectangle"
+            figures[f"{method}_two_rooms"] = Figure(title, shapes["two_rooms"] / shapes["rectangle"], "")
+    return figures
+
+
+def add_reach(run: Path, row: Row) -> Row:
+    """Columns for each part of the floor by how much it reaches: the errors of all its positions [m]."""
+    field = read_fields(run)[row["method"]]
+    part = np.digitize(measure_visible(open_truth(run / "recording").free_space, field.truth), EDGES[1:-1])
+    return {f"errors_{number}_m": field.error[part == number].astype(np.float32) for number in range(len(EDGES) - 1)}
+
+
+def pool(rows: Sequence[Row], parts: Sequence[int]) -> np.ndarray:
+    """Errors (n,) [m] of all positions of these rows in these parts of the floor."""
+    return np.concatenate([np.asarray(row[f"errors_{part}_m"], float) for row in rows for part in parts])
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (filled) and median (open) by how much of the floor is reached."""
+    middles = [50 * (low + high) for low, high in pairwise(EDGES)]
+    picture = Picture(figsize=(6.4, 3.8), layout="constrained")
+    axes = picture.add_subplot()
+    for (method,), group in group_rows(rows, []).items():
+        errors = {middle: pool(group, [part]) for part, middle in enumerate(middles)}
+        there = {middle: error for middle, error in errors.items() if len(error)}
+        colour, title = LINES.get(method, "#555555"), method_title(method)
+        rms, median = ([100 * take(error) for error in there.values()] for take in (_rms, np.median))
+        axes.plot(list(there), rms, "o-", color=colour, label=f"{title}, RMS")
+        axes.plot(list(there), median, "o--", color=colour, mfc="none", label=f"{title}, median")
+    axes.set(yscale="log", xlim=(0, 100), ylabel="error of the worst heading [cm]")
+    axes.set_xlabel("part of the floor that straight drives reach [%]")
+    count_by_decades(axes.yaxis)
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(frameon=False, fontsize=8)
+    return picture
+
+
+def draw_rooms(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """A room of each shape: how much of it each position reaches, and DeepGPS's error there."""
+    rows = [row for row in rows if row["method"] == "deepgps"]
+    shapes = {key[0]: group[0] for key, group in group_rows(rows, [SHAPE]).items()}
+    picture = Picture(figsize=(9.6, 2.9 * len(shapes) + 0.2), layout="constrained")
+    panels = picture.subplots(len(shapes), 2, squeeze=False, sharex=True, sharey=True)
+    dots = None
+    for (left, right), (shape, row) in zip(panels, shapes.items(), strict=True):
+        run = folder / "runs" / row["run"]
+        field = print_error_field(right, run, "deepgps")
+        right.set_title(f"{shape}: RMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+        visible = measure_visible(open_truth(run / "recording").free_space, field.truth)
+        dots = left.scatter(*field.truth.T, s=6, c=100 * visible, norm=Normalize(0, 100), cmap="viridis", linewidths=0)
+        left.set_title(f"{shape}: reach", fontsize=9)
+        left.set(aspect="equal", ylabel="y [m]")
+    if dots is not None:
+        picture.colorbar(
+            dots, ax=list(panels[:, 0]), shrink=0.5, label="part of the floor reached [%]", location="left"
+        )
+    add_scale(picture, list(panels[:, 1]))
+    return picture
+
+
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))

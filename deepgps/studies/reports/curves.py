@@ -1,0 +1,176 @@
+"""The report of curves: errors of every method along an axis of numbers, a panel for each case, a band of the seeds."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades, draw_band
+from deepgps.figures.targets import Figure
+from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
+
+TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
+# What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
+PAPER_SHARE = {"encoder.gap_noise": 0.02}
+PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
+KNEE = 1.25
+DECADES = 10.0
+NOTE = (
+    "Errors in centimetres on the test grid, the worst heading of each position, means over the seeds, and the RMS of "
+    "the worst seed; aligned on training samples, never scaled."
+)
+Panels = Mapping[tuple[str, ...], Sequence[Row]]
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each case, method and value of the axis; where the knee is; how to read it."""
+    axis, names = find_axis(rows), _name_panels(rows)
+    paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
+    headings = [*names, "method", axis, "seeds", *ERRORS.values(), "worst RMS", "RMS / side", "train [s]", *paper]
+    cells = []
+    for title, panel in _panels(rows).items():
+        for method, line in split_by(panel, "method").items():
+            for value, group in sorted(split_by(line, axis).items()):
+                errors = [_centimetres(mean(group, name)) for name in ERRORS]
+                worst = _centimetres(max(row["rms_m"] for row in group))
+                tail = [worst, f"{100 * mean(group, 'relative_rms'):.2f} %", f"{mean(group, 'train_s'):.0f}"]
+                theirs = [_write_paper(axis, value, group[0])] if paper else []
+                cells.append([*title, method_title(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
+    knees = [
+        f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the least from which on the RMS of "
+        f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
+        for title, line in _our_lines(rows).items()
+        if (knee := find_knee(line, axis)) is not None
+    ]
+    return [tabulate(headings, cells), *knees, NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS at the highest value of the axis, means over the seeds of the worst case; and the farthest knee."""
+    rows = [row for row in rows if row["method"] == "deepgps"]
+    if not rows:
+        return {}
+    axis = find_axis(rows)
+    last = max(row[axis] for row in rows)
+    ends = [[row for row in panel if row[axis] == last] for panel in _panels(rows).values()]
+    ends = [end for end in ends if end]
+    where = f"at {axis} {last:g}"
+    measures: dict[str, tuple[str, str, Callable[[Row], float]]] = {
+        "rms_m": (f"RMS {where}", "cm", lambda row: row["rms_m"]),
+        "relative_rms": (f"RMS / side {where}", "%", lambda row: row["relative_rms"]),
+        "relative_median": (f"median / side {where}", "%", lambda row: row["median_m"] / row["shorter_side_m"]),
+    }
+    figures = {}
+    for name, (title, unit, take) in measures.items():
+        value = max(float(np.mean([take(row) for row in end])) for end in ends)
+        figures[name] = Figure(title, value, unit, worst=max(take(row) for end in ends for row in end))
+    knees = [knee for line in _our_lines(rows).values() if (knee := find_knee(line, axis)) is not None]
+    if knees:
+        figures["knee"] = Figure(f"knee of {axis}", max(knees), "count")
+    return figures
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (line, and a band from the best to the worst seed) and median (dashed) of every method along the axis."""
+    axis, panels = find_axis(rows), _panels(rows)
+    picture = Picture(figsize=(5.4 * len(panels) + 0.4, 4.2), layout="constrained")
+    for place, ((title, panel), axes) in enumerate(
+        zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
+    ):
+        for method, line in split_by(panel, "method").items():
+            _draw_method(axes, axis, method, line)
+        _draw_paper(axes, axis, panel)
+        _scale(axes, axis, panel)
+        axes.set(xlabel=TITLES.get(axis, axis), ylabel="error [cm]" if place == 0 else "", title=", ".join(title))
+        axes.grid(alpha=0.25)
+    lines = {line.get_label(): line for axes in picture.axes for line in axes.lines}
+    picture.legend(handles=list(lines.values()), loc="outside upper center", frameon=False, fontsize=8, ncols=3)
+    return picture
+
+
+def find_axis(rows: Sequence[Row]) -> str:
+    """The setting along which curves run: the last that varies."""
+    return varied_in(rows[0])[-1]
+
+
+def find_knee(line: Sequence[Row], axis: str) -> float | None:
+    """The least value of the axis from which on the RMS, a mean over the seeds, is within KNEE times that at the end.
+
+    None where that is the first or the last: a line that is flat or rises has no knee, nor has one that still falls.
+    """
+    means = {value: mean(group, "rms_m") for value, group in sorted(split_by(line, axis).items())}
+    end = max(means)
+    beyond = [value for value, rms in means.items() if rms > KNEE * means[end]]
+    knee = min(value for value in means if value > max(beyond)) if beyond else end
+    return knee if knee < end else None
+
+
+def _our_lines(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
+    lines = {title: [row for row in panel if row["method"] == "deepgps"] for title, panel in _panels(rows).items()}
+    return {title: line for title, line in lines.items() if line}
+
+
+def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
+    groups = dict(sorted(split_by(line, axis).items()))
+    values, colour, title = list(groups), LINES.get(method, "#555555"), method_title(method)
+    seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
+    draw_band(axes, values, seeds, colour, f"{title}, RMS", marker=4)
+    medians = [100 * mean(group, "median_m") for group in groups.values()]
+    axes.plot(values, medians, "--", color=colour, linewidth=1, label=f"{title}, median")
+
+
+def _draw_paper(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
+    if share := PAPER_SHARE.get(axis):
+        label = f"paper: below {100 * share:g} % of the side"
+        axes.axhline(100 * share * panel[0]["shorter_side_m"], color="black", linestyle=":", label=label)
+    for index, (value, rms_m) in enumerate(PAPER_RMS.get(axis, {}).items()):
+        label = "_" if index else "paper's RMS"
+        axes.plot(value, 100 * rms_m, "D", color="black", markerfacecolor="none", label=label)
+
+
+def _scale(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
+    """Logarithmic where numbers span decades; errors begin at zero elsewhere."""
+    values, errors = [row[axis] for row in panel], [row[name] for row in panel for name in ("rms_m", "median_m")]
+    if _span(values) >= DECADES:
+        axes.set_xscale("log")
+        axes.set_xticks(sorted(set(values)), [f"{value:g}" for value in sorted(set(values))], fontsize=7.5)
+        axes.xaxis.set_minor_locator(ticker.NullLocator())
+    if _span(errors) >= DECADES:
+        axes.set_yscale("log")
+        count_by_decades(axes.yaxis)
+    else:
+        axes.set_ylim(bottom=0)
+
+
+def _span(values: Sequence[float]) -> float:
+    return max(values) / min(values) if min(values) > 0 else 1.0
+
+
+def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
+    names, panels = _name_panels(rows), {}
+    for row in rows:
+        panels.setdefault(tuple(str(row[name]) for name in names), []).append(row)
+    return panels
+
+
+def _name_panels(rows: Sequence[Row]) -> list[str]:
+    """The settings beside the axis that tell all cases apart."""
+    return tell_apart(rows, varied_in(rows[0])[:-1])
+
+
+def _write_paper(axis: str, value: float, row: Row) -> str:
+    if row["method"] != "deepgps":
+        return "-"
+    if axis in PAPER_SHARE:
+        return f"< {_centimetres(PAPER_SHARE[axis] * row['shorter_side_m'])}"
+    rms_m = PAPER_RMS[axis].get(value)
+    return "-" if rms_m is None else _centimetres(rms_m)
+
+
+def _centimetres(value: float) -> str:
+    return f"{100 * value:.3g}"

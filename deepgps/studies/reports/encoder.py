@@ -1,0 +1,151 @@
+"""The report of encoders: what each fault costs, beside what theory expects of it, and which encoder is good enough."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.figures.field_plot import read_fields
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title, read_metrics
+from deepgps.figures.targets import Figure
+from deepgps.studies.reports.encoder_sweeps import (
+    FEWER_IS_WORSE,
+    PERFECT,
+    TITLES,
+    Names,
+    Sweep,
+    find_pairs,
+    find_sweeps,
+    split_by_values,
+)
+from deepgps.studies.table import Row, find_methods, mean, split_by
+
+NEAR_M = (0.02, 0.05)
+"""How near the truth is good enough, for two kinds of builders [m]."""
+PART = 0.8
+"""The part of the places that have to be so near."""
+CHOICE = (
+    f"Up to where at least {100 * PART:g} % of the test positions, each at its worst heading, lie so near the truth, "
+    "in the mean of the seeds. Not the RMS: a few places far off decide that, and no encoder mends them."
+)
+NOTE = (
+    "RMS of the worst heading of each test position in centimetres, mean, least and most of the seeds, and near: the "
+    f"part of the test positions within {100 * NEAR_M[0]:g} cm; aligned on training samples, never scaled. Segment: "
+    "RMS error of the length of whole segments, measured and as theory expects it (uniform rounding within a tick, w "
+    "growing with the root of the number of gaps, slip with the root of the way, radius in proportion, a stuck encoder "
+    "taking half of the way); what is left without any fault is the wheels' creep on the floor. Where a map does "
+    "better than its segments, many of them cross each place and their errors average. Where it does worse, all err "
+    "alike, or segments are so good that the network, and places that the drive hardly saw, decide."
+)
+EXPLAIN = (
+    "Rounding should hardly matter while a tick is short beside the spacing of images: the phases of ticks differ.",
+    "A radius that is wrong on both wheels makes the map larger by as much, and one that is wrong on one wheel by half "
+    "of it. It costs that part of the distance from the middle of the room and shows in the scale alone; no method "
+    "without positions can know better.",
+    "Distances along segments do not know the track width, nor how a turn went: these hurt only who reckons a path. "
+    "What makes the wheels differ loses the path, and where it is lost farther than look-alike places mend, the map "
+    "that starts from it as well.",
+    "Lost readings are images lost to DeepGPS, and the distances of the others stay right. PoseNet learns from all "
+    "images, but the features that both look at are chosen along the segments, whose images lie farther apart.",
+)
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A page to decide from: what is good enough, then each fault, pairs of faults, and what theory says."""
+    methods, sweeps, blocks = find_methods(rows), find_sweeps(rows), []
+    for near in NEAR_M:
+        title = f"## Which encoder keeps most of the room within {100 * near:g} cm"
+        blocks += [title, tabulate(*choose_encoders(sweeps, methods, near))]
+    blocks.append(CHOICE)
+    for sweep in sweeps:
+        blocks += [f"## {_capital(sweep.title)}", tabulate(*tabulate_sweep(sweep, methods))]
+    for pair in find_pairs(rows):
+        title = " with ".join(TITLES.get((name,), name) for name in pair)
+        blocks += [f"## {_capital(title)}", tabulate(*_tabulate_pair(rows, pair))]
+    return [*blocks, "## What theory says", NOTE, "\n".join(f"- {sentence}" for sentence in EXPLAIN)]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """RMS at w = 0.10, and at 16 and 4 ticks relative to a perfect encoder, of both ways to learn."""
+    figures = {}
+    for method, prefix in (("deepgps", ""), ("deepgps_aware", "aware_")):
+        title = method_title(method)
+        for sweep in find_sweeps(rows):
+            found = sweep.by_value(method)
+            if sweep.names == ("gap_noise",) and 0.1 in found:
+                group = found[0.1]
+                worst = max(row["rms_m"] for row in group)
+                figures[f"{prefix}rms_w"] = Figure(f"RMS at w = 0.10, {title}", mean(group, "rms_m"), "cm", worst=worst)
+            for ticks in (16, 4) if sweep.names == (FEWER_IS_WORSE,) else ():
+                if ticks in found and PERFECT.ticks_per_rev in found:
+                    ratio = mean(found[ticks], "rms_m") / mean(found[PERFECT.ticks_per_rev], "rms_m")
+                    figures[f"{prefix}ticks_{ticks}"] = Figure(f"RMS at {ticks} ticks / perfect, {title}", ratio, "")
+    return figures
+
+
+def add_errors(run: Path, row: Row) -> Row:
+    """Part of the test positions that lie near the truth; errors of whole segments, and how many were doubted."""
+    error = read_fields(run)[row["method"]].error
+    return {**{name_part(near): float(np.mean(error <= near)) for near in NEAR_M}, **read_metrics(run)["distances"]}
+
+
+def name_part(near_m: float) -> str:
+    """The table's column for the part of the test positions within so many metres."""
+    return f"within_{100 * near_m:g}_cm"
+
+
+def choose_encoders(
+    sweeps: Sequence[Sweep], methods: Sequence[str], near_m: float
+) -> tuple[list[str], list[list[str]]]:
+    """For each fault, the strongest measured up to which ``PART`` of the places stay within ``near_m``."""
+    lines = []
+    for sweep in sweeps:
+        found = [_strongest(sweep.by_value(method), sweep.names[0], name_part(near_m)) for method in methods]
+        lines.append([sweep.title, *found])
+    return ["fault", *(method_title(method) for method in methods)], lines
+
+
+def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """A line for each value: errors of segments, of every method, the map's scale, and the segments doubted."""
+    lines = []
+    for value, group in sweep.by_value(methods[0]).items():
+        segment = [f"{100 * mean(group, name):.2f}" for name in ("segment_rms_m", "segment_expected_m")]
+        errors = [_write_errors(sweep.by_value(method)[value]) for method in methods]
+        doubted = " / ".join(f"{mean(group, name):.0f}" for name in ("wrong_doubted", "segments_wrong"))
+        lines.append([f"{value:g}", *segment, *errors, f"{mean(group, 'scale'):.4f}", doubted])
+    heads = [f"{method_title(method)} (of seeds), near" for method in methods]
+    scale = f"scale of {method_title(methods[0])}"
+    return [sweep.names[0], "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
+
+
+def _write_errors(rows: Sequence[Row]) -> str:
+    """RMS [cm] of the mean, the best and the worst seed, and the part of the places within the nearer distance."""
+    low, high = (f"{100 * take(row['rms_m'] for row in rows):.1f}" for take in (min, max))
+    return f"{100 * mean(rows, 'rms_m'):.1f} ({low} to {high}), {100 * mean(rows, name_part(NEAR_M[0])):.0f} %"
+
+
+def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[list[str]]]:
+    """Errors of every method where both faults are there, each alone, and none."""
+    methods, lines = find_methods(rows), []
+    for values, group in split_by_values(rows, pair).items():
+        found = split_by(group, "method")
+        lines.append([*(f"{value:g}" for value in values), *(_write_errors(found[method]) for method in methods)])
+    return [*pair, *(f"{method_title(method)} (of seeds), near" for method in methods)], lines
+
+
+def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> str:
+    good = []
+    for value, group in groups.items():
+        if mean(group, part) < PART:
+            break
+        good.append(value)
+    if not good:
+        return "none is enough"
+    if len(good) == len(groups):
+        return f"all, to {good[-1]:g}"
+    return f"{good[-1]:g}" if name == FEWER_IS_WORSE or len(good) > 1 else f"{good[-1]:g}, no more"
+
+
+def _capital(title: str) -> str:
+    return title[0].upper() + title[1:]

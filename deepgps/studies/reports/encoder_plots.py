@@ -1,0 +1,72 @@
+"""Figures of encoders: the error as each fault grows, and how much of the room stays near the truth."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades, draw_band
+from deepgps.studies.reports.encoder import NEAR_M, PART, name_part
+from deepgps.studies.reports.encoder_sweeps import Sweep, find_sweeps
+from deepgps.studies.table import Row, find_methods, mean
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """A panel for each fault: RMS of every method with a band of the seeds, and errors of segments beside theory's."""
+    return _draw_panels(rows, _draw_errors, "error [cm]")
+
+
+def draw_near(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """A panel for each fault: the part of the room that stays near the truth, with a band of the seeds."""
+    return _draw_panels(rows, _draw_near, f"places within {100 * NEAR_M[0]:g} cm [%]")
+
+
+def _draw_panels(rows: Sequence[Row], draw_one: Callable[[Axes, Sweep], None], ylabel: str) -> Picture:
+    sweeps = find_sweeps(rows)
+    columns = min(4, max(1, len(sweeps)))
+    lines = max(1, -(-len(sweeps) // columns))
+    picture = Picture(figsize=(3.3 * columns + 0.3, 2.9 * lines + 0.8), layout="constrained")
+    panels = list(picture.subplots(lines, columns, squeeze=False, sharey=True).flat)
+    for axes, sweep in zip(panels, sweeps, strict=False):
+        draw_one(axes, sweep)
+        axes.set_xlabel(sweep.title)
+        axes.grid(alpha=0.25)
+    for axes in panels[len(sweeps) :]:
+        axes.set_axis_off()
+    for axes in panels[::columns]:
+        axes.set_ylabel(ylabel)
+    named = {line.get_label(): line for axes in panels for line in axes.lines}
+    picture.legend(list(named.values()), list(named), loc="outside upper center", frameon=False, fontsize=8, ncols=4)
+    return picture
+
+
+def _draw_errors(axes: Axes, sweep: Sweep) -> None:
+    _draw_methods(axes, sweep, "rms_m")
+    groups = sweep.by_value(find_methods(sweep.rows)[0])
+    for name, style, label in (
+        ("segment_expected_m", "k:", "one segment, theory"),
+        ("segment_rms_m", "kx", "one segment, measured"),
+    ):
+        values = [100 * mean(group, name) for group in groups.values()]
+        axes.plot(range(len(groups)), values, style, markersize=5, label=label)
+    axes.set_yscale("log")
+    count_by_decades(axes.yaxis)
+
+
+def _draw_near(axes: Axes, sweep: Sweep) -> None:
+    _draw_methods(axes, sweep, name_part(NEAR_M[0]))
+    axes.axhline(100 * PART, color="k", linestyle=":", label="good enough")
+    axes.set_ylim(0, 100)
+
+
+def _draw_methods(axes: Axes, sweep: Sweep, name: str) -> None:
+    """Means over the seeds, a hundred times as large, and bands from the least to the most."""
+    for method in find_methods(sweep.rows):
+        groups, colour = sweep.by_value(method), LINES.get(method, "#555555")
+        seeds = [[100 * row[name] for row in group] for group in groups.values()]
+        place = range(len(groups))
+        draw_band(axes, place, seeds, colour, method_title(method), marker=3)
+        # what is measured stands side by side: values grow by factors in some faults and by steps in others
+        axes.set_xticks(place, [f"{value:g}" for value in groups], fontsize=8)

@@ -1,0 +1,240 @@
+"""The report of mds: the distances that a network learned, and the map that classical scaling makes of them.
+
+The paper's answer to why it works (Sec. III-A): the loss supervises a function of two observations that says how far
+apart they were taken. From the distances between all positions of a grid multidimensional scaling makes a map, and the
+network does that implicitly. With two outputs the last part is algebra: distances between points of a plane give the
+points back. What may fail is that distances are right where no straight segment ever joined two positions, and that
+a distance function free to use more dimensions than two needs no more.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib import ticker
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
+from scipy.spatial.distance import pdist, squareform
+
+from deepgps.alignment import fit_alignment
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.targets import Figure
+from deepgps.initial_map.isomap import find_axes
+from deepgps.methods.positioner import NetworkPositioner, load_positioner
+from deepgps.studies.reports.compare import choices, describe, group_rows, mean
+from deepgps.studies.reports.seeds import count_folded
+from deepgps.studies.table import Row
+from sim.errors import InputError
+from sim.recording.format import FreeSpace, open_recording, open_truth
+
+POSITIONS = 1500
+"""Positions of the grid that are scaled, at most."""
+PAIRED = 250
+"""Positions among which all pairs are looked at, at most."""
+LARGEST = 10
+"""Eigenvalues that are kept."""
+COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
+# columns in metres, with their headings in centimetres
+MAPS = {"own_m": "own RMS [cm]", "mds_m": "MDS RMS [cm]"}
+PAIRS = {"joined_m": "joined [cm]", "unjoined_m": "not joined [cm]"}
+NOTE = (
+    "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
+    "its distances; apart: RMS distance of the two. Planar: share of the two largest eigenvalues in the sum of the "
+    "sizes of all. Joined: median error of the distance of positions that a straight way of the robot joins; not "
+    "joined: none does. Folded: maps that turn over more than a tenth of the neighbourhoods."
+)
+
+
+@dataclass(frozen=True)
+class Distances:
+    """What a network says about the distances between positions of the test grid.
+
+    Attributes:
+        truth: The positions (n, 2) [m].
+        own: The network's positions of them (n, 2) [m], aligned.
+        scaled: The map by classical scaling (n, 2) [m], aligned.
+        dimensions: Outputs of the network.
+        eigenvalues: The largest of the centred squared distances, descending [m^2].
+        planar: Share of the two largest in the sum of the sizes of all.
+        true: Distance of each pair (p,) [m].
+        predicted: What the network says it is (p,) [m].
+        joined: Whether the robot could drive from one to the other in a straight line (p,).
+    """
+
+    truth: np.ndarray
+    own: np.ndarray
+    scaled: np.ndarray
+    dimensions: int
+    eigenvalues: np.ndarray
+    planar: float
+    true: np.ndarray
+    predicted: np.ndarray
+    joined: np.ndarray
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each way of learning, and how to read it."""
+    headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
+    names, cells = choices(rows, varied), []
+    for key, group in group_rows(rows, names).items():
+        figures = [f"{100 * mean(group, name):.3g}" for name in (*MAPS, "mds_own_m", *PAIRS)]
+        outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
+        cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, count_folded(group)])
+    return [tabulate(headings, cells), NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """Of maps that the detector calls unfolded, with two outputs and with more: how the map and the distances are."""
+    whole = [row for row in rows if not row["fold_found"]]
+    plane, space = ([row for row in whole if (row["outputs"] > 2) == more] for more in (False, True))
+    figures = {}
+    if plane:
+        same = [row["mds_own_m"] for row in plane]
+        figures["apart"] = Figure("MDS from own, two outputs", float(np.mean(same)), "mm", worst=max(same))
+        ratios = [row["unjoined_m"] / row["joined_m"] for row in plane]
+        title = "error of distances, not joined / joined"
+        figures["not_joined_ratio"] = Figure(title, float(np.mean(ratios)), "", worst=max(ratios))
+    if space:
+        shares = [row["planar"] for row in space]
+        figures["planar"] = Figure(
+            "planar, more outputs", float(np.mean(shares)), "%", at_least=True, worst=min(shares)
+        )
+    if plane and space:
+        ratio = mean(space, "mds_m") / mean(plane, "own_m")
+        figures["mds_ratio"] = Figure("RMS, MDS of more outputs / own of two", ratio, "")
+    return figures
+
+
+def add_distances(run: Path, row: Row) -> Row:
+    """Columns that say how good the distances are, and the map made of them."""
+    found = find_distances(run, row["method"])
+    error = np.abs(found.predicted - found.true)
+    return {
+        "outputs": found.dimensions,
+        "planar": found.planar,
+        "own_m": _rms(found.own - found.truth),
+        "mds_m": _rms(found.scaled - found.truth),
+        "mds_own_m": _rms(fit_alignment(found.scaled, found.own, "E2").apply(found.scaled) - found.own),
+        "joined_m": _median(error[found.joined]),
+        "unjoined_m": _median(error[~found.joined]),
+    }
+
+
+def find_distances(run: Path, method: str) -> Distances:
+    """Ask a trained network for the distances between positions of the test grid, and scale them."""
+    positioner = load_positioner(run / method)
+    if not isinstance(positioner, NetworkPositioner):
+        raise InputError(f"{run / method}: {method} has no network that could be asked for distances")
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    some = _spread(len(recording.test_observation), POSITIONS)
+    place = truth.test_pose[some, 0, :2]
+    out = positioner.embed(recording.test_observation[some, 0])
+    distance = squareform(pdist(out))
+    scaled, eigenvalues, planar = scale_all(distance)
+    own = out @ positioner.axes.double().numpy()
+    few = _spread(len(some), PAIRED)
+    first, second = (few[index] for index in np.triu_indices(len(few), 1))
+    return Distances(
+        truth=place,
+        own=fit_alignment(own, place, "E2").apply(own),
+        scaled=fit_alignment(scaled, place, "E2").apply(scaled),
+        dimensions=out.shape[1],
+        eigenvalues=eigenvalues,
+        planar=planar,
+        true=np.linalg.norm(place[first] - place[second], axis=1),
+        predicted=distance[first, second],
+        joined=are_joined(truth.free_space, place[first], place[second]),
+    )
+
+
+def scale_all(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Classical multidimensional scaling of all distances (n, n) [m] to a plane.
+
+    Returns:
+        The map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of two in the sum of all sizes.
+    """
+    size, axes = (part[..., ::-1] for part in find_axes(distance))
+    total = max(float(np.abs(size).sum()), 1e-300)
+    place = axes[:, :2] * np.sqrt(size[:2].clip(min=0.0))
+    return place, size[:LARGEST], float(size[:2].sum()) / total
+
+
+def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Whether the robot could drive straight from ``first`` to ``second`` (p, 2) [m]."""
+    longest = float(np.linalg.norm(second - first, axis=1).max(initial=0.0))
+    joined = np.ones(len(first), bool)
+    for share in np.linspace(0.0, 1.0, int(np.ceil(longest / space.cell_m)) + 1):
+        joined &= space.is_reachable(first + share * (second - first))
+    return joined
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Eigenvalues, errors of distances, and the maps of the first run of each way of learning."""
+    names = choices(rows, varied)
+    groups = group_rows(rows, names)
+    found = {
+        describe(key, names): find_distances(folder / "runs" / group[0]["run"], key[-1])
+        for key, group in groups.items()
+    }
+    picture = Picture(figsize=(max(9.6, 3.4 * len(found)), 7.2), layout="constrained")
+    upper, lower = picture.subfigures(2, 1, squeeze=False, height_ratios=(1.15, 1))[:, 0]
+    spectrum, errors = upper.subplots(1, 2)
+    _draw_spectrum(spectrum, found)
+    _draw_errors(errors, found)
+    panels = lower.subplots(1, len(found), squeeze=False, sharex=True, sharey=True)[0]
+    for axes, (title, one) in zip(panels, found.items(), strict=True):
+        _draw_map(axes, one)
+        axes.set_title(title, fontsize=9)
+    panels[0].set_ylabel("y [m]")
+    lower.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", frameon=False, fontsize=8, ncols=3)
+    return picture
+
+
+def _draw_spectrum(axes: Axes, found: Mapping[str, Distances]) -> None:
+    for (title, one), colour in zip(found.items(), COLOURS, strict=False):
+        share = (one.eigenvalues / one.eigenvalues[0]).clip(min=1e-8)
+        axes.plot(np.arange(1, len(share) + 1), share, "o-", color=colour, label=title, markersize=4)
+    axes.set(yscale="log", xlabel="eigenvalue", ylabel="size, the first = 1", ylim=(0.5e-8, 2))
+    axes.set_title("Do the distances lie in a plane?", fontsize=10)
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False, fontsize=7)
+
+
+def _draw_errors(axes: Axes, found: Mapping[str, Distances]) -> None:
+    for (_, one), colour in zip(found.items(), COLOURS, strict=False):
+        error, edges = np.abs(one.predicted - one.true), np.arange(0.0, one.true.max() + 0.5, 0.5)
+        for joined, line in ((True, "-"), (False, "--")):
+            kept = [(one.joined == joined) & (a <= one.true) & (one.true < a + 0.5) for a in edges]
+            points = [
+                (a + 0.25, 100 * np.median(error[chosen]))
+                for a, chosen in zip(edges, kept, strict=True)
+                if chosen.sum() > 9
+            ]
+            if points:
+                axes.plot(*np.transpose(points), line, color=colour)
+    axes.set(yscale="log", xlabel="true distance [m]", ylabel="median error of the distance [cm]")
+    axes.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.yaxis.set_minor_formatter(ticker.NullFormatter())
+    axes.set_title("Solid: a straight way joins the pair; dashed: none does", fontsize=10)
+    axes.grid(alpha=0.25, which="both")
+
+
+def _draw_map(axes: Axes, one: Distances) -> None:
+    axes.plot(*one.truth.T, ".", color="#c9ced6", markersize=3, label="truth")
+    axes.plot(*one.own.T, "o", color="#0b62d6", mfc="none", markersize=2.6, markeredgewidth=0.4, label="network's own")
+    axes.plot(*one.scaled.T, ".", color="#e8254f", markersize=1.2, label="MDS of its distances")
+    axes.set(aspect="equal", xlabel="x [m]")
+    axes.tick_params(labelsize=8)
+
+
+def _spread(count: int, most: int) -> np.ndarray:
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
+
+
+def _rms(away: np.ndarray) -> float:
+    return float(np.sqrt((away**2).sum(axis=-1).mean()))
+
+
+def _median(values: np.ndarray) -> float | None:
+    return float(np.median(values)) if len(values) else None

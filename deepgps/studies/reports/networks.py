@@ -1,0 +1,58 @@
+"""The report of networks: which of them gives one position one answer, whichever way the robot faces."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.evaluation.evaluate import measure_heading_spread
+from deepgps.figures.targets import Figure
+from deepgps.methods.positioner import Positioner, load_positioner
+from deepgps.studies.reports import compare
+from deepgps.studies.table import Row, mean
+from sim.recording.format import open_recording
+
+NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
+IMAGES = 30
+NOTE = (
+    "Turned: RMS distance of the predictions of one test image, turned by every whole number of sectors, from their "
+    "mean; it leaves out what rendering adds to headings."
+)
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each network, with and without shifted images in training; and how to read it."""
+    return [*compare.report(rows, varied, {"turn_spread_m": "turned [cm]"}), NOTE]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """RMS of each network as the paper trains it, with shifted images; and what the padding is worth."""
+    groups = {key[0]: group for key, group in compare.group_rows(rows, [NETWORK]).items()}
+    shifted = {name: [row for row in group if row.get(SHIFT, True)] for name, group in groups.items()}
+    figures = {}
+    for name, group in shifted.items():
+        if group:
+            worst = max(row["rms_m"] for row in group)
+            figures[name] = Figure(f"RMS, {name}", mean(group, "rms_m"), "cm", worst=worst)
+    for name in ("spectral", "invariant"):
+        if group := groups.get(name):
+            spreads = [row["turn_spread_m"] for row in group]
+            figures[f"{name}_turned"] = Figure(f"turned, {name}", float(np.mean(spreads)), "mm", worst=max(spreads))
+    if shifted.get("resnet_plain") and shifted.get("resnet_paper"):
+        for name, column, title in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
+            plain, paper = (mean(shifted[one], column) for one in ("resnet_plain", "resnet_paper"))
+            figures[name] = Figure(f"{title}, resnet_plain / resnet_paper", plain / paper, "", at_least=True)
+    return figures
+
+
+def add_turn_spread(run: Path, row: Row) -> Row:
+    """How much a trained network's prediction changes when one image is turned."""
+    images = open_recording(run / "recording").test_observation
+    some = np.linspace(0, len(images) - 1, min(IMAGES, len(images))).round().astype(int)
+    return {"turn_spread_m": measure_turn_spread(load_positioner(run / row["method"]), images[some, 0])}
+
+
+def measure_turn_spread(positioner: Positioner, images: np.ndarray) -> float:
+    """RMS distance [m] of predictions from their mean over all turns of each image (n, rings, sectors, 3)."""
+    turned = np.stack([np.roll(images, turn, axis=2) for turn in range(images.shape[2])], axis=1)
+    return measure_heading_spread(positioner(turned.reshape(-1, *images.shape[1:])).reshape(*turned.shape[:2], 2))

@@ -1,0 +1,163 @@
+"""What a study found: its table as Parquet, its report in Markdown and as figures."""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import to_png
+from deepgps.figures.targets import Figure, tabulate_targets
+from deepgps.studies.reports import (
+    camera,
+    compare,
+    concave,
+    curves,
+    encoder,
+    encoder_plots,
+    lab,
+    landmarks,
+    lidar,
+    mds,
+    networks,
+    rooms,
+    seeds,
+    strategies,
+)
+from deepgps.studies.study import Plan, ReportName, Study
+from deepgps.studies.table import ERRORS, FIGURE_NAMES, Row, gather, write_errors, write_table
+from sim.errors import InputError
+from sim.files import sha256, write_bytes, write_text
+
+SUMS = "SHA256SUMS"
+"""List of what was published, as sha256sum writes it."""
+
+# (rows measured, names that vary, the study's folder, where each run lies in runs/<row["run"]>)
+Draw = Callable[[Sequence[Row], Sequence[str], Path], Picture]
+
+
+class Kind(NamedTuple):
+    """One kind of report.
+
+    Attributes:
+        report: (rows measured, names that vary) -> blocks of Markdown.
+        measure: Rows measured -> figures that a target can stand beside.
+        figures: Pictures by the name of their file.
+        add: (run folder, row) -> columns of its own, which stand in the table beside the others.
+    """
+
+    report: Callable[[Sequence[Row], Sequence[str]], list[str]]
+    measure: Callable[[Sequence[Row]], dict[str, Figure]]
+    figures: Mapping[str, Draw]
+    add: Callable[[Path, Row], Row] | None = None
+
+
+def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """Every run and method as it is."""
+    cells = [[*(str(row[name]) for name in varied), method_title(row["method"]), *write_errors(row)] for row in rows]
+    return [tabulate([*varied, "method", *ERRORS.values()], cells)]
+
+
+PICTURES: Mapping[str, Draw] = {"errors": compare.draw, "error_fields": compare.draw_fields}
+KINDS: dict[ReportName, Kind] = {
+    "plain": Kind(report_plain, lambda rows: {}, {}),
+    "rooms": Kind(rooms.report, rooms.measure, {"rooms": rooms.draw}),
+    "seeds": Kind(seeds.report, seeds.measure, {"seeds": seeds.draw}),
+    "landmarks": Kind(landmarks.report, landmarks.measure, {"landmarks": landmarks.draw}),
+    "compare": Kind(compare.report, lambda rows: {}, PICTURES),
+    "networks": Kind(networks.report, networks.measure, PICTURES, networks.add_turn_spread),
+    "strategies": Kind(compare.report, strategies.measure, PICTURES),
+    "mds": Kind(mds.report, mds.measure, {"mds": mds.draw}, mds.add_distances),
+    "concave": Kind(
+        concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
+    ),
+    "camera": Kind(camera.report, camera.measure, {"camera": camera.draw}),
+    "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
+    "encoder": Kind(
+        encoder.report,
+        encoder.measure,
+        {"encoder": encoder_plots.draw, "near": encoder_plots.draw_near},
+        encoder.add_errors,
+    ),
+    "lidar": Kind(lidar.report, lidar.measure, {"lidar": lidar.draw}, lidar.add),
+    "lab": Kind(lab.report, lab.measure, lab.FIGURES, lab.add),
+}
+
+
+def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
+    """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; returns the report in Markdown.
+
+    Args:
+        study: What was run.
+        plans: Its runs.
+        failures: Why runs failed, by their hash.
+        folder: The study's folder.
+    """
+    rows, kind = gather(plans, failures, folder), KINDS[study.report]
+    if kind.add:
+        rows = add_columns(rows, kind.add, folder)
+    write_table(folder / "table.parquet", rows)
+    text = write_report(study, plans, failures, rows)
+    write_text(folder / "table.md", text)
+    measured = [row for row in rows if row["failure"] is None]
+    for name, draw in kind.figures.items() if measured else ():
+        write_bytes(folder / "figures" / f"{name}.png", to_png(draw(measured, varied_names(study), folder)))
+    return text
+
+
+def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:
+    """Rows with a report's own columns, which are empty where a run failed."""
+    added = [add(folder / "runs" / row["run"], row) if row["failure"] is None else {} for row in rows]
+    names = dict.fromkeys(name for columns in added for name in columns)
+    return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
+
+
+def publish(folder: Path, target: Path) -> None:
+    """Copy what a study found, without its runs, to a folder that can be committed, and list the checksums there."""
+    check_publish(target)
+    sums = []
+    for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
+        name = path.relative_to(folder).as_posix()
+        write_bytes(target / name, path.read_bytes())
+        sums.append(f"{sha256(path)}  {name}\n")
+    write_text(target / SUMS, "".join(sums))
+
+
+def check_publish(target: Path) -> None:
+    """Raise InputError where publishing would replace a file that was not published, or was changed since."""
+    if target.exists() and not target.is_dir():
+        raise InputError(f"--publish: {target} is no folder")
+    lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
+    published = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in FIGURE_NAMES)]
+    if foreign := set(published) - set(names):
+        raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which deepgps does not publish")
+    for path in (target / name for name in names):
+        name = path.relative_to(target).as_posix()
+        if os.path.lexists(path) and (path.is_symlink() or sha256(path) != published.get(name)):
+            raise InputError(f"--publish: {path} was not published by deepgps, or was changed since; move it away")
+
+
+def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
+    """The report in Markdown: the table, the targets, and what failed."""
+    varied, kind = varied_names(study), KINDS[study.report]
+    blocks = [f"# {study.name}", f"{len(plans)} runs of {study.scenario}, {len(failures)} failed."]
+    measured = [row for row in rows if row["failure"] is None]
+    if measured:
+        blocks += kind.report(measured, varied)
+        if figures := kind.measure(measured):
+            blocks += ["## In all", tabulate_targets(figures, study.target, study.paper)]
+    if failures:
+        failed = {row["run"]: row for row in rows if row["failure"]}.values()
+        cells = [[*(str(row[name]) for name in varied), row["run"], row["failure"]] for row in failed]
+        blocks += ["## Failed", tabulate([*varied, "run", "reason"], cells)]
+    return "\n\n".join(blocks) + "\n"
+
+
+def varied_names(study: Study) -> list[str]:
+    """Columns that tell the runs apart: settings by dotted name, and the seed where there are several."""
+    names = dict.fromkeys([*(name for case in study.cases for name in case), *study.axes])
+    return [*names, *(["seed"] if len(study.seeds) > 1 or not names else [])]

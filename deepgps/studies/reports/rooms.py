@@ -1,0 +1,127 @@
+"""The report of rooms: every room, the mean and the worst, and DeepGPS against its rivals: who wins how often."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+from scipy.stats import binomtest
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.targets import Figure, write
+from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_errors
+
+SHARES = ("relative_rms", "seen", "flipped")
+NOTE = (
+    "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
+    "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
+)
+
+SIGN_TEST = "p is that of a two-sided sign test: above 0.05, these rooms do not show which of the two is ahead."
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """The table of all rooms and methods, then the means, then the worst; how to read it; and who wins how often."""
+    headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
+    rival = _rival(rows)
+    cells = []
+    for row in rows:
+        known = row["method"] != "posenet" and row["recording"] in rival
+        ratio = row["rms_m"] / rival[row["recording"]] if known else None
+        cells.append([_room(row, varied), method_title(row["method"]), *_write(row), write(ratio, "")])
+    for title, choose in (("mean", np.mean), ("worst", np.max)):
+        for method, group in split_by(rows, "method").items():
+            columns = {name: [row[name] for row in group] for name in (*ERRORS, *SHARES, "train_s")}
+            whole = {name: None if None in values else float(choose(values)) for name, values in columns.items()}
+            if title == "worst":
+                whole["seen"] = min(row["seen"] for row in group)
+            cells.append([title, method_title(method), *_write(whole), "-"])
+    return [tabulate(headings, cells), NOTE, *_count_wins(rows)]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS over all rooms, then every rival; the ratio to PoseNet is that of mean RMS, over rooms that both have."""
+    methods, rival = split_by(rows, "method"), _rival(rows)
+    ours = methods.pop("deepgps", [])
+    if not ours:
+        return {}
+    figures = _measure_errors(ours)
+    both = [(row["rms_m"], rival[row["recording"]]) for row in ours if row["recording"] in rival]
+    if both:
+        mine, other = np.array(both).T
+        ratio, worst = float(mine.mean() / other.mean()), float((mine / other).max())
+        figures["posenet_ratio"] = Figure("RMS / PoseNet's RMS", ratio, "", worst=worst)
+        wins = float((mine < other).mean())
+        figures["wins"] = Figure("rooms with RMS below PoseNet's", wins, "%", at_least=True)
+    seconds = [row["train_s"] for row in ours]
+    figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
+    for method, group in methods.items():
+        title = f"{method_title(method)}, "
+        figures |= {f"{method}_{name}": figure for name, figure in _measure_errors(group, title).items()}
+    return figures
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """RMS (filled) and median (open) of every method in every room."""
+    rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
+    picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")
+    axes = picture.add_subplot()
+    for method, group in split_by(rows, "method").items():
+        place = [rooms.index(_room(row, varied)) for row in group]
+        colour, title = LINES.get(method, "#555555"), method_title(method)
+        axes.plot([100 * row["rms_m"] for row in group], place, "o", color=colour, label=f"{title}, RMS")
+        axes.plot(
+            [100 * row["median_m"] for row in group], place, "o", color=colour, mfc="none", label=f"{title}, median"
+        )
+    axes.set_yticks(range(len(rooms)), rooms)
+    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(rooms) - 0.5, -0.5))
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.25, which="both")
+    picture.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=4)
+    return picture
+
+
+def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
+    figures = {}
+    for name, heading in ERRORS.items():
+        values = [row[name] for row in group]
+        figures[name] = Figure(title + heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+    return figures
+
+
+def _count_wins(rows: Sequence[Row]) -> list[str]:
+    """A sentence for each rival: in how many of the rooms that both have DeepGPS has the lower error."""
+    methods = split_by(rows, "method")
+    ours = {row["recording"]: row for row in methods.pop("deepgps", [])}
+    sentences = []
+    for method, group in methods.items():
+        pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
+        wins = [
+            _count(word, [mine[name] - other[name] for mine, other in pairs]) for name, word in PAPERS_ERRORS.items()
+        ]
+        sentences.append(
+            f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
+        )
+    return [*sentences, SIGN_TEST] if sentences else []
+
+
+def _count(word: str, differences: Sequence[float]) -> str:
+    """How many differences are negative, and the p-value of a two-sided sign test."""
+    wins, losses = sum(value < 0 for value in differences), sum(value > 0 for value in differences)
+    chance = binomtest(wins, wins + losses).pvalue if wins + losses else 1.0
+    return f"{wins} by {word} (p = {chance:.2g})"
+
+
+def _rival(rows: Sequence[Row]) -> dict[str, float]:
+    return {row["recording"]: row["rms_m"] for row in rows if row["method"] == "posenet"}
+
+
+def _room(row: Row, varied: Sequence[str]) -> str:
+    return " ".join(str(row[name]) for name in varied)
+
+
+def _write(row: Mapping) -> list[str]:
+    shares = [f"{100 * row['relative_rms']:.2f} %", write(row["seen"], "%"), write(row["flipped"], "%")]
+    return [*write_errors(row), *shares, f"{row['train_s']:.0f}"]

@@ -1,0 +1,88 @@
+"""The report of seeds: how many maps lie folded by the truth, and what the detector, which does not see it, says."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.targets import Figure, write
+from deepgps.studies.table import ERRORS, Row, write_errors
+
+# Of maps of 8,000 images, right ones turned over 1 to 5 % of their neighbourhoods, folded ones 21 to 47 %.
+FLIPPED = 0.1
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A line for each kind of start, and how to read it."""
+    headings = ["start", "maps", "unfolded", "said to be", "flipped, median", "flipped, most", *ERRORS.values()]
+    cells = []
+    for title, group in _by_start(rows, varied).items():
+        flipped = [row["flipped"] for row in group if row["flipped"] is not None]
+        unfolded = str(sum(share <= FLIPPED for share in flipped)) if flipped else "-"
+        said = sum(not row["fold_found"] for row in group)
+        shares = [write(float(choose(flipped)) if flipped else None, "%") for choose in (np.median, np.max)]
+        middle = {name: float(np.median([row[name] for row in group])) for name in ERRORS}
+        cells.append([title, str(len(group)), unfolded, str(said), *shares, *write_errors(middle)])
+    note = (
+        f"A map is folded if it turns over more than {write(FLIPPED, '%')} of the test grid's neighbourhoods; "
+        "said to be unfolded is what the detector says. Errors are medians over the maps."
+    )
+    return [tabulate(headings, cells), note]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """Share of right maps, random starts left out, which are there to fold; and the detector over all maps."""
+    rows = [row for row in rows if row["fold_found"] is not None and row["flipped"] is not None]
+    own = [not is_folded(row) for row in rows if row.get("learn.start") != "random"]
+    folded = [row["fold_found"] for row in rows if is_folded(row)]
+    right = [row["fold_found"] for row in rows if not is_folded(row)]
+    return {
+        "unfolded": Figure(f"unfolded of {len(own)} maps, not from random starts", _share(own), "%", at_least=True),
+        "found": Figure(f"folds found, of {len(folded)}", _share(folded), "%", at_least=True),
+        "false_alarms": Figure(f"false alarms, of {len(right)} right maps", _share(right), "%"),
+    }
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """What the detector measures against the truth: a point for each map."""
+    picture = Picture(figsize=(9, 4), layout="constrained")
+    signs = {"fold_bent": "way that is bent", "fold_doubled": "places on one another"}
+    for index, (sign, title) in enumerate(signs.items()):
+        axes = picture.add_subplot(1, 2, index + 1)
+        for start, group in _by_start(rows, varied).items():
+            known = [row for row in group if row["flipped"] is not None]
+            flipped, said = ([100 * row[name] for row in known] for name in ("flipped", sign))
+            axes.plot(flipped, said, "o", alpha=0.6, label=start)
+        axes.axvline(100 * FLIPPED, color="#999999", linestyle=":")
+        axes.set(xlabel="flipped, by the truth [%]", ylabel=f"{title}, by the detector [%]", xlim=(0, 50))
+        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.25)
+        if index == 0:
+            axes.legend(frameon=False, fontsize=8)
+    return picture
+
+
+def is_folded(row: Row) -> bool:
+    """Whether the truth says that a map lies folded on itself."""
+    return row["flipped"] > FLIPPED
+
+
+def count_folded(rows: Sequence[Row]) -> str:
+    """How many maps the truth says lie folded; a dash where no test grid tells."""
+    known = [row for row in rows if row["flipped"] is not None]
+    return str(sum(map(is_folded, known))) if known else "-"
+
+
+def _by_start(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, list[Row]]:
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        if row["fold_found"] is not None:
+            title = ", ".join(f"{name} {row[name]}" for name in varied if name != "learn.seed")
+            groups.setdefault(title or "all", []).append(row)
+    return groups
+
+
+def _share(flags: Sequence[bool]) -> float | None:
+    return float(np.mean(flags)) if flags else None

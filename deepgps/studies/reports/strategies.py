@@ -1,0 +1,28 @@
+"""What strategies are judged by: the end-point strategy against the dense one, at equal travel and at equal images."""
+
+from collections.abc import Sequence
+
+from deepgps.figures.targets import Figure
+from deepgps.studies.table import Row, mean
+
+STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """DeepGPS: RMS of the end-point strategy over that of the dense one; and how much farther it drives."""
+    rows = [row for row in rows if row["method"] == "deepgps"]
+    dense = [row for row in rows if row[STRATEGY] == "dense"]
+    wanted = {row[SAMPLES] for row in dense}
+    same = [row for row in rows if row[STRATEGY] == "endpoint" and row[SAMPLES] in wanted]
+    fewer = [row for row in rows if row[STRATEGY] == "endpoint" and row[SAMPLES] not in wanted]
+    figures = {}
+    if dense and fewer:
+        figures["travel_ratio"] = _compare("RMS, end-point / dense, equal travel", fewer, dense, "rms_m")
+    if dense and same:
+        figures["samples_ratio"] = _compare("RMS, end-point / dense, equal images", same, dense, "rms_m")
+        figures["way_ratio"] = _compare("travel, end-point / dense, equal images", same, dense, "distance_m")
+    return figures
+
+
+def _compare(title: str, rows: Sequence[Row], others: Sequence[Row], name: str) -> Figure:
+    return Figure(title, mean(rows, name) / mean(others, name), "", at_least=True)

@@ -1,0 +1,107 @@
+"""How the viewer shows a run while it runs: a tab for each stage, the newest in front."""
+
+from collections.abc import Sequence
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.figures.run_report import method_title
+from deepgps.viewer.run.layout import CAMERAS, aim_eye
+from sim.recording.format import FreeSpace
+
+RUN_TIME = "run_time"
+EYE = rrb.EyeControls3D(
+    kind=rrb.Eye3DKind.Orbital, position=(0.0, -3.0, 6.4), look_target=(0.0, -0.3, 0.0), eye_up=(0.0, 1.0, 0.0)
+)
+"""Until the room is known: all of a usual one."""
+
+
+def make_live_blueprint(
+    space: FreeSpace | None, pictures: bool, trained: Sequence[str], began_s: float, measured: Sequence[str]
+) -> rrb.Blueprint:
+    """How the viewer shows what there is so far.
+
+    Args:
+        space: The room's floor, once the recording is whole.
+        pictures: Whether the robot has a camera.
+        trained: Methods whose training has begun.
+        began_s: When the first did [s].
+        measured: Methods whose error fields stand.
+    """
+    tabs: list[rrb.Container] = [_drive(space, pictures)]
+    if space and trained:
+        tabs.append(_training(space, trained, began_s))
+    if space and measured:
+        tabs.append(_error_fields(space, measured))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=len(tabs) - 1),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=RUN_TIME, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
+    until_now = rr.VisibleTimeRange(
+        RUN_TIME, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative(seconds=0)
+    )
+    room = rrb.Spatial3DView(
+        name="Robot and segments so far",
+        origin="world",
+        contents=["world/room", "world/drive/**"],
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.3) if space else EYE,
+        line_grid=space is None,
+        overrides={"world/drive/path": rrb.VisibleTimeRanges([until_now])},
+    )
+    cameras = [rrb.Spatial2DView(name=CAMERAS[name], origin=f"drive/{name}") for name in ("fisheye", "polar")]
+    return rrb.Horizontal(
+        room,
+        rrb.Vertical(*(cameras if pictures else []), _steps(), row_shares=[3, 1, 2] if pictures else [1]),
+        column_shares=[5, 2],
+        name="Drive",
+    )
+
+
+def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.Vertical:
+    maps = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: where it puts the training images",
+            origin="world",
+            contents=["world/floor_plan", "world/outline", f"world/training/{name}"],
+            eye_controls=aim_eye(space, reach=0.9),
+            line_grid=False,
+        )
+        for name in trained
+    ]
+    since = rr.TimeRange(start=rr.TimeRangeBoundary.absolute(seconds=began_s), end=rr.TimeRangeBoundary.infinite())
+    losses = rrb.TimeSeriesView(name="Loss, log10", origin="training", axis_x=rrb.TimeAxis(view_range=since))
+    return rrb.Vertical(
+        rrb.Horizontal(*maps),
+        rrb.Horizontal(losses, _steps(), column_shares=[5, 2]),
+        row_shares=[3, 2],
+        name="Training",
+    )
+
+
+def _error_fields(space: FreeSpace, measured: Sequence[str]) -> rrb.Horizontal:
+    fields = [
+        rrb.Spatial3DView(
+            name=f"Error field of {method_title(name)}",
+            origin="world",
+            contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{name}/**"],
+            eye_controls=aim_eye(space, tilt=0.45, reach=1.08),
+            line_grid=False,
+        )
+        for name in measured
+    ]
+    return rrb.Horizontal(
+        rrb.Grid(*fields, grid_columns=1 if len(fields) == 1 else 2),
+        rrb.TextDocumentView(name="Figures", origin="report/figures"),
+        column_shares=[5, 2],
+        name="Error field",
+    )
+
+
+def _steps() -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name="Steps", origin="steps")

@@ -1,0 +1,111 @@
+"""What a viewer shows of a run while it runs: the drive, the training, the error field, each as far as it stands.
+
+All rows stand on one timeline, ``run_time`` [s], since the view began. What has come since the last look is spread over
+the time between, so that it plays back as smoothly as it came.
+"""
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.figures.run_figures import field_plot
+from deepgps.figures.run_report import OVERVIEW, markdown_table, method_title, read_metrics
+from deepgps.scenario import Scenario
+from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
+from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint
+from deepgps.viewer.live.training import LiveTraining
+from deepgps.viewer.scene import log_field, log_room, log_scale
+from sim.recording.format import FreeSpace, open_recording, open_truth
+
+
+class LiveView:
+    """What has been told and sent of a run.
+
+    Args:
+        stream: Where to.
+        scenario: What is run.
+        folder: The run folder.
+
+    Attributes:
+        steps: Of each label told, steps done and in all.
+        histories: Of each training told, its history so far.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, scenario: Scenario, folder: Path) -> None:
+        self.steps: dict[str, tuple[int, int]] = {}
+        self.histories: dict[str, Mapping[str, np.ndarray]] = {}
+        self._stream, self._scenario, self._folder = stream, scenario, folder
+        self._drive = LiveDrive(stream, folder / "recording", scenario.camera)
+        self._space: FreeSpace | None = None
+        self._training: LiveTraining | None = None
+        self._measured: list[str] = []
+        self._start, self._before = time.monotonic(), 0.0  # when the view began; its last look, since then
+        self._began_s: float | None = None  # when the training did
+        self._text, self._shown = "", object()
+        stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
+        log_drive_styles(stream)
+        self._arrange()
+
+    def update(self) -> None:
+        """Send what is new."""
+        now = time.monotonic() - self._start
+        before, self._before = self._before, now
+        if self._began_s is None and self.histories:
+            self._began_s = before
+
+        def at(rows: int) -> list[rr.TimeColumn]:
+            return [rr.TimeColumn(RUN_TIME, duration=np.linspace(before, now, rows + 1)[1:])]
+
+        if self._training is None:
+            self._drive.send_chunks(at)
+        if self._training is None and (self._folder / "recording" / "manifest.json").is_file():
+            self._training = self._send_room(at)
+        if self._training is not None:
+            self._training.send(dict(self.histories), self._scenario.methods, at)
+        if self._space is not None and not self._measured and (self._folder / "metrics.json").is_file():
+            self._measured = self._send_results(self._space)
+        self._send_steps()
+        self._arrange()
+
+    def _send_room(self, at: Spread) -> LiveTraining:
+        """Send what is there once the recording is whole; returns what will show how it is learned."""
+        recording = keep_plausible(open_recording(self._folder / "recording"))
+        truth = open_truth(self._folder / "recording")
+        self._space = truth.free_space
+        log_room(self._stream, recording.folder / "scene.glb", self._space)
+        self._drive.send_rest(recording, truth, at)
+        return LiveTraining(self._stream, self._folder, truth.pose[:, :2])
+
+    def _send_results(self, space: FreeSpace) -> list[str]:
+        """Send the error fields and the figures; returns the methods measured."""
+        fields, metrics = field_plot.read_fields(self._folder), read_metrics(self._folder)
+        for name, field in fields.items():
+            log_field(self._stream, name, field)
+        log_scale(self._stream, space)
+        text = f"# {self._scenario.name}, seed {self._scenario.seed}\n\n{markdown_table(metrics, OVERVIEW)}"
+        self._stream.log("report/figures", rr.TextDocument(text, media_type="text/markdown"), static=True)
+        return list(fields)
+
+    def _send_steps(self) -> None:
+        rows = [
+            f"| {method_title(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()
+        ]
+        text = "\n".join(["| what | done | of |", "|---|---|---|", *rows])
+        if text == self._text:
+            return
+        self._text = text
+        self._stream.log("steps", rr.TextDocument(text, media_type="text/markdown"), static=True)
+
+    def _arrange(self) -> None:
+        """Lay the views out anew where there is something new to see."""
+        trained = list(self._training.trained) if self._training else []
+        pictures = self._scenario.world == "room" and self._scenario.sensor == "fisheye"
+        shown = (self._space is not None, trained, self._measured)
+        if shown != self._shown:
+            self._shown = shown
+            layout = make_live_blueprint(self._space, pictures, trained, self._began_s or 0.0, self._measured)
+            self._stream.send_blueprint(layout)

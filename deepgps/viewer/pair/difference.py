@@ -1,0 +1,211 @@
+"""Two runs compared: what was set otherwise, which figures changed, and where the error grew or fell."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import style, ticker
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from deepgps.figures.field_plot import SCALE_M, WorstField, read_fields
+from deepgps.figures.run_report import COLUMNS, Column, method_title, read_metrics
+from deepgps.figures.style import SCREEN, colour_on_dark
+from deepgps.run_folder import open_run
+from sim.errors import InputError
+from sim.recording.format import FreeSpace, open_truth
+
+SAME_M = SCALE_M[0]
+"""Errors that differ by less count as the same [m]."""
+# blue: B is better; grey: the same; orange: B is worse
+CHANGE = LinearSegmentedColormap.from_list(
+    "change",
+    [
+        *[(0.0, "#3d6bff"), (0.25, "#2fb5ff"), (0.48, "#4a7f99")],
+        (0.5, "#59606e"),
+        *[(0.52, "#9c7350"), (0.75, "#ffa03c"), (1.0, "#ff4a2e")],
+    ],
+)
+TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))
+"""Figures that stand in one table each, for its width."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One run of a pair.
+
+    Attributes:
+        folder: Where it lies.
+        metrics: Its metrics.json.
+        fields: Its error fields by their methods' names.
+        space: The floor of its room.
+    """
+
+    folder: Path
+    metrics: Mapping[str, Any]
+    fields: Mapping[str, WorstField]
+    space: FreeSpace
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two runs, A and B.
+
+    Attributes:
+        a: The first run.
+        b: The second.
+        methods: Those that both have, in the order of the first.
+        same_floor: Whether both have the same room and test positions, so that errors can be told apart place by place.
+    """
+
+    a: Side
+    b: Side
+    methods: Sequence[str]
+    same_floor: bool
+
+
+def open_pair(folders: Sequence[Path]) -> Pair:
+    """Open two runs; raises InputError for more or fewer, for one run twice, or where they have no method in common."""
+    if len(folders) != 2:
+        raise InputError(f"two runs are compared, not {len(folders)}: {', '.join(map(str, folders))}")
+    if folders[0].resolve() == folders[1].resolve():
+        raise InputError(f"{folders[0]} and {folders[1]} are the same run; two different ones are compared")
+    a, b = (_open_side(folder) for folder in folders)
+    methods = [name for name in a.fields if name in b.fields]
+    if not methods:
+        names = [", ".join(side.fields) for side in (a, b)]
+        raise InputError(f"no method is in both runs: {a.folder} has {names[0]}, {b.folder} has {names[1]}")
+    places = (a.fields[methods[0]].truth, b.fields[methods[0]].truth)
+    same = np.array_equal(*places) and np.array_equal(a.space.reachable, b.space.reachable)
+    return Pair(a, b, methods, same)
+
+
+def measure_change(pair: Pair, method: str) -> np.ndarray:
+    """How much larger the error of B is than that of A at each test position (C,) [m]."""
+    return pair.b.fields[method].error - pair.a.fields[method].error
+
+
+def scale_change(change: np.ndarray) -> np.ndarray:
+    """Changes (...,) [m] from -1 to 1: 0 up to a centimetre, then by decades up to a metre, as errors are drawn."""
+    decades = np.log10(SCALE_M[1] / SAME_M)
+    return np.sign(change) * np.clip(np.log10(np.maximum(np.abs(change), SAME_M) / SAME_M) / decades, 0, 1)
+
+
+def colours_of_change(share: np.ndarray) -> np.ndarray:
+    """Colours (..., 4) uint8 RGBA of scaled changes (...,)."""
+    return (CHANGE((np.asarray(share) + 1) / 2) * 255).round().astype(np.uint8)
+
+
+def describe_pair(pair: Pair) -> str:
+    """Both runs, what was set otherwise, the figures side by side, and where which run is better, as Markdown."""
+    return "\n".join(
+        [
+            "# B beside A",
+            "",
+            "| | run | scenario | seed |",
+            "|---|---|---|---:|",
+            *(
+                f"| **{letter}** | {_name(side.folder)} | {side.metrics['scenario']} | {side.metrics['seed']} |"
+                for letter, side in (("A", pair.a), ("B", pair.b))
+            ),
+            "",
+            *_list_settings(pair),
+            "",
+            *_list_places(pair),
+            "",
+            "Errors [cm] of the worst heading of each test position:",
+            "",
+            *(line for names in TABLES for line in [*_list_figures(pair, names), ""]),
+        ]
+    )
+
+
+def draw_distributions(pair: Pair) -> Figure:
+    """Share of test positions whose error is at most so large: A dashed, B drawn through."""
+    with style.context("dark_background"):
+        figure = Figure(figsize=(9, 5.6), layout="constrained", facecolor=SCREEN[0])
+        axes = figure.add_subplot(facecolor=SCREEN[0])
+        for name in pair.methods:
+            colour = f"#{bytes(colour_on_dark(name)).hex()}"
+            for letter, side, line in (("A", pair.a, "--"), ("B", pair.b, "-")):
+                error = np.sort(side.fields[name].error)
+                share = 100 * np.arange(1, len(error) + 1) / len(error)
+                label = f"{method_title(name)}, {letter}"
+                axes.step(error, share, line, where="post", color=colour, label=label, linewidth=1.8)
+        axes.set_xscale("log")
+        axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
+        axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+        axes.axhline(50, color="#999999", linewidth=0.8, linestyle=":")
+        axes.grid(alpha=0.2, which="both")
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=9)
+        axes.set_title("How large are the errors?", fontsize=13)
+    return figure
+
+
+def _open_side(folder: Path) -> Side:
+    return Side(folder, read_metrics(folder), read_fields(folder), open_truth(folder / "recording").free_space)
+
+
+def _name(folder: Path) -> str:
+    return folder.resolve().name
+
+
+def _list_places(pair: Pair) -> list[str]:
+    if not pair.same_floor:
+        return ["**The rooms or test positions differ**: side by side only, there is no difference of the fields."]
+    rows = []
+    for name in pair.methods:
+        change = measure_change(pair, name)
+        better, worse = int((change < -SAME_M).sum()), int((change > SAME_M).sum())
+        rows.append(f"| {method_title(name)} | {better} | {len(change) - better - worse} | {worse} |")
+    return [
+        f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:",
+        "",
+        "| method | B better | same | B worse |",
+        "|---|---:|---:|---:|",
+        *rows,
+    ]
+
+
+def _list_figures(pair: Pair, names: Sequence[str]) -> list[str]:
+    """One row for each method: figures of A, of B and their ratio."""
+    columns = [column for column in COLUMNS if column[1] in names]
+    heads = " | ".join(f"{heading.split(' [')[0]} A | B | B / A" for heading, _, _ in columns)
+    rows = (
+        f"| {method_title(method)} | {' | '.join(_compare(pair, method, column) for column in columns)} |"
+        for method in pair.methods
+    )
+    return [f"| method | {heads} |", "|---|" + "---:|" * 3 * len(columns), *rows]
+
+
+def _compare(pair: Pair, method: str, column: Column) -> str:
+    _, name, write = column
+    a, b = (side.metrics["methods"].get(method, {}).get(name) for side in (pair.a, pair.b))
+    ratio = "-" if not a or b is None else f"{b / a:.2f}"
+    return " | ".join([*("-" if value is None else write(value) for value in (a, b)), ratio])
+
+
+def _list_settings(pair: Pair) -> list[str]:
+    """What the scenarios set otherwise, one row each, without ``methods``, since only common ones are shown."""
+    a, b = (_read_settings(side.folder) for side in (pair.a, pair.b))
+    differ = [name for name in a if a[name] != b[name] and name != "methods"]
+    if not differ:
+        return ["Both were made with the same settings."]
+    rows = (f"| {name} | {a[name]} | {b[name]} |" for name in differ)
+    return ["| set otherwise | A | B |", "|---|---:|---:|", *rows]
+
+
+def _read_settings(folder: Path) -> dict[str, Any]:
+    """All settings of a run by dotted name, those too that were not there when it was made."""
+    return dict(_flatten(open_run(folder).model_dump(mode="json")))
+
+
+def _flatten(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flatten(value, f"{above}{name}.")
+        else:
+            yield f"{above}{name}", value

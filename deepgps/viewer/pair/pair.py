@@ -1,0 +1,162 @@
+"""Two runs in one recording: the change of their error fields below ``change``, each run below ``a`` and ``b``."""
+
+import hashlib
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.figures.field_plot import limits
+from deepgps.figures.run_report import method_title
+from deepgps.figures.style import to_png
+from deepgps.run_folder import open_run
+from deepgps.viewer.pair.difference import (
+    Pair,
+    Side,
+    colours_of_change,
+    describe_pair,
+    draw_distributions,
+    measure_change,
+    open_pair,
+    scale_change,
+)
+from deepgps.viewer.run.layout import aim_eye
+from deepgps.viewer.run.recording import hash_run
+from deepgps.viewer.save import holds, save_recording
+from deepgps.viewer.scene import LAYER_M, STRIP, find_thinness, lift, log_field, log_room, log_scale, log_strip
+from sim.recording.format import FreeSpace
+
+PAIRS = "pairs"
+LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}
+
+
+def write_pair(folders: Sequence[Path]) -> Path:
+    """Write two runs' recording into ``pairs`` in the first one's folder unless it stands; returns its path.
+
+    The runs' own files are left as they are.
+
+    Raises:
+        InputError: The folders are not two whole runs with a method in common.
+    """
+    pair = open_pair(folders)
+    number = _hash_pair(folders)
+    path = folders[0] / PAIRS / f"{number[:12]}.rrd"
+    if not holds(path, number):
+        title = " and ".join(folder.resolve().name for folder in folders)
+        save_recording(path, number, title, make_pair_blueprint(pair), lambda stream: _log_pair(stream, pair))
+    return path
+
+
+def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
+    """How the viewer shows a pair: what changed where, if that can be told, then both runs beside each other."""
+    return rrb.Blueprint(
+        rrb.Tabs(
+            *([_change(pair)] if pair.same_floor else []),
+            _sides(pair),
+            rrb.Spatial2DView(name="Error distribution", origin="report/error_cdf"),
+            active_tab=0,
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="hidden"),
+        auto_views=False,
+    )
+
+
+def _hash_pair(folders: Sequence[Path]) -> str:
+    """Thirty-two hexadecimal digits of all that two runs' recording shows."""
+    shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
+    return hashlib.sha256(str(shown).encode()).hexdigest()[:32]
+
+
+def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
+    for root, side in (("a", pair.a), ("b", pair.b)):
+        _log_side(stream, root, side, pair.methods)
+    if pair.same_floor:
+        log_room(stream, pair.a.folder / "recording" / "scene.glb", pair.a.space, "change")
+        _log_change_scale(stream, pair.a.space)
+        for name in pair.methods:
+            _log_change(stream, name, pair.a.fields[name].truth, measure_change(pair, name))
+    stream.log("report/pair", rr.TextDocument(describe_pair(pair), media_type="text/markdown"), static=True)
+    picture = BytesIO(to_png(draw_distributions(pair)))
+    stream.log("report/error_cdf", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
+
+
+def _log_side(stream: rr.RecordingStream, root: str, side: Side, methods: Sequence[str]) -> None:
+    log_room(stream, side.folder / "recording" / "scene.glb", side.space, root)
+    log_scale(stream, side.space, root)
+    for name in methods:
+        log_field(stream, name, side.fields[name], root=root)
+
+
+def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change: np.ndarray) -> None:
+    """A dot at each test position, the larger the more the error changed; each change can be read as a scalar too."""
+    share = scale_change(change)
+    dots = rr.Points3D(
+        lift(place, LAYER_M),
+        radii=find_thinness(place) * (0.012 + 0.028 * np.abs(share)),
+        colors=colours_of_change(share),
+        point_shading="Flat",
+    )
+    stream.log(f"change/field/{name}", dots, rr.AnyValues(change_m=change), static=True)
+
+
+def _log_change_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
+    colours = colours_of_change(np.linspace(-1, 1, STRIP))
+    labels = {(change + 1) / 2: label for change, label in LABELS.items()}
+    log_strip(stream, "change/scale", *limits(space), colours, labels)
+
+
+def _change(pair: Pair) -> rrb.Horizontal:
+    first, *others = pair.methods
+    room = rrb.Spatial3DView(
+        name=f"Where the error of {method_title(first)} changed from A to B",
+        origin="change",
+        contents=["change/room", "change/floor_plan", "change/scale/**", f"change/field/{first}"],
+        eye_controls=aim_eye(pair.a.space, tilt=0.45, reach=1.08),
+        line_grid=False,
+    )
+    plans = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: A to B",
+            origin="change",
+            contents=["change/floor_plan", f"change/field/{name}"],
+            eye_controls=aim_eye(pair.a.space, reach=0.85, before=0.0),
+            line_grid=False,
+        )
+        for name in others
+    ]
+    fields = rrb.Vertical(room, *([rrb.Horizontal(*plans)] if plans else []), row_shares=[5, 2] if plans else [1])
+    return rrb.Horizontal(fields, _text(), column_shares=[5, 2], name="Difference")
+
+
+def _sides(pair: Pair) -> rrb.Horizontal:
+    fields = [
+        rrb.Vertical(
+            *(
+                rrb.Spatial3DView(
+                    name=f"{letter}: error field of {method_title(name)}",
+                    origin=root,
+                    contents=[
+                        f"{root}/room",
+                        f"{root}/floor_plan",
+                        f"{root}/scale/**",
+                        f"{root}/error_field/{name}/**",
+                    ],
+                    eye_controls=aim_eye(side.space, tilt=0.35, reach=1.0),
+                    line_grid=False,
+                )
+                for letter, root, side in (("A", "a", pair.a), ("B", "b", pair.b))
+            ),
+            name=method_title(name),
+        )
+        for name in pair.methods
+    ]
+    return rrb.Horizontal(rrb.Tabs(*fields), _text(), column_shares=[5, 2], name="Side by side")
+
+
+def _text() -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name="Figures", origin="report/pair")

@@ -1,0 +1,151 @@
+"""The drive along its timeline: the robot and its path below ``world``, what was sensed below ``drive``."""
+
+import numpy as np
+import rerun as rr
+
+from deepgps.viewer import playback
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import drive_index, send_series
+from sim.recording.format import Recording, Truth
+from sim.settings import CameraSettings
+
+ROBOT = "world/drive/robot"
+Colour = tuple[int, int, int]
+TRUE: Colour = (90, 160, 255)
+LEG: Colour = (255, 196, 60)
+IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
+ROUND_PX = 144
+
+
+def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
+    height_m = _camera(recording).height_m
+    _log_robot(stream, _find_track_m(recording), height_m)
+    observation = recording.reading[:, 1]
+    seen, first = np.unique(observation, return_index=True)
+    stream.send_columns(
+        ROBOT,
+        drive_index(recording.time[first], recording),
+        rr.Transform3D.columns(translation=lift(truth.pose[seen, :2], 0.0), quaternion=turn_up(truth.pose[seen, 2])),
+    )
+    log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
+    _log_distances(stream, recording, truth)
+    if recording.observation.ndim == 4:
+        _log_images(stream, recording, seen, recording.time[first])
+    elif recording.observation.ndim == 3:
+        _log_scans(stream, recording, seen, recording.time[first])
+
+
+def log_path(
+    stream: rr.RecordingStream, root: str, place: np.ndarray, colours: tuple[Colour, Colour], recording: Recording
+) -> None:
+    """Whole segments below ``root``, one row each, and the leg driven so far, of places at each reading (R, 2) [m].
+
+    Args:
+        stream: Where to.
+        root: Entity below which they are logged.
+        place: Where the robot was, or is said to have been.
+        colours: Of the segments, and of the leg.
+        recording: What was sensed.
+    """
+    segment, place = recording.reading[:, 0], lift(place, LAYER_M)
+    start = playback.find_starts(segment)
+    end = playback.find_lasts(start)
+    stream.log(f"{root}/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[*colours[0], 150]), static=True)
+    stream.send_columns(
+        f"{root}/path",
+        drive_index(recording.time[end], recording),
+        rr.LineStrips3D.columns(strips=np.stack([place[start[end]], place[end]], axis=1)),
+    )
+    stream.log(f"{root}/leg", rr.LineStrips3D.from_fields(radii=0.012, colors=colours[1]), static=True)
+    stream.send_columns(
+        f"{root}/leg",
+        drive_index(recording.time, recording),
+        rr.LineStrips3D.columns(strips=np.stack([place[start], place], axis=1)),
+    )
+
+
+def find_cameras(recording: Recording) -> list[str]:
+    """Names of the pictures that a recording has: none of scans and of distances to landmarks."""
+    images = ["fisheye", "polar"] if recording.observation.ndim == 4 else []
+    return [*images, *(["horizontal"] if recording.horizontal is not None else [])]
+
+
+def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
+    body_m = 0.14
+    stream.log(
+        f"{ROBOT}/body",
+        rr.Cylinders3D(
+            lengths=[body_m, height_m - body_m],
+            radii=[0.65 * track_m, 0.012],
+            centers=[(0, 0, body_m / 2), (0, 0, (height_m + body_m) / 2)],
+            colors=[(60, 66, 80), (180, 184, 190)],
+            fill_mode=rr.components.FillMode.Solid,
+        ),
+        rr.Arrows3D(origins=[(0, 0, body_m + 0.01)], vectors=[(0.25, 0, 0)], colors=LEG, radii=0.015),
+        static=True,
+    )
+    stream.log(f"{ROBOT}/lens", rr.Points3D([(0, 0, height_m)], radii=0.03, colors=[232, 37, 79]), static=True)
+
+
+def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
+    encoder, true, difference = playback.measure_distances(recording, truth.pose)
+    ticks = recording.reading[:, 2:]
+    series = {
+        "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),
+        "drive/distance/truth": (true, "true", TRUE),
+        "drive/difference": (1000 * difference, "encoder minus truth", (232, 37, 79)),
+        "drive/ticks/left": (ticks[:, 0], "left", (90, 160, 255)),
+        "drive/ticks/right": (ticks[:, 1], "right", (63, 208, 165)),
+    }
+    indexes = drive_index(recording.time, recording)
+    for path, (values, label, colour) in series.items():
+        send_series(stream, path, indexes, values, label, colour)
+
+
+def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
+    step = -(-len(seen) // IMAGES_AT_MOST)
+    seen, indexes = seen[::step], drive_index(time[::step], recording)
+    _, rings, sectors, _ = recording.observation.shape
+    warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
+    polar = (np.asarray(recording.observation[observation]) for observation in seen)
+    pairs = [(playback.encode_jpeg(image), playback.encode_jpeg(playback.warp_round(image, warp))) for image in polar]
+    pictures: dict[str, tuple[bytes, ...]] = dict(
+        zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True)
+    )
+    if recording.horizontal is not None:
+        grey = (np.repeat(recording.horizontal[observation][..., None], 3, axis=2) for observation in seen)
+        pictures["drive/horizontal"] = tuple(playback.encode_jpeg(image) for image in grey)
+    for path, blobs in pictures.items():
+        stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+        stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
+
+
+def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
+    """Where each ray ends, as points about the robot."""
+    step = -(-len(seen) // IMAGES_AT_MOST)
+    scans = np.asarray(recording.observation[seen[::step], 0])
+    angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
+    ends = scans[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    points = lift(ends.reshape(-1, 2), LAYER_M)
+    stream.log(f"{ROBOT}/scan", rr.Points3D.from_fields(radii=0.012, colors=[63, 208, 165]), static=True)
+    stream.send_columns(
+        f"{ROBOT}/scan",
+        drive_index(time[::step], recording),
+        rr.Points3D.columns(positions=points).partition([scans.shape[1]] * len(scans)),
+    )
+
+
+def _find_track_m(recording: Recording) -> float:
+    """The true distance of the wheels; odometry knows it as wrong as was set."""
+    wrong = recording.manifest["settings"].get("encoder", {}).get("track_error", 0.0)
+    return float(recording.manifest["odometry"]["track_m"]) / (1.0 + wrong)
+
+
+def _camera(recording: Recording) -> CameraSettings:
+    return CameraSettings.model_validate(recording.manifest["settings"]["camera"])
+
+
+def turn_up(yaw: np.ndarray) -> np.ndarray:
+    """Quaternions (N, 4), x y z w as Rerun has them, of headings (N,) [rad]."""
+    zero = np.zeros_like(yaw)
+    return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)

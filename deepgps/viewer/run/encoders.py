@@ -1,0 +1,35 @@
+"""The encoders: the path they reckon below ``world/reckoned``, what they told of each segment below ``encoders``."""
+
+from io import BytesIO
+
+import numpy as np
+import rerun as rr
+
+from deepgps.figures.encoder_plots import describe_encoders, draw_segments, measure_segments, reckon_path
+from deepgps.figures.run_figures import style
+from deepgps.viewer.run.drive import Colour, log_path
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import drive_index, send_series
+from sim.recording.format import Recording, Truth
+
+ENCODER: Colour = (255, 150, 40)
+WRONG: Colour = (232, 37, 79)
+
+
+def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
+    """Log the dead-reckoned path beside the true one, their distance, and the errors of segments in words and dots."""
+    true, reckoned = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
+    drift = np.linalg.norm(reckoned - true, axis=1)
+    indexes = drive_index(recording.time, recording)
+    log_path(stream, "world/reckoned", reckoned, (ENCODER, ENCODER), recording)
+    stream.log("world/reckoned/place", rr.Points3D.from_fields(radii=0.06, colors=ENCODER), static=True)
+    stream.send_columns("world/reckoned/place", indexes, rr.Points3D.columns(positions=lift(reckoned, 5 * LAYER_M)))
+    stream.log("world/reckoned/drift", rr.LineStrips3D.from_fields(radii=0.012, colors=WRONG), static=True)
+    ends = np.stack([lift(true, 4 * LAYER_M), lift(reckoned, 4 * LAYER_M)], axis=1)
+    stream.send_columns("world/reckoned/drift", indexes, rr.LineStrips3D.columns(strips=ends))
+    send_series(stream, "encoders/drift", indexes, drift, "reckoned path off by", WRONG)
+    text = describe_encoders(recording, truth.pose, drift)
+    stream.log("encoders/faults", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    picture = style.to_png(draw_segments(*measure_segments(recording, truth.pose)))
+    image = rr.EncodedImage(contents=BytesIO(picture), media_type="image/png")
+    stream.log("encoders/segments", image, static=True)

@@ -1,0 +1,231 @@
+"""How the viewer shows a run: its tabs, and what each shows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.figures.run_figures import field_plot
+from deepgps.figures.run_report import method_title
+from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
+from sim.recording.format import FreeSpace
+
+CAMERAS = {
+    "fisheye": "Fisheye",
+    "polar": "Polar image, zenith at the top",
+    "horizontal": "Horizontal camera",
+}
+RECENT_S, TRAIL_S = 60.0, 120.0
+
+
+def make_blueprint(
+    space: FreeSpace,
+    methods: Sequence[str],
+    trained: Sequence[str],
+    cameras: Sequence[str],
+    drive_s: float,
+) -> rrb.Blueprint:
+    """How the viewer shows a run: what matters first, without a click.
+
+    Args:
+        space: The room's floor.
+        methods: Those measured.
+        trained: Those with a history.
+        cameras: Whose pictures there are.
+        drive_s: How long the drive took [s].
+    """
+    return rrb.Blueprint(
+        rrb.Tabs(
+            _error_fields(space, methods),
+            _drive(space, cameras, drive_s),
+            *([_training(space, trained)] if trained else []),
+            _encoders(space, drive_s),
+            _report(trained),
+            active_tab=0,
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        # at the end of the drive and of training, from where it plays all in a hundred seconds
+        rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 100, play_state="following"),
+        auto_views=False,
+    )
+
+
+def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | rrb.Vertical:
+    """The first method's field in the furnished room, the figures of all, and the others' fields as plans."""
+    first, *others = methods
+    room = rrb.Spatial3DView(
+        name=f"Error field of {method_title(first)}",
+        origin="world",
+        contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{first}/**"],
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.08),
+        line_grid=False,
+    )
+    plans = [
+        rrb.Spatial3DView(
+            name=method_title(method),
+            origin="world",
+            contents=["world/floor_plan", f"world/error_field/{method}/**"],
+            eye_controls=aim_eye(space, reach=0.85, before=0.0),
+            line_grid=False,
+        )
+        for method in others
+    ]
+    figures_of_all = rrb.TextDocumentView(name="Figures", origin="report/figures")
+    if len(plans) < 2:
+        beside = rrb.Vertical(figures_of_all, *plans)
+        return rrb.Horizontal(room, beside, column_shares=[5, 2], name="Error field")
+    above = rrb.Horizontal(room, figures_of_all, column_shares=[5, 2])
+    return rrb.Vertical(above, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
+
+
+def _drive(space: FreeSpace, cameras: Sequence[str], drive_s: float) -> rrb.Horizontal:
+    room = rrb.Spatial3DView(
+        name="Robot and path so far",
+        origin="world",
+        contents=["world/room", "world/drive/**"],
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
+        line_grid=False,
+        overrides={"world/drive/path": rrb.VisibleTimeRanges(_until_now())},
+    )
+    pictures = rrb.Horizontal(
+        *(rrb.Spatial2DView(name=CAMERAS[camera], origin=f"drive/{camera}") for camera in cameras),
+        column_shares=[1 if camera == "fisheye" else 2 for camera in cameras],
+    )
+    return rrb.Horizontal(
+        room,
+        rrb.Vertical(
+            *([pictures] if cameras else []),
+            _distances(drive_s),
+            _ticks(drive_s),
+            row_shares=[1] * (3 if cameras else 2),
+        ),
+        column_shares=[5, 4],
+        name="Drive",
+    )
+
+
+def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
+    """What the encoders told: in words, on the floor, along the drive, and of each segment."""
+    lately = rrb.VisibleTimeRanges(_lately(TRAIL_S, drive_s))
+    paths = rrb.Spatial3DView(
+        name="The true path (blue) and the reckoned one (orange)",
+        origin="world",
+        contents=["world/floor_plan", "world/drive/**", "world/reckoned/**"],
+        eye_controls=aim_eye(space, reach=1.5, before=0.0),
+        line_grid=False,
+        overrides={"world/drive/path": lately, "world/reckoned/path": lately},
+    )
+    return rrb.Horizontal(
+        rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[5, 6]),
+        rrb.Vertical(
+            rrb.Horizontal(_distances(drive_s), _ticks(drive_s)),
+            rrb.Horizontal(
+                rrb.TimeSeriesView(
+                    name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
+                ),
+                rrb.TimeSeriesView(name="Reckoned path off by [m]", origin="encoders/drift", axis_x=whole_axis()),
+            ),
+            rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
+            row_shares=[4, 4, 6],
+        ),
+        column_shares=[5, 8],
+        name="Encoders",
+    )
+
+
+def _distances(drive_s: float) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        name="Distance on this segment [m]", origin="drive/distance", time_ranges=_lately(RECENT_S, drive_s)
+    )
+
+
+def _ticks(drive_s: float) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(name="Ticks", origin="drive/ticks", time_ranges=_lately(RECENT_S, drive_s))
+
+
+def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
+    maps = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: its map of the training images",
+            origin="world",
+            contents=["world/outline", f"world/training/{name}"],
+            eye_controls=aim_eye(space, reach=0.85, before=0.0),
+            line_grid=False,
+        )
+        for name in trained
+    ]
+    errors = [
+        rrb.Spatial3DView(
+            name=f"{method_title(name)}: its errors on them",
+            origin="world",
+            contents=["world/outline", "world/scale/**", f"world/training_error/{name}/**"],
+            eye_controls=aim_eye(space),
+            line_grid=False,
+        )
+        for name in trained
+    ]
+    losses = [
+        rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}", axis_x=whole_axis()) for name in trained
+    ]
+    return rrb.Vertical(
+        *(rrb.Horizontal(*row) for row in (maps, errors, losses)), row_shares=[5, 6, 4], name="Training"
+    )
+
+
+def _report(trained: Sequence[str]) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        rrb.TextDocumentView(name="Report", origin="report/text"),
+        rrb.Tabs(
+            rrb.Spatial2DView(name="Error fields", origin="report/error_fields"),
+            rrb.Spatial2DView(name="Error distribution", origin="report/error_cdf"),
+            *([rrb.Spatial2DView(name="Training", origin="report/training")] if trained else []),
+        ),
+        column_shares=[2, 3],
+        name="Report",
+    )
+
+
+def whole_axis() -> rrb.TimeAxis:
+    """A time axis that shows a series from its first to its last value."""
+    infinite = rr.TimeRangeBoundary.infinite
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
+
+
+def _until_now() -> list[rrb.VisibleTimeRange]:
+    infinite = rr.TimeRangeBoundary.infinite
+    return _since(infinite(), infinite())
+
+
+def _lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
+    """What came in the last seconds [s], on the timeline of all too, which stretches or squeezes the drive."""
+    relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
+    return _since(relative(seconds=-seconds), relative(seq=-round(PROGRESS_END * share)))
+
+
+def _since(drive_time: rr.TimeRangeBoundary, progress: rr.TimeRangeBoundary) -> list[rrb.VisibleTimeRange]:
+    relative = rr.TimeRangeBoundary.cursor_relative
+    return [
+        rrb.VisibleTimeRange(DRIVE_TIME, start=drive_time, end=relative(seconds=0)),
+        rrb.VisibleTimeRange(PROGRESS, start=progress, end=relative(seq=0)),
+    ]
+
+
+def aim_eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
+    """An eye above the room, which leaves space before it for the scale.
+
+    Args:
+        space: The room's floor.
+        tilt: How far it leans to the south [rad].
+        reach: How far away it is, as a multiple of what shows the plan.
+        before: How far south of the room's middle it looks [m].
+    """
+    low, high = field_plot.limits(space)
+    middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
+    distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
+    away = distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    # an eye exactly above has no up direction of its own: north is up
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=middle + away, look_target=middle, eye_up=(0.0, 1.0, 0.0)
+    )

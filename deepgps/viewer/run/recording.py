@@ -1,0 +1,108 @@
+"""A run's recording for the Rerun viewer, with a blueprint.
+
+Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (what was
+sensed), ``encoders`` (how wrong that was), ``training`` (loss) and ``report`` (text and figures).
+"""
+
+import hashlib
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import rerun as rr
+
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.figures.field_plot import WorstField
+from deepgps.figures.run_figures import field_plot, run_figures, style
+from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
+from deepgps.viewer.read import open_rrd
+from deepgps.viewer.run.drive import find_cameras, log_drive
+from deepgps.viewer.run.encoders import log_encoders
+from deepgps.viewer.run.layout import make_blueprint
+from deepgps.viewer.run.training import Data, log_training
+from deepgps.viewer.save import save_recording
+from deepgps.viewer.scene import log_field, log_room, log_scale
+from sim.files import is_intact, sha256
+from sim.recording.format import FreeSpace, open_recording, open_truth
+
+RECORDING = "recording.rrd"
+
+
+def write_recording(run: Path) -> Path:
+    """Write ``<run>/recording.rrd``; raises InputError where the folder is no whole run.
+
+    Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
+    """
+    metrics, fields, histories = read_metrics(run), field_plot.read_fields(run), run_figures.read_histories(run)
+    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
+    drive_s = float(recording.time[-1] - recording.time[0])
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording), drive_s)
+
+    def log(stream: rr.RecordingStream) -> None:
+        log_room(stream, recording.folder / "scene.glb", truth.free_space)
+        log_scale(stream, truth.free_space)
+        for name, field in fields.items():
+            log_field(stream, name, field)
+        log_drive(stream, recording, truth)
+        log_encoders(stream, recording, truth)
+        for name, history in histories.items():
+            log_training(stream, name, history, truth.pose[:, :2])
+        _log_report(stream, metrics, fields, histories, truth.free_space)
+
+    path = run / RECORDING
+    save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
+    return path
+
+
+def find_recording(run: Path) -> Path:
+    """A run's recording, written if it is missing and checked to be whole; raises InputError."""
+    read_metrics(run)
+    path = run / RECORDING
+    if not is_intact(path):
+        return write_recording(run)
+    open_rrd(path)
+    return path
+
+
+def _log_report(
+    stream: rr.RecordingStream,
+    metrics: Mapping[str, Any],
+    fields: Mapping[str, WorstField],
+    histories: Mapping[str, Data],
+    space: FreeSpace,
+) -> None:
+    summary = "\n".join(
+        [
+            f"# {metrics['scenario']}, seed {metrics['seed']}",
+            "",
+            markdown_table(metrics, OVERVIEW),
+            "",
+            *(f"- {sentence}" for sentence in describe(metrics)),
+            "",
+            "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. "
+            "One colour scale for all methods.",
+            "",
+            "The slider below runs through the drive and the training; choose `drive_time` or `step` for seconds "
+            "or training steps.",
+        ]
+    )
+    for name, text in {"figures": summary, "text": markdown_report(metrics)}.items():
+        stream.log(f"report/{name}", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    pictures = {
+        "error_fields": run_figures.draw_comparison(space, fields, metrics),
+        "error_cdf": run_figures.draw_error_cdf(fields),
+    }
+    if histories:
+        pictures["training"] = run_figures.draw_training(histories)
+    for name, figure in pictures.items():
+        image = rr.EncodedImage(contents=BytesIO(style.to_png(figure)), media_type="image/png")
+        stream.log(f"report/{name}", image, static=True)
+
+
+def hash_run(run: Path) -> str:
+    """Thirty-two hexadecimal digits that tell a run's recording, figures and fields from another's."""
+    state = hashlib.sha256()
+    for path in (run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"):
+        state.update(sha256(path).encode())
+    return state.hexdigest()[:32]

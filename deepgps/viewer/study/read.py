@@ -1,0 +1,92 @@
+"""Reading a study's folder: its table, and what else its recording shows."""
+
+import hashlib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pydantic import ValidationError
+
+from deepgps.figures.field_plot import WorstField, read_fields
+from deepgps.scenario import describe_problems, load_scenario, read_yaml
+from deepgps.studies.study import Study
+from deepgps.studies.table import Row, read_setting
+from deepgps.viewer.study.sliders import Step
+from sim.errors import DamagedError, InputError
+from sim.files import check_lines, check_sum, read_arrays, sha256
+from sim.recording.format import FreeSpace, open_truth
+
+
+def is_study(folder: Path) -> bool:
+    """Whether a folder is a study's."""
+    return (folder / "study.yaml").is_file()
+
+
+def read_study(folder: Path) -> tuple[Study, list[Row]]:
+    """A study and its table; raises InputError where it is not finished, broken, or has no run that is done."""
+    path = folder / "table.parquet"
+    if not is_study(folder) or not path.is_file():
+        lack = "table.parquet" if is_study(folder) else "study.yaml"
+        raise InputError(f"{folder} is no finished study: it has no {lack} (deepgps study writes it)")
+    try:
+        check_lines(folder / "study.yaml")
+        check_sum(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; deepgps study with the same study and --out writes it again") from None
+    try:
+        study = Study.model_validate(read_yaml(folder / "study.yaml"))
+    except ValidationError as error:
+        raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
+    try:
+        rows = pq.read_table(path).to_pylist()
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
+    if not rows or not {"run", "recording", "seed", "samples", "method", "failure"} <= set(rows[0]):
+        raise InputError(f"{path} is no table of a study")
+    if not any(row["failure"] is None for row in rows):
+        raise InputError(f"{folder} has no run that is done; its table.md says why")
+    return study, rows
+
+
+def own_values(study: Study, names: Sequence[str]) -> dict[str, object]:
+    """What the scenario says of the settings that vary; nothing where its file is gone or is of another version."""
+    with suppress(InputError, AttributeError):
+        scenario = load_scenario(study.scenario, study.set)
+        return {name: read_setting(scenario, name) for name in names}
+    return {}
+
+
+def open_space(folder: Path, row: Row) -> FreeSpace:
+    return open_truth(folder / "runs" / row["run"] / "recording").free_space
+
+
+def read_step(folder: Path, step: Step) -> dict[str, WorstField]:
+    return read_fields(folder / "runs" / step.rows[0]["run"])
+
+
+def count_arrows(folder: Path, step: Step) -> int:
+    """How many arrows the error fields of a step have; each method's has one for each test position."""
+    path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
+    return len(step.rows) * len(read_arrays(path)["truth"])
+
+
+def hash_study(folder: Path, rows: Sequence[Row]) -> str:
+    state = hashlib.sha256()
+    runs = dict.fromkeys(folder / "runs" / row["run"] for row in rows if row["failure"] is None)
+    shown = [
+        folder / "study.yaml",
+        folder / "table.parquet",
+        folder / "table.md",
+        *sorted(folder.glob("figures/*.png")),
+    ]
+    for path in [
+        *shown,
+        *(run / "error_field.npz" for run in runs),
+        *(run / "recording/manifest.json" for run in runs),
+    ]:
+        if not path.is_file():
+            raise InputError(f"{folder} is no whole study: {path.relative_to(folder)} is missing")
+        state.update(f"{path.relative_to(folder)} {sha256(path)}\n".encode())
+    return state.hexdigest()[:32]

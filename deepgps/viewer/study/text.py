@@ -1,0 +1,86 @@
+"""What a study's recording says in words: where a slider stands, and what each slider does."""
+
+from collections.abc import Sequence
+
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import method_title
+from deepgps.studies.study import Study
+from deepgps.studies.table import Row, split_by
+from deepgps.viewer.study.sliders import RUN, Slider, Step
+
+SHOWN = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
+MOST_VALUES = 8
+
+
+def describe_field(method: str, slider: Slider, step: Step) -> str:
+    """The lines above a method's error field."""
+    where = step.value if slider.name == RUN else f"{slider.name} {step.value}"
+    row = next((row for row in step.rows if row["method"] == method), None)
+    if row is None:
+        return f"{where}\nno {method_title(method)}"
+    if row["failure"] is not None:
+        return f"{where}\nfailed"
+    return f"{where}\nRMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
+
+
+def describe_step(slider: Slider, step: Step) -> str:
+    """Where a slider stands, in Markdown: which run is shown, its errors, and those of the other seeds."""
+    row = step.rows[0]
+    blocks = [f"# {slider.name} {step.value}" if slider.name != RUN else f"# {step.value}"]
+    if row["failure"] is not None:
+        return "\n\n".join([*blocks, f"This run failed: {row['failure']}"])
+    blocks.append(f"Run `{row['run']}`: {step.words}.")
+    cells = [[method_title(one["method"]), *(write_length(one[name]) for name in SHOWN)] for one in step.rows]
+    blocks.append(tabulate(["method", *SHOWN.values()], cells))
+    seeds = len({one["run"] for one in step.repeats})
+    if seeds > 1:
+        ranges = [
+            f"{method_title(name)} {_range([one['rms_m'] for one in group])}"
+            for name, group in split_by(step.repeats, "method").items()
+        ]
+        blocks.append(f"RMS of all {seeds} seeds: {'; '.join(ranges)}.")
+    return "\n\n".join(blocks)
+
+
+def describe_study(
+    study: Study, rows: Sequence[Row], sliders: Sequence[Slider], left_out: Sequence[str], every: int
+) -> str:
+    """What each slider does, in Markdown, and how to read an error field."""
+    runs = split_by(rows, "run")
+    lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
+    first = f"The slider at the bottom moves `{sliders[0].name}`"
+    more = "; the list at its left has the others." if len(sliders) > 1 else "."
+    reading = (
+        "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. One "
+        "colour scale for all methods and all places of a slider. Every room is drawn to fill the same "
+        "rectangle; the bar above it says how large it is."
+    )
+    notes = [f"Left out, for it has too many places: {name}." for name in left_out]
+    notes += [f"Only one in {every} test positions is drawn, so that the file stays small."] if every > 1 else []
+    return "\n\n".join(
+        [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *notes]
+    )
+
+
+def write_length(length_m: float) -> str:
+    """A length in the unit that suits it; what is less than a micrometre is nothing."""
+    if length_m < 1e-6:
+        return "0 mm"
+    if length_m < 0.01:
+        return f"{1000 * length_m:.2f} mm"
+    return f"{100 * length_m:.1f} cm" if length_m < 1 else f"{length_m:.2f} m"
+
+
+def _list_values(slider: Slider) -> str:
+    if slider.name == RUN:
+        return f"all {len(slider.steps)} runs, one after another"
+    values = [f"`{step.value}`" for step in slider.steps]
+    if len(values) > MOST_VALUES:
+        values = [*values[: MOST_VALUES - 2], "...", values[-1]]
+    count = f"{len(slider.steps)} places, " if "..." in values else ""
+    others = f" (with {slider.others})" if slider.others else ""
+    return f"{count}{', '.join(values)}{others}"
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{write_length(min(values))} to {write_length(max(values))}"

@@ -1,0 +1,66 @@
+"""The files of Rerun's web viewer: they are inside its program, whose own server hands them out."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from http.client import HTTPConnection, HTTPException
+from tempfile import TemporaryFile
+
+from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, wait_for_port
+from deepgps.viewer.window.loopback import Served
+from sim.errors import WorkError
+
+KINDS = {
+    "/": "text/html; charset=utf-8",
+    "/re_viewer.js": "text/javascript",
+    "/re_viewer_bg.wasm": "application/wasm",
+    "/favicon.ico": "image/x-icon",
+    "/sw.js": "text/javascript",
+}
+ANSWER_S = 60.0
+
+
+def take_page() -> dict[str, Served]:
+    """The viewer's files by their path in the URL; raises WorkError where the viewer is missing or has others."""
+    port = find_free_port()
+    with _serve_page(port):
+        connection = HTTPConnection(HOST, port, timeout=ANSWER_S)
+        try:
+            return {path: _take(connection, path, kind) for path, kind in KINDS.items()}
+        except (OSError, HTTPException) as error:
+            raise WorkError(f"the Rerun viewer does not hand out its web page ({error})") from None
+        finally:
+            connection.close()
+
+
+def _take(connection: HTTPConnection, path: str, kind: str) -> Served:
+    connection.request("GET", path)
+    answer = connection.getresponse()
+    data = answer.read()
+    if answer.status != 200:
+        raise WorkError(f"the Rerun viewer has no {path} ({answer.status}); pip install -U rerun-sdk may bring it")
+    return Served(kind, data)
+
+
+@contextmanager
+def _serve_page(port: int) -> Iterator[None]:
+    """Let Rerun's own server, which answers to every name, run as long as it takes."""
+    command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(port)]
+    quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
+    with TemporaryFile("w+", errors="replace") as told:  # its words, of which an error is the last line, are few
+        server = subprocess.Popen(
+            [*command, "--port", str(find_free_port())], stdout=told, stderr=told, env=quiet, start_new_session=True
+        )
+        try:
+            wait_for_port(port, server)
+            if server.poll() is not None:
+                told.seek(0)
+                reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
+                raise WorkError(f"the Rerun viewer's server ended with {server.returncode} ({reason})")
+            yield
+        finally:
+            with suppress(ProcessLookupError):  # it has ended
+                os.killpg(server.pid, signal.SIGKILL)  # both: rerun is a script that starts the server
+            server.wait()

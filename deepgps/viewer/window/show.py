@@ -1,0 +1,58 @@
+"""Opening recordings in the viewer that came with rerun-sdk."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from deepgps.viewer.pair.pair import write_pair
+from deepgps.viewer.run.recording import find_recording
+from deepgps.viewer.study.read import is_study
+from deepgps.viewer.study.study import find_study
+from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer
+from sim.errors import WorkError
+
+
+def view(paths: Sequence[Path]) -> None:
+    """Open a run or a study, or two runs side by side, in the Rerun viewer and wait until it is closed.
+
+    Args:
+        paths: As of ``find_shown``.
+
+    Raises:
+        InputError: As of ``find_shown``.
+        WorkError: The viewer is missing or cannot open a window.
+    """
+    recording = find_shown(paths)
+    # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would
+    # hand the recording over, open nothing, and wait for ever where that one hangs.
+    command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as viewer:
+        try:
+            _, said = viewer.communicate()
+        except BaseException:
+            with suppress(ProcessLookupError):
+                os.killpg(viewer.pid, signal.SIGTERM)  # both: rerun is a script that starts the viewer
+            raise
+    if viewer.returncode != 0:
+        lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
+        raise WorkError(
+            f"the Rerun viewer ended with {viewer.returncode} ({lines[-1]}); without a display, copy "
+            f"{recording} to a machine that has one, or: deepgps view {' '.join(map(str, paths))} --web"
+        )
+
+
+def find_shown(paths: Sequence[Path]) -> Path:
+    """The recording that shows these folders, written where it is missing.
+
+    Args:
+        paths: The folder of one run or of one study, or those of two runs, which get one recording of both.
+
+    Raises:
+        InputError: A folder is no run and no finished study, its recording is cut off, or two cannot be compared.
+    """
+    if len(paths) != 1:
+        return write_pair(paths)
+    return find_study(paths[0]) if is_study(paths[0]) else find_recording(paths[0])

@@ -1,0 +1,298 @@
+"""Where tags hang, from many views of them, and then where each view was taken from: the paper's truth (Sec. IV-C).
+
+A view of one tag gives its pose up to two candidates (Collins and Bartoli 2014). Two tags seen together lie to one
+another as one of four pairs of candidates says; over many views only the right pair agrees. A tree of such pairs places
+all tags roughly, and bundle adjustment of tags and views together exactly, as in MASFM (Feng et al. 2016). Each view is
+then solved for by itself from all tags in it (perspective n points). Nothing here knows where anything is in truth.
+
+Poses are matrices (..., 4, 4), ``T_a_b`` the pose of b in the frame of a.
+"""
+
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from scipy.sparse import csc_array, csr_array, diags_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse.linalg import splu
+from scipy.spatial.transform import Rotation
+
+from sim.apriltag.detector import CORNERS, SIDE_M, Sightings
+from sim.errors import WorkError
+
+SMALLEST_PX = 12.0
+"""Sightings whose tag is smaller than this, in root of its area, are not used: their corners run together."""
+PAIR_VIEWS = 24
+"""Views in which two tags are compared, those where they are largest."""
+UNLIKE_M = 0.3
+"""Pairs of candidates farther apart than this [m] count as just wrong."""
+AGREE_M = 0.1
+"""Ways from one tag to another over a third agree with the direct one when they differ by less than this [m]."""
+LEAST_VIEWS = 3
+"""Views that must show two tags together."""
+MOST_VIEWS = 400
+"""Views that take part in bundle adjustment, at most; all are solved for afterwards."""
+LEAST_TAGS = 2
+"""Tags that a view must show: from one alone its pose has two candidates."""
+WRONG_PX = 3.0
+"""A tag farther off than this in a solved view [px], root mean square, is taken for a mistake."""
+NOISE_PX, UNSURE_M = 0.2, 0.03
+"""Standard deviation that corners are expected to have, and how unsure of its place a view may be with that."""
+SCALE_PX = 0.5
+"""Where the robust loss of bundle adjustment turns from square to linear [px]."""
+STEPS, ENOUGH = 100, 1e-10
+"""Steps of bundle adjustment at most, and the gain, as a part of the cost, at which it ends."""
+
+
+class TagMap(NamedTuple):
+    """Tags that hang together, in the frame of the first of them.
+
+    Attributes:
+        tag: Their numbers (T,), ascending.
+        pose: ``T_map_tag`` (T, 4, 4).
+    """
+
+    tag: np.ndarray
+    pose: np.ndarray
+
+
+def reconstruct(sightings: Sightings, camera: np.ndarray) -> TagMap:
+    """Place all tags that hang together through views that see two of them.
+
+    Args:
+        sightings: Tags found in images of a camera without distortion.
+        camera: Its intrinsic matrix (3, 3) [px].
+
+    Raises:
+        WorkError: no two tags are seen together often enough.
+    """
+    sightings = _large(sightings)
+    rough = chain_tags(sightings, camera)
+    known = sightings.of(np.isin(sightings.tag, rough.tag))
+    view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map is wrong by centimetres
+    counts = np.array([np.count_nonzero(known.view == number) for number in view])
+    chosen = np.sort(np.argsort(-counts, kind="stable")[:MOST_VIEWS])
+    return adjust(known, rough, view[chosen], pose[chosen], camera)
+
+
+def chain_tags(sightings: Sightings, camera: np.ndarray) -> TagMap:
+    """Place tags one from another along the tree of pairs that agree best; raises WorkError without any pair."""
+    candidate = np.array([_candidates(corner, camera) for corner in sightings.corner]).reshape(-1, 2, 4, 4)
+    size = _size(sightings)
+    numbers, tag = np.unique(sightings.tag, return_inverse=True)
+    first, second = _together(sightings.view)
+    swap = tag[first] > tag[second]
+    first, second = np.where(swap, second, first), np.where(swap, first, second)
+    key = tag[first] * len(numbers) + tag[second]
+    order = np.lexsort((-np.minimum(size[first], size[second]), key))
+    edges = []
+    for group in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
+        if len(group) >= LEAST_VIEWS:
+            a, b = first[group[:PAIR_VIEWS]], second[group[:PAIR_VIEWS]]
+            edges.append((tag[a[0]], tag[b[0]], *_agree(candidate[a], candidate[b])))
+    if not edges:
+        raise WorkError(f"labels: no two tags are seen together in {LEAST_VIEWS} views, so none can be placed")
+    i, j, cost, step = (np.array(part) for part in zip(*edges, strict=True))
+    cost = cost + UNLIKE_M * (find_doubt(i, j, step, len(numbers)) > 0.5)  # a tree of what most do not speak against
+    graph = csr_array((cost + 1e-6, (i, j)), shape=(len(numbers), len(numbers)))
+    tree = minimum_spanning_tree(graph)
+    part = connected_components(tree, directed=False)[1]
+    inside = np.flatnonzero(part == np.bincount(part).argmax())
+    reached, before = breadth_first_order(tree, inside[0], directed=False)
+    steps = {(a, b): pose for a, b, pose in zip(i, j, step, strict=True)}
+    pose = {int(reached[0]): np.eye(4)}
+    for node in reached[1:]:
+        last = int(before[node])
+        forth = steps.get((last, node))
+        pose[int(node)] = pose[last] @ (np.linalg.inv(steps[node, last]) if forth is None else forth)
+    return TagMap(numbers[inside], np.array([pose[int(node)] for node in inside]))
+
+
+def solve_views(
+    sightings: Sightings, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve each view for its own pose from all placed tags in it, without those that do not fit.
+
+    Returns:
+        Views that could be solved (V,) and ``T_map_camera`` of each (V, 4, 4).
+    """
+    sightings = _large(sightings)
+    sightings = sightings.of(np.isin(sightings.tag, tags.tag))
+    corners = _corners(tags.pose)[np.searchsorted(tags.tag, sightings.tag)]
+    found: dict[int, np.ndarray] = {}
+    for view in np.unique(sightings.view):
+        seen = sightings.view == view
+        pose = _solve_view(corners[seen], sightings.corner[seen], camera, wrong_px)
+        if pose is not None:
+            found[int(view)] = pose
+    return np.array(list(found), np.int64), np.array(list(found.values())).reshape(-1, 4, 4)
+
+
+def adjust(sightings: Sightings, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray) -> TagMap:
+    """Bundle adjustment: tags (but the first) and views (V,) with ``T_map_camera`` (V, 4, 4) move to fit all corners.
+
+    Minimises ``sum 2 s^2 (sqrt(1 + |e|^2 / s^2) - 1)`` (soft L1) over the reprojection errors e of all corners, by
+    Levenberg and Marquardt's steps, the errors' weights anew in each (Triggs et al. 2000).
+    """
+    used = sightings.of(np.isin(sightings.view, view) & np.isin(sightings.tag, tags.tag))
+    t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
+    tag_pose, camera_map, damping = tags.pose, np.linalg.inv(view_pose), 1e-3
+    error = _project(_corners(tag_pose)[t], camera_map[v], camera) - used.corner
+    for _ in range(STEPS):
+        slope = _slope(tag_pose, camera_map, t, v, camera)
+        weight = 1.0 / np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2)
+        weighted = slope.multiply(np.repeat(weight.ravel(), 2)[:, None]).tocsc()
+        normal, pull = (slope.T @ weighted).tocsc(), weighted.T @ error.ravel()
+        step = -splu(normal + damping * diags_array(normal.diagonal() + 1e-9, format="csc")).solve(pull)
+        motion = _moves(step.reshape(-1, 6))
+        new_pose = np.concatenate([tag_pose[:1], tag_pose[1:] @ motion[: len(tag_pose) - 1]])
+        new_map = motion[len(tag_pose) - 1 :] @ camera_map
+        new_error = _project(_corners(new_pose)[t], new_map[v], camera) - used.corner
+        gain = _cost(error) - _cost(new_error)
+        damping = damping / 5.0 if gain > 0 else damping * 5.0
+        if gain > 0:
+            tag_pose, camera_map, error = new_pose, new_map, new_error
+        if abs(gain) <= ENOUGH * _cost(error):
+            break
+    return TagMap(tags.tag, tag_pose)
+
+
+def _cost(error: np.ndarray) -> float:
+    """What bundle adjustment minimises, of errors (S, 4, 2) [px]."""
+    return float(2 * SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2) - 1.0).sum())
+
+
+def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
+    """Derivative (8 S, 6 (T - 1 + V)) of the pixels of sightings of tags t (S,) in views v (S,).
+
+    By small motions (rotation vector, shift) of the tags but the first, in their frames, and of the views, in theirs.
+    """
+    point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
+    depth = np.maximum(point[..., 2], 0.1 * SIDE_M)
+    pixel = np.zeros((*point.shape[:2], 2, 3))
+    pixel[..., 0, 0], pixel[..., 1, 1] = camera[0, 0] / depth, camera[1, 1] / depth
+    pixel[..., :, 2] = -point[..., :2] * np.diag(camera)[:2] / depth[..., None] ** 2
+    of_view = np.concatenate([-_cross(point), np.broadcast_to(np.eye(3), (*point.shape, 3))], axis=-1)
+    turn = camera_map[v, :3, :3] @ tag_pose[t, :3, :3]
+    own = np.broadcast_to(_cross(CORNERS), (*point.shape, 3))
+    of_tag = turn[:, None] @ np.concatenate([-own, np.broadcast_to(np.eye(3), own.shape)], axis=-1)
+    row = np.arange(8 * len(t)).reshape(-1, 4, 2, 1) + np.zeros(6, int)
+    rows, columns, values = [], [], []
+    for block, number, kept in ((of_tag, t - 1, t > 0), (of_view, v + len(tag_pose) - 1, v >= 0)):
+        rows.append(row[kept].ravel())
+        columns.append((6 * number[kept][:, None, None, None] + np.arange(6) + np.zeros((1, 4, 2, 1), int)).ravel())
+        values.append((pixel @ block)[kept].ravel())
+    shape = (8 * len(t), 6 * (len(tag_pose) - 1 + len(camera_map)))
+    return csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
+
+
+def _cross(point: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3) from the left."""
+    x, y, z = np.moveaxis(point, -1, 0)
+    zero = np.zeros_like(x)
+    return np.stack([np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=-2)
+
+
+def _large(sightings: Sightings) -> Sightings:
+    return sightings.of(_size(sightings) >= SMALLEST_PX)
+
+
+def _size(sightings: Sightings) -> np.ndarray:
+    """Root of each tag's area (S,) [px]."""
+    across = sightings.corner[:, 2] - sightings.corner[:, 0]
+    down = sightings.corner[:, 3] - sightings.corner[:, 1]
+    return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / 2)
+
+
+def _candidates(corner: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """The two poses ``T_camera_tag`` (2, 4, 4) that one tag's corners (4, 2) allow, the likelier first."""
+    count, turn, place, _ = cv2.solvePnPGeneric(CORNERS, corner, camera, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
+    poses = [_pose(turn[k], place[k]) for k in range(count)]
+    return np.array((poses * 2)[:2])
+
+
+def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All pairs of sightings in one view: first (p,) and second (p,)."""
+    order = np.argsort(view, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(view[order])) + 1)
+    pairs = [np.array(np.triu_indices(len(group), 1)) for group in groups]
+    joined = [group[pair] for group, pair in zip(groups, pairs, strict=True)]
+    return tuple(np.concatenate(joined, axis=1)) if joined else (np.empty(0, int), np.empty(0, int))
+
+
+def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
+    """The pose of one tag to another on which views with candidates (n, 2, 4, 4) of both agree best, and how badly."""
+    steps = (np.linalg.inv(first)[:, :, None] @ second[:, None]).reshape(len(first), 4, 4, 4)
+    corners = np.nan_to_num(_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # of a tag seen exactly upright
+    apart = np.linalg.norm(corners.reshape(-1, 1, 1, 12) - corners, axis=-1).min(axis=2)
+    cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
+    best = int(cost.argmin())
+    return float(cost[best]), steps.reshape(-1, 4, 4)[best]
+
+
+def find_doubt(i: np.ndarray, j: np.ndarray, step: np.ndarray, tags: int) -> np.ndarray:
+    """Part of third tags that speak against each pair (p,): over them the way from i to j is another than its own.
+
+    A pair of candidates can agree over many views and be wrong all the same, if these look from nearly one side.
+    """
+    steps = np.full((tags, tags, 4, 4), np.nan)
+    steps[i, j], steps[j, i] = step, np.linalg.inv(step)
+    doubts = []
+    for a, b, own in zip(i, j, step, strict=True):
+        apart = np.linalg.norm(_corners(steps[a] @ steps[:, b]) - _corners(own), axis=2).mean(axis=1)
+        known = np.isfinite(apart)
+        doubts.append((apart[known] > AGREE_M).mean() if known.any() else 0.5)
+    return np.array(doubts)
+
+
+def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong_px: float) -> np.ndarray | None:
+    """``T_map_camera`` from tags' corners (n, 4, 3) seen at (n, 4, 2), or None; the worst is left out until all fit."""
+    while len(corners) >= LEAST_TAGS:
+        places, pixels = corners.reshape(-1, 3), seen.reshape(-1, 2)
+        good, turn, place = cv2.solvePnP(places, pixels, camera, None, flags=cv2.SOLVEPNP_SQPNP)
+        if not good:
+            return None
+        turn, place = cv2.solvePnPRefineLM(places, pixels, camera, None, turn, place)
+        pose = _pose(turn, place)
+        error = _project(corners, np.broadcast_to(pose, (len(corners), 4, 4)), camera) - seen
+        off = np.sqrt((error**2).sum(axis=2).mean(axis=1))
+        if off.max() <= wrong_px:
+            return np.linalg.inv(pose) if _unsure(corners, pose, camera) <= UNSURE_M else None
+        kept = np.arange(len(off)) != off.argmax()
+        corners, seen = corners[kept], seen[kept]
+    return None
+
+
+def _unsure(corners: np.ndarray, pose: np.ndarray, camera: np.ndarray) -> float:
+    """Standard deviation of a view's place [m] when its corners' is ``NOISE_PX``, to first order."""
+    step = 1e-5
+    moved = _moves(step * np.concatenate([np.zeros((1, 6)), np.eye(6)])) @ pose
+    pixels = [_project(corners, np.broadcast_to(one, (len(corners), 4, 4)), camera).ravel() for one in moved]
+    slope = (np.array(pixels[1:]) - pixels[0]) / step
+    covariance = NOISE_PX**2 * np.linalg.pinv(slope @ slope.T)
+    return float(np.sqrt(np.trace(covariance[3:, 3:])))
+
+
+def _corners(pose: np.ndarray) -> np.ndarray:
+    """Corners (..., 4, 3) of tags at poses (..., 4, 4)."""
+    return np.einsum("...ij,kj->...ki", pose[..., :3, :3], CORNERS) + pose[..., None, :3, 3]
+
+
+def _project(corners: np.ndarray, camera_map: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Pixels (n, 4, 2) of corners (n, 4, 3) in cameras ``T_camera_map`` (n, 4, 4)."""
+    points = np.einsum("nij,nkj->nki", camera_map[:, :3, :3], corners) + camera_map[:, None, :3, 3]
+    pixels = points @ camera.T
+    return pixels[..., :2] / np.maximum(pixels[..., 2:], 0.1 * SIDE_M)
+
+
+def _pose(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
+    return pose
+
+
+def _moves(small: np.ndarray) -> np.ndarray:
+    """Motions (n, 4, 4) of rotation vectors and shifts (n, 6)."""
+    moves = np.tile(np.eye(4), (len(small), 1, 1))
+    moves[:, :3, :3], moves[:, :3, 3] = Rotation.from_rotvec(small[:, :3]).as_matrix(), small[:, 3:]
+    return moves

@@ -1,0 +1,192 @@
+"""What all plane worlds share: a robot that is a point drives straight, turns by chance and drives on. No MuJoCo.
+
+The robot observes every ``drive.spacing_m``. What is written is a recording as any other; encoders are read from the
+way as those of a room are, with the faults that the settings ask for.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from sim.errors import WorkError
+from sim.recording.format import FreeSpace, remove_recording, save_free_space, write_recording
+from sim.rng import stream
+from sim.sensors.encoder import describe_odometry, read_encoders
+from sim.settings import SimSettings
+
+WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
+"""Wheels that the robot would have, by which a way becomes ticks; those of a TurtleBot3 Burger."""
+LEAST_STEPS = 3
+"""A heading that leads to a wall in fewer steps than this is drawn again."""
+TRIES = 10_000
+"""So often: where no heading leads far enough, none ever will."""
+PACKAGES = ("numpy",)
+Report = Callable[[str, int, int], None]
+Observe = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What was driven.
+
+    Attributes:
+        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
+        reading: Segment and observation of each reading (R, 2); a turning place has two readings.
+        wheel_angle: Angle of left and right wheel at each reading (R, 2) [rad].
+        time: Time of each reading (R,) [s].
+    """
+
+    pose: np.ndarray
+    reading: np.ndarray
+    wheel_angle: np.ndarray
+    time: np.ndarray
+
+
+class PlaneWorld(Protocol):
+    """A plane world.
+
+    Attributes:
+        bounds: Lower and upper corner (2, 2) [m].
+        segments: Straight segments to drive, at most.
+        carried: Segments after which the robot is carried to another place; 0: it never is.
+    """
+
+    bounds: np.ndarray
+    segments: int
+    carried: int
+
+    def draw_start(self, rng: np.random.Generator) -> np.ndarray:
+        """Where the robot is set down (2,) [m]."""
+        ...
+
+    def way_ahead(self, place: np.ndarray, yaw: float) -> float:
+        """Way from a place (2,) [m] along a heading [rad] until something is met [m]."""
+        ...
+
+
+def record(
+    world: PlaneWorld,
+    observe: Observe,
+    test_pose: np.ndarray,
+    space: FreeSpace,
+    truth: dict[str, np.ndarray],
+    settings: SimSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+) -> None:
+    """Drive a plane world and write the recording.
+
+    Args:
+        world: Where to drive.
+        observe: What is seen at poses (..., 3).
+        test_pose: Poses of the test grid (C, H, 3).
+        space: Where the robot can be.
+        truth: Arrays that the truth holds besides, by file name.
+        settings: Encoder and drive (speeds, spacing, samples at most) are used.
+        seed: Driving and encoder draw from streams of this number.
+        folder: The recording's folder.
+        progress: Told how far it is, in samples of the most that there can be.
+    """
+    start = time.perf_counter()
+    drive = drive_segments(world, settings, stream(seed, "drive"), progress)
+    ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
+    remove_recording(folder)  # what a killed collection left
+    save_free_space(folder / "truth" / "free_space.npz", space)
+    arrays = {
+        "observation.npy": observe(drive.pose),
+        "reading.npy": np.column_stack([drive.reading, ticks])[arrived],
+        "time.npy": drive.time[arrived],
+        "test/observation.npy": observe(test_pose),
+        "truth/pose.npy": drive.pose,
+        "truth/reading.npy": drive.reading,
+        "truth/wheel_angle.npy": drive.wheel_angle,
+        "truth/test_pose.npy": test_pose,
+        **{f"truth/{name}": array for name, array in truth.items()},
+    }
+    manifest = {
+        "settings": settings.model_dump(mode="json"),
+        "seed": seed,
+        **count_drive(drive),
+        "readings_lost": int((~arrived).sum()),
+        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
+        "gl_renderer": "none",
+        "packages": {name: version(name) for name in PACKAGES},
+        "collect_s": round(time.perf_counter() - start, 2),
+    }
+    write_recording(folder, arrays, manifest)
+
+
+def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Generator, progress: Report) -> Drive:
+    """Drive straight segments from wall to wall, headings by chance (paper, Sec. IV-A)."""
+    drive, wanted = settings.drive, world.segments
+    place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
+    pose, reading, angles, times = [np.array([*place, yaw])], [], [], []
+    for segment in range(wanted):
+        if segment and world.carried and segment % world.carried == 0:
+            place = world.draw_start(rng)
+            pose.append(np.array([*place, yaw]))
+        heading, steps = choose_heading(world, place, drive.spacing_m, drive.longest_m, rng)
+        turn = (heading - yaw + np.pi) % (2 * np.pi) - np.pi
+        along = drive.spacing_m * np.arange(steps + 1)
+        points = place + along[:, None] * [np.cos(heading), np.sin(heading)]
+        angle = angle + np.array([-turn, turn]) * TRACK_M / 2 / WHEEL_RADIUS_M
+        clock += abs(turn) / drive.turn_rate_rps
+        observation = len(pose) - 1 + np.arange(steps + 1)
+        pose.extend(np.column_stack([points[1:], np.full(steps, heading)]))
+        reading.append(np.column_stack([np.full(steps + 1, segment), observation]))
+        angles.append(angle + along[:, None] / WHEEL_RADIUS_M)
+        times.append(clock + along / drive.speed_mps)
+        place, yaw, angle, clock = points[-1], heading, angles[-1][-1], times[-1][-1]
+        share = min(1.0, max((segment + 1) / wanted, len(pose) / drive.samples))
+        progress("drive", round(share * drive.samples), drive.samples)
+        if len(pose) >= drive.samples:
+            break
+    numbers = np.concatenate(reading)
+    kept = numbers[:, 1] < drive.samples
+    return Drive(
+        np.array(pose[: drive.samples]), numbers[kept], np.concatenate(angles)[kept], np.concatenate(times)[kept]
+    )
+
+
+def choose_heading(
+    world: PlaneWorld, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
+) -> tuple[float, int]:
+    """A heading [rad], uniform among those that do not end at once, and how many spacings it leads ahead.
+
+    Raises:
+        WorkError: None is found.
+    """
+    for _ in range(TRIES):
+        heading = rng.uniform(-np.pi, np.pi)
+        # A place at the wall may lie beyond it by a rounding error.
+        steps = int(min(world.way_ahead(place, heading), longest_m) / spacing_m + 1e-9)
+        if steps >= LEAST_STEPS:
+            return heading, steps
+    x, y = place
+    raise WorkError(
+        f"drive.spacing_m {spacing_m} m must be smaller: from ({x:.2f}, {y:.2f}) m, where the robot came, "
+        f"no heading of {TRIES} leads {LEAST_STEPS} spacings ahead"
+    )
+
+
+def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:
+    """Poses (C, H, 3) at points (C, 2) [m], headings spread evenly from +x."""
+    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
+    return np.concatenate([points[:, None].repeat(headings, axis=1), yaw], axis=-1)
+
+
+def count_drive(drive: Drive) -> dict[str, float]:
+    """What the manifest says of a drive."""
+    number, way_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
+    return {
+        "samples": len(drive.pose),
+        "segments": int(number[-1]) + 1,
+        "readings": len(drive.reading),
+        "distance_driven_m": round(float(np.diff(way_m)[np.diff(number) == 0].sum()), 3),
+    }

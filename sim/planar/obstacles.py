@@ -1,0 +1,177 @@
+"""The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a robot that is a point.
+
+The robot drives straight until it comes near a wall or an obstacle, turns by chance and drives on; now and then it is
+carried to another place, or it would seldom find what lies behind a narrow passage. It observes scans: exact distances
+to walls and obstacles, all around. No MuJoCo.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from sim.errors import InputError
+from sim.planar.drive import Report, record, spread_headings
+from sim.recording.format import FreeSpace
+from sim.rng import stream
+from sim.sensors.lidar_scan import arrange, measure, ray_angles
+from sim.settings import SimSettings
+
+SMALLEST, LARGEST = 0.03, 0.2
+"""Sides of an obstacle as fractions of the square's."""
+PASSAGE, TRIES = 0.06, 100
+"""Width of a passage between two obstacles, at least, as a fraction of the square's side."""
+CELLS = 200
+"""Cells of the free space along a side."""
+CHUNK = 16
+"""Places whose rays are cast at once: what a processor's cache holds."""
+_TINY = 1e-9
+
+
+class LidarWorld:
+    """A walled square about the origin with obstacles in it.
+
+    Attributes:
+        box: Lower and upper corner of each obstacle (n, 2, 2) [m].
+        bounds: Lower and upper corner of the square (2, 2) [m].
+        segments: Straight segments to drive, at most.
+        carried: Segments after which the robot is carried to another place.
+        space: Where it can be.
+    """
+
+    def __init__(self, settings: SimSettings, seed: int) -> None:
+        """Place the obstacles uniformly over the square, from the settings' own seed or else from this one."""
+        self.settings, self.lidar = settings.map, settings.lidar
+        side = self.settings.side_m
+        self.bounds = np.array([[-side, -side], [side, side]]) / 2
+        self.segments = settings.drive.samples  # each gives several
+        self.carried = self.settings.carried
+        rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
+        self.box = side * place_obstacles(self.settings.obstacles, rng)
+        # What the robot's own point may not enter: obstacles grown, and the square shrunk, by the clearance.
+        grow = np.array([[-1.0], [1.0]]) * self.settings.clearance_m
+        self._grown, self._room = self.box + grow, self.bounds - grow
+        self.space = lay_free_space(self)
+
+    def is_free(self, points: np.ndarray) -> np.ndarray:
+        """Whether the robot may be at ``points`` (..., 2) [m]."""
+        at = np.asarray(points)[..., None, :]
+        met = ((at > self._grown[:, 0]) & (at < self._grown[:, 1])).all(axis=-1).any(axis=-1)
+        return ~met & ((at >= self._room[0]) & (at <= self._room[1])).all(axis=(-1, -2))
+
+    def observe(self, poses: np.ndarray) -> np.ndarray:
+        """Scans (..., headings, rays) [m] from poses (..., 3), exact."""
+        flat, angles = poses.reshape(-1, 3), ray_angles(self.lidar)
+        scans = np.empty((len(flat), self.lidar.headings, self.lidar.rays), np.float32)
+        for start in range(0, len(flat), CHUNK):
+            pose = flat[start : start + CHUNK]
+            distance = cast_rays(self.box, self.bounds, pose[:, :2], pose[:, 2:] + angles)
+            scans[start : start + CHUNK] = arrange(distance, self.lidar)
+        return scans.reshape(*poses.shape[:-1], *scans.shape[1:])
+
+    def draw_start(self, rng: np.random.Generator) -> np.ndarray:
+        """A random place (2,) [m] from where most places can be reached."""
+        row, column = rng.choice(np.argwhere(self.space.reachable))
+        return self.space.origin + np.array([column, row]) * self.space.cell_m
+
+    def way_ahead(self, place: np.ndarray, yaw: float) -> float:
+        """Way from a free place (2,) [m] along a heading [rad] until the clearance is used up [m]."""
+        return float(cast_rays(self._grown, self._room, place[None], np.array([[yaw]]))[0, 0])
+
+
+def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
+    """Make a recording of a lidar map, or leave the finished one that stands.
+
+    Args:
+        settings: Map, lidar, encoder, drive (speeds, spacing, samples) and test grid are used.
+        seed: Map, driving, encoder and noise draw from streams of this number.
+        folder: The recording's folder; finished once it holds ``manifest.json``.
+        progress: Told how far it is, in samples of the most that there can be.
+
+    Raises:
+        InputError: Nowhere is there room for the robot, or for a test position.
+    """
+    if (folder / "manifest.json").is_file():
+        return
+    world, noise = LidarWorld(settings, seed), stream(seed, "lidar")
+    grid = lay_grid(world, settings)
+
+    def observe(poses: np.ndarray) -> np.ndarray:
+        return measure(world.observe(poses), settings.lidar, noise)
+
+    truth = {"obstacle.npy": world.box}
+    record(world, observe, grid, world.space, truth, settings, seed, folder, progress)
+
+
+def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Rectangles (n, 2, 2) by chance in a square of side 1 about the origin, as lower and upper corner.
+
+    One overlaps what stands, or leaves a passage to it; of ``TRIES`` that do neither, it is left out.
+    """
+    placed = np.empty((0, 2, 2))
+    for _ in range(count):
+        for _ in range(TRIES):
+            middle, size = rng.uniform(-0.5, 0.5, 2), rng.uniform(SMALLEST, LARGEST, 2)
+            box = np.stack([middle - size / 2, middle + size / 2])
+            apart = np.maximum(placed[:, 0] - box[1], box[0] - placed[:, 1]).max(axis=1)
+            gaps = np.concatenate([apart, box[0] + 0.5, 0.5 - box[1]])
+            if not ((gaps > 0) & (gaps < PASSAGE)).any():
+                placed = np.concatenate([placed, box[None]])
+                break
+    return placed
+
+
+def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Distance along rays to the first box or to the wall, by slabs (Kay and Kajiya 1986).
+
+    A ray is inside a box while it is between both of its pairs of sides; it meets the box where it enters the later.
+
+    Args:
+        box: Lower and upper corners (n, 2, 2) [m].
+        bounds: Lower and upper corner of the square within the walls (2, 2) [m].
+        place: Where rays begin (p, 2) [m], in the square and in no box but by a rounding error.
+        angle: Their directions (p, m) [rad].
+
+    Returns:
+        (p, m) [m].
+    """
+    direction = np.stack([np.cos(angle), np.sin(angle)])
+    # Along an axis a ray never leaves the slab across it, or never enters it.
+    per_metre = 1.0 / np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    wall = np.where(direction > 0, bounds[1, :, None, None], bounds[0, :, None, None])
+    nearest = ((wall - place.T[..., None]) * per_metre).min(axis=0).clip(0.0)
+    for low, high in box:
+        one, other = (low[:, None] - place.T)[..., None] * per_metre, (high[:, None] - place.T)[..., None] * per_metre
+        enter = np.minimum(one, other).max(axis=0)
+        leave = np.maximum(one, other).min(axis=0)
+        met = (enter <= leave) & (leave > _TINY)
+        np.minimum(nearest, enter.clip(0.0), out=nearest, where=met)
+    return nearest
+
+
+def lay_free_space(world: LidarWorld) -> FreeSpace:
+    """Cells where the robot may be; reachable is the largest part that hangs together."""
+    cell = world.settings.side_m / CELLS
+    side = world.bounds[0, 0] + cell * np.arange(CELLS + 1)
+    free = world.is_free(np.stack(np.meshgrid(side, side), axis=-1))
+    part = np.zeros(free.shape, np.int32)
+    ndimage.label(free, output=part)
+    size = np.bincount(part.ravel())[1:]
+    if not len(size):
+        raise InputError("map: the obstacles leave no room for the robot")
+    reachable = part == 1 + size.argmax()
+    row, column = np.nonzero(reachable)
+    extent = min(np.ptp(row), np.ptp(column)) * cell + 2 * world.settings.clearance_m
+    start = world.bounds[0] + cell * np.array([column[0], row[0]])
+    return FreeSpace(world.bounds[0].copy(), cell, free, reachable, start, float(extent))
+
+
+def lay_grid(world: LidarWorld, settings: SimSettings) -> np.ndarray:
+    """Poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x."""
+    count = int(world.bounds[1, 0] / settings.grid.spacing_m)
+    side = settings.grid.spacing_m * np.arange(-count, count + 1)
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    points = points[world.is_free(points) & world.space.is_reachable(points)]
+    if not len(points):
+        raise InputError(f"grid.spacing_m {settings.grid.spacing_m} m leaves no test position between the obstacles")
+    return spread_headings(points, settings.grid.headings)

@@ -1,0 +1,165 @@
+"""Assembling: a recording's files from the chunks of its drive and the image files beside them."""
+
+import logging
+import math
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sim.apriltag.detector import Sightings
+from sim.apriltag.labels import write_labels
+from sim.errors import DamagedError
+from sim.files import read_arrays, write_array, write_blocks
+from sim.recording.sensing import DIFFERED, HORIZONTAL, IMAGE, RENDERER, SIGHTINGS, TWICE
+from sim.rng import stream
+from sim.robot.model import WHEEL_RADIUS_M, planar_pose
+from sim.sensors.camera_faults import make_develop, spawn_streams
+from sim.sensors.encoder import read_encoders, ticks_to_distance
+from sim.sensors.lidar_scan import measure
+from sim.sensors.tag_camera import camera_matrix, mounting
+from sim.settings import SimSettings
+
+JOINED = ("state", "segment", "observation", "wheel_angle", "time")
+Sense = Callable[[np.ndarray], np.ndarray]
+"""What a sensor makes of what there is to see."""
+log = logging.getLogger(__name__)
+
+
+class Drive(NamedTuple):
+    """What has been driven: chunks in order, and beside them the file that each chunk's images go to.
+
+    A chunk holds ``state`` (n, nq) of its new observations, and of its readings ``segment`` (r,), ``observation`` (r,),
+    both counted over the whole drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
+    """
+
+    chunks: list[dict[str, np.ndarray]]
+    images: list[Path]
+
+
+def make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense | None]:
+    """What the sensor makes of what there is to see: on the drive, and at the tests."""
+    if settings.sensor == "lidar":
+        noise = stream(seed, "lidar")
+
+        def scan(scans: np.ndarray) -> np.ndarray:
+            return measure(scans, settings.lidar, noise)
+
+        return scan, scan
+    chance = spawn_streams(seed)
+    return make_develop(settings.image, chance.noise), make_develop(settings.image, chance.test_noise)
+
+
+def write_drive(
+    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, sense: Sense | None = None
+) -> dict[str, float]:
+    """Write what was driven, cut to the samples wanted, and return what the manifest says of it."""
+    samples = settings.drive.samples
+    joined = {
+        name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
+    }
+    kept = joined["observation"] < samples
+    segment, angle = joined["segment"][kept], joined["wheel_angle"][kept]
+    ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
+    reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
+    state = joined["state"][:samples]
+    write_images(folder / "observation.npy", drive.images, (samples,), sense=sense)
+    write_array(folder / "reading.npy", reading[arrived])
+    write_array(folder / "time.npy", joined["time"][kept][arrived])
+    write_array(folder / "truth" / "reading.npy", reading[:, :2])
+    write_array(folder / "truth" / "wheel_angle.npy", angle)
+    write_array(folder / "truth" / "state.npy", state)
+    write_array(folder / "truth" / "pose.npy", planar_pose(state))
+    way_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
+    driven = np.diff(way_m)[np.diff(segment) == 0]
+    return {
+        "samples": samples,
+        "segments": int(segment[-1]) + 1,
+        "readings": len(reading),
+        "readings_lost": int((~arrived).sum()),
+        "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
+        "times_carried": int(sum(chunk.get("carried", 0) for chunk in drive.chunks)),
+        "distance_driven_m": round(float(np.abs(driven).sum()), 3),
+    }
+
+
+def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
+    """Poses (C, 1, 3) of the samples that were driven to test with, after those to learn from."""
+    samples = settings.drive.samples
+    state = np.concatenate([chunk["state"] for chunk in drive.chunks])[samples : samples + settings.grid.held_out]
+    return planar_pose(state)[:, None]
+
+
+def write_horizontal(
+    folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
+) -> dict[str, int]:
+    """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
+
+    ``sense_states`` has left both beside ``images`` and ``tests``.
+    """
+    samples, held_out = settings.drive.samples, settings.grid.held_out
+    seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
+    seen, first = seen.of(seen.view < samples), samples if held_out else 0
+    test_seen = Sightings(test_seen.view - first, test_seen.tag, test_seen.corner)
+    inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
+    camera, mount = camera_matrix(settings.horizontal), mounting(settings.horizontal)
+    if settings.horizontal.kept:
+        ahead = [[path.with_suffix(HORIZONTAL) for path in parts] for parts in (images, tests)]
+        write_images(folder / "horizontal.npy", ahead[0], (samples,))
+        write_images(folder / "test" / "horizontal.npy", ahead[1], test_shape, first)
+    return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
+
+
+def write_images(
+    path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, sense: Sense | None = None
+) -> None:
+    """Join image files, from image ``first`` on, into one array of this leading shape; what goes beyond is left out."""
+
+    count = math.prod(shape)
+    some = read_part(parts[0])[IMAGE]
+
+    def take() -> Iterator[np.ndarray]:
+        written, skipped = 0, first
+        for part in parts:
+            images = read_part(part)[IMAGE]
+            kept = images[skipped:][: count - written]
+            written, skipped = written + len(kept), max(skipped - len(images), 0)
+            yield sense(kept) if sense else kept
+
+    write_blocks(path, (*shape, *some.shape[1:]), some.dtype, take())
+
+
+def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
+    """What the manifest says of the renderer: its name, how many images it drew twice and how many differed."""
+    counts = {"gl_renderer": "none", "images_drawn_twice": 0, "images_that_differed": 0}
+    for path in parts:
+        part = read_part(path)
+        counts["gl_renderer"] = part[RENDERER].item()
+        beside = path.with_suffix(SIGHTINGS)
+        for stored in [part, read_part(beside)] if beside.is_file() else [part]:
+            counts["images_drawn_twice"] += int(stored[TWICE])
+            counts["images_that_differed"] += int(stored[DIFFERED])
+    return counts
+
+
+def read_part(path: Path) -> dict[str, np.ndarray]:
+    """Read a file of a recording under way; raises DamagedError, and then has removed it."""
+    if not path.is_file():
+        raise DamagedError(f"{path} is missing")
+    try:
+        return read_arrays(path)
+    except DamagedError as error:
+        log.warning("%s; it is made again", error)
+        path.unlink()
+        raise
+
+
+def _join_sightings(parts: Sequence[Path]) -> Sightings:
+    """Sightings of image files, their views numbered over all of them."""
+    found, before = [], 0
+    for path in parts:
+        stored = read_part(path.with_suffix(SIGHTINGS))
+        found.append((stored["view"] + before, stored["tag"], stored["corner"]))
+        before += len(read_part(path)[IMAGE])
+    return Sightings(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))

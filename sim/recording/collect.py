@@ -1,0 +1,300 @@
+"""Collecting: drive the room, render what the camera sees, write the recording.
+
+The drive goes first, in chunks of segments; each chunk is a file that holds where the robot was and all it takes to
+drive on. Images, or a lidar's scans, are made from these states by worker processes. So a killed collection continues
+where it stopped, and ends with the same bytes under any number of workers.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.errors import DamagedError, InputError, WorkError
+from sim.files import check_space, list_files, remove_files, write_array, write_arrays
+from sim.processes import usable_cores
+from sim.recording.assemble import (
+    Drive,
+    count_drawn,
+    make_senses,
+    read_part,
+    take_held_out,
+    write_drive,
+    write_horizontal,
+    write_images,
+)
+from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, save_free_space, work_folder
+from sim.recording.renderers import Part, Renderers
+from sim.recording.sensing import sense_part, side_files
+from sim.rng import stream
+from sim.robot.drive import Course, Segment, next_segment
+from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
+from sim.robot.world import RoomWorld
+from sim.sensors.camera_faults import spawn_streams
+from sim.sensors.camera_mount import draw_leans
+from sim.sensors.encoder import describe_odometry
+from sim.settings import SimSettings, UseSettings
+
+CHUNK = 256
+"""New observations in a chunk, at least; the last one ends with the drive."""
+TRIES = 3
+"""How often a part may be damaged while it is made into a recording."""
+PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
+Report = Callable[[str, int, int], None]
+
+
+def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
+    """Make a recording, or what is missing of it.
+
+    Args:
+        settings: World, robot, sensors, drive and test grid.
+        seed: Driving and encoder draw from streams of this number.
+        folder: The recording's folder; finished once it holds ``manifest.json``.
+        progress: Told how many samples are driven and how many images rendered.
+        workers: Rendering processes; none: one for each core that may be used.
+
+    Raises:
+        InputError: The room cannot be used, or has no test position.
+        WorkError: No renderer, physics failed, or the disk is full.
+    """
+    from sim.recording.scene_mesh import write_scene  # the workers, which import this file too, do without it
+
+    start = time.perf_counter()
+    work = work_folder(folder)
+    if (folder / "manifest.json").is_file():
+        _remove_parts(work)  # killed just before they were removed
+        return
+    if folder.is_dir():
+        remove_files(folder, RECORDING)  # killed while they were written, or about to be written again
+    work.mkdir(parents=True, exist_ok=True)
+    taught = settings.model_copy(update={"use": UseSettings()})  # the room as it is in training
+    world = RoomWorld(taught, drawn=False)
+    build_s = time.perf_counter() - start
+    test_pose = np.empty((0, 1, 3)) if settings.grid.held_out else lay_grid(world, settings)
+    check_space(folder, estimate_bytes(settings, world.model.nq, math.prod(test_pose.shape[:2]), work))
+    deaths = 0
+    for tries in range(TRIES):
+        with Renderers(sense_part, workers or usable_cores(), build_s) as renderers:
+            parts = _make_parts(renderers, world, settings, test_pose, seed, work, progress)
+        deaths += renderers.deaths
+        try:
+            counts = _assemble(folder, settings, seed, *parts, test_pose)
+            break
+        except DamagedError as error:  # the part is removed, and is made again
+            if tries == TRIES - 1:
+                raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
+    save_free_space(folder / "truth" / "free_space.npz", world.free_space)
+    write_scene(RoomWorld(taught).model, folder / "scene.glb")
+    manifest = {
+        "settings": settings.model_dump(mode="json"),
+        "seed": seed,
+        **counts,
+        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
+        "renderer_deaths": deaths,
+        "packages": {name: version(name) for name in PACKAGES},
+        "collect_s": round(time.perf_counter() - start, 2),
+    }
+    finish_recording(folder, manifest)
+    _remove_parts(work)
+
+
+def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> int:
+    """What a recording needs at least besides what there is of its parts; ``tests`` counts its test images, if they are
+    not held out."""
+    images = settings.drive.samples + settings.grid.held_out + tests
+    lidar, camera, ahead = settings.lidar, settings.camera, settings.horizontal
+    seen = 4 * lidar.headings * lidar.rays if settings.sensor == "lidar" else 3 * camera.rings * camera.sectors
+    seen += ahead.height_px * ahead.width_px * (ahead.mounted and ahead.kept)
+    there = sum(path.stat().st_size for path in list_files(work, COLLECTING))
+    # Each image is first in a part and then in the recording, and so is the state of each sample.
+    parts = images * seen + 8 * nq * settings.drive.samples
+    return parts + max(parts - there, 0)
+
+
+def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
+    """Poses (C, H, 3) of the test grid: every position within reach that nothing moved has blocked, the headings spread
+    evenly from +x; raises InputError where there is none."""
+    spacing, headings = settings.grid.spacing_m, settings.grid.headings
+    (low_x, low_y), (high_x, high_y) = world.bounds
+    x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
+    points = points[world.free_space.is_reachable(points[:, 0])]
+    if settings.use.moved_m:
+        points = points[RoomWorld(settings, drawn=False).is_free(points[:, 0])]
+    if not len(points):
+        raise InputError(f"grid.spacing_m {spacing} m must be smaller: it leaves no test position within reach")
+    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
+    return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
+
+
+def drive_chunk(
+    world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
+) -> dict[str, np.ndarray]:
+    """Drive the next chunk after the chunk ``before``, which holds all that it depends on."""
+    if before is None:
+        world.start(rng)
+        segments = observations = 0
+        course = Course()
+    else:
+        world.set_state(before["world_state"])
+        rng.bit_generator.state = json.loads(str(before["rng_state"]))
+        segments, observations = int(before["segments"]), int(before["observations"])
+        course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
+    first, driven, dropped, carried = observations, list[dict[str, np.ndarray]](), 0, 0
+    wanted = settings.drive.samples + settings.grid.held_out
+    while observations - first < CHUNK and observations < wanted:
+        segment = next_segment(world, settings.drive, rng, course)
+        driven.append(_number(segment, segments, observations))
+        observations += len(driven[-1]["state"])
+        segments, course = segments + 1, segment.course
+        dropped += segment.dropped
+        carried += segment.carried
+    return {
+        **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
+        "dropped": np.array(dropped),
+        "carried": np.array(carried),
+        "segments": np.array(segments),
+        "observations": np.array(observations),
+        "continues": np.array(course.continues),
+        "mode": np.array(course.mode),
+        "side": np.array(course.side),
+        "world_state": world.state(),
+        "rng_state": np.array(json.dumps(rng.bit_generator.state)),
+    }
+
+
+def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
+    """A segment's new states and its readings, numbered over the whole drive."""
+    first = observations - 1 if segment.continues else observations
+    count = len(segment.time)
+    return {
+        "state": segment.state[1:] if segment.continues else segment.state,
+        "segment": np.full(count, number),
+        "observation": np.arange(first, first + count),
+        "wheel_angle": segment.wheel_angle,
+        "time": segment.time,
+    }
+
+
+def _make_parts(
+    renderers: Renderers,
+    world: RoomWorld,
+    settings: SimSettings,
+    test_pose: np.ndarray,
+    seed: int,
+    work: Path,
+    progress: Report,
+) -> tuple[Drive, list[Path]]:
+    """Drive and draw what there is not yet; returns the drive and the files of the test images."""
+    chance, given = spawn_streams(seed), 0
+
+    def give(part: Part) -> None:
+        nonlocal given
+        if not _is_drawn(part):
+            renderers.give(part)
+            given += 1
+
+    tests = _lay_out_tests(world, settings, test_pose, work, chance.test_lean)
+    for part in tests:
+        give(part)
+    taught = settings.model_copy(update={"use": UseSettings()})
+    drive = _drive(world, taught, (stream(seed, "drive"), chance.lean), work, give, progress)
+    total = len(tests) + len(drive.images)
+
+    def tell(drawn: int) -> None:
+        progress("render", (total - given + drawn) * CHUNK, total * CHUNK)
+
+    renderers.finish(tell)
+    tell(given)
+    return drive, [part.path for part in tests]
+
+
+def _drive(
+    world: RoomWorld,
+    settings: SimSettings,
+    chance: tuple[np.random.Generator, np.random.Generator],
+    work: Path,
+    give: Callable[[Part], None],
+    progress: Report,
+) -> Drive:
+    """Drive until there are enough samples, handing each chunk over to be drawn; whole chunks that exist are read."""
+    rng, lean = chance
+    drive, chunk = Drive([], []), None
+    driven, wanted = 0, settings.drive.samples + settings.grid.held_out
+    while driven < wanted:
+        path, images = chunk_files(work, len(drive.chunks))
+        chunk = _read_if_whole(path) or _drive_on(path, world, settings, rng, chunk)
+        drive.chunks.append(chunk)
+        drive.images.append(images)
+        leans = draw_leans(settings.mount, len(chunk["state"]), lean)
+        give(Part(settings, chunk["state"], images, leans))
+        driven = int(chunk["observations"])
+        progress("drive", min(driven, wanted), wanted)
+    return drive
+
+
+def _drive_on(
+    path: Path,
+    world: RoomWorld,
+    settings: SimSettings,
+    rng: np.random.Generator,
+    before: dict[str, np.ndarray] | None,
+) -> dict[str, np.ndarray]:
+    """Drive a chunk and write it."""
+    chunk = drive_chunk(world, settings, rng, before)
+    write_arrays(path, chunk)
+    return chunk
+
+
+def _lay_out_tests(
+    world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path, lean: np.random.Generator
+) -> list[Part]:
+    """The test grid in parts: the robot settled and at rest at each pose, in the room as it is in use."""
+    poses = test_pose.reshape(-1, 3)
+    parts = []
+    for index, first in enumerate(range(0, len(poses), CHUNK)):
+        some = poses[first : first + CHUNK]
+        leans = draw_leans(settings.mount, len(some), lean)
+        parts.append(Part(settings, world.rest_states(some), work / f"test-{index:06d}.npz", leans))
+    return parts
+
+
+def _is_drawn(part: Part) -> bool:
+    """Whether all files of a part are whole; those that are damaged are removed."""
+    return all([_read_if_whole(path) for path in (part.path, *side_files(part.settings, part.path))])
+
+
+def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
+    """Arrays of a file of the work folder, if there is one; it is removed where it is damaged."""
+    with suppress(DamagedError):
+        return read_part(path)
+    return None
+
+
+def _assemble(
+    folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
+) -> dict[str, Any]:
+    """Write the recording's arrays; returns what the manifest says of them. Raises DamagedError for a part."""
+    sense, sense_test = make_senses(settings, seed)
+    drawn = count_drawn([*drive.images, *tests])
+    counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
+    first = 0
+    if settings.grid.held_out:
+        test_pose, tests, first = take_held_out(settings, drive), drive.images, settings.drive.samples
+    write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
+    if settings.horizontal.mounted:
+        counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
+    write_array(folder / "truth" / "test_pose.npy", test_pose)
+    return counts | drawn
+
+
+def _remove_parts(work: Path) -> None:
+    remove_files(work, COLLECTING)
+    with suppress(OSError):  # it holds a file that is not ours
+        work.rmdir()

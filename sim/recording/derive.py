@@ -1,0 +1,130 @@
+"""Deriving: a recording made of another one of the same drive, which is neither driven nor drawn again.
+
+Recordings whose settings differ only in the encoder are one drive with the same images; only the ticks are read again,
+from its wheel angles. Where they differ in faults of finished images, these are put on the images of the other. And no
+drive depends on how long it will be: a shorter one is the beginning of a longer one.
+"""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim.errors import InputError
+from sim.files import link_file, write_array, write_blocks
+from sim.recording.format import Recording, Truth, finish_recording, open_recording, open_truth, remove_recording
+from sim.rng import stream
+from sim.sensors.camera_faults import Develop, make_develop, spawn_streams
+from sim.sensors.encoder import describe_odometry, read_encoders
+from sim.settings import EncoderSettings, ImageSettings, SimSettings
+
+PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
+PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
+READ_AGAIN = ("reading.npy", "time.npy")
+"""What other encoders change."""
+NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
+"""What the names of files begin with that change nothing in a training without ticks."""
+OF_IMAGES = ("images_drawn_twice", "images_that_differed")
+AT_ONCE = 256
+"""Images that are given their faults at a time."""
+
+
+def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
+    """Settings of the recording of so many samples from which others of the same drive are derived: no faults."""
+    drive = settings.drive.model_copy(update={"samples": samples})
+    return settings.model_copy(update={"encoder": EncoderSettings(), "image": ImageSettings(), "drive": drive})
+
+
+def can_be_cut(settings: SimSettings) -> bool:
+    """Whether a shorter recording is the beginning of this one: not where tests, tags or noise come after it."""
+    return not (settings.grid.held_out or settings.horizontal.mounted or settings.lidar.noise_m)
+
+
+def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
+    """Make a recording of one of the same drive, byte for byte as if it had been collected.
+
+    What stays the same is a hard link, or a copy where there can be none: each recording is whole without the other.
+
+    Args:
+        base: Folder of the other recording: no shorter, none of its readings is lost, its images have no faults.
+        settings: As the other's but for the encoder, faults of the finished image and the samples.
+        seed: The other's.
+        folder: The recording's folder; finished once it holds ``manifest.json``.
+
+    Raises:
+        InputError: The other recording does not fit.
+    """
+    if (folder / "manifest.json").is_file():
+        return
+    start = time.perf_counter()
+    recording, truth = open_recording(base), open_truth(base)
+    _check(recording, settings, seed)
+    remove_recording(folder)  # what a killed process left
+    samples = min(settings.drive.samples, len(truth.pose))
+    kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
+    whole = samples == len(truth.pose)
+    chance = spawn_streams(seed)
+    faults = {
+        "observation.npy": make_develop(settings.image, chance.noise),
+        "test/observation.npy": make_develop(settings.image, chance.test_noise),
+    }
+    for name in recording.manifest["sha256"]:
+        if fault := faults.get(name):
+            _develop_again(base / name, folder / name, fault, samples if name in PER_SAMPLE else None)
+        elif name in PER_SAMPLE + PER_READING and not whole:
+            array = np.load(base / name, mmap_mode="r", allow_pickle=False)
+            write_array(folder / name, array[: samples if name in PER_SAMPLE else kept])
+        elif name not in READ_AGAIN:
+            link_file(base / name, folder / name)
+    manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
+    if not whole:
+        for name in ("samples_dropped", "times_carried", *OF_IMAGES):  # known of the whole drive only
+            manifest.pop(name, None)
+    manifest |= _read_again(recording, truth, kept, settings, seed, folder)
+    manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
+    manifest |= {"derived_from": base.name, "collect_s": round(time.perf_counter() - start, 2)}
+    finish_recording(folder, manifest)
+
+
+def _read_again(
+    recording: Recording, truth: Truth, kept: int, settings: SimSettings, seed: int, folder: Path
+) -> dict[str, Any]:
+    """Write the first readings of a drive as these encoders see them; returns what the manifest says of them."""
+    odometry, encoder = recording.manifest["odometry"], settings.encoder
+    number, angle = truth.reading[:kept], truth.wheel_angle[:kept]
+    ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
+    write_array(folder / "reading.npy", np.column_stack([number, ticks]).astype(np.int64)[arrived])
+    write_array(folder / "time.npy", recording.time[:kept][arrived])
+    step_m = np.diff(angle.mean(axis=1) * odometry["wheel_radius_m"])[np.diff(number[:, 0]) == 0]
+    track_m = odometry["track_m"] / (1.0 + recording.manifest["settings"]["encoder"]["track_error"])
+    return {
+        "segments": int(number[-1, 0]) + 1,
+        "readings": kept,
+        "readings_lost": int((~arrived).sum()),
+        "distance_driven_m": round(float(np.abs(step_m).sum()), 3),
+        "odometry": describe_odometry(encoder, odometry["wheel_radius_m"], track_m),
+    }
+
+
+def _check(base: Recording, settings: SimSettings, seed: int) -> None:
+    other = SimSettings.model_validate(base.manifest["settings"])
+    samples, at = settings.drive.samples, base.folder
+    if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
+        raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
+    if other.image != ImageSettings():
+        raise InputError(f"{at} has faults in its images, which cannot be taken away: nothing can be derived from it")
+    if other.drive.samples < samples:
+        raise InputError(f"{at} has {other.drive.samples} samples, too few for drive.samples {samples}")
+    if other.drive.samples > samples and not can_be_cut(settings):
+        raise InputError(f"{at} has {other.drive.samples} samples, of which {samples} are no recording of their own")
+    if base.manifest["readings_lost"]:
+        raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
+
+
+def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:
+    """Write the images of a file, or the first ``count``, with faults; some at a time."""
+    images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
+    flat = images.reshape(-1, *images.shape[-3:])
+    blocks = (fault(np.asarray(flat[first : first + AT_ONCE])) for first in range(0, len(flat), AT_ONCE))
+    write_blocks(target, images.shape, images.dtype, blocks)

@@ -1,0 +1,195 @@
+"""The room as one GLB file for viewers: what the camera can see, one node a geom, in the world's own frame.
+
+Coordinates are written as they are, z up, although glTF means y to be up: Rerun shows them as they are. Nodes carry
+the geoms' names, so a viewer can take away the ceiling.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from io import BytesIO
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import trimesh
+from PIL import Image
+from trimesh.visual.material import PBRMaterial
+from trimesh.visual.texture import TextureVisuals
+
+from sim.files import write_bytes
+from sim.robot.model import PREFIX
+
+DRAWN_GROUPS = (0, 1, 2)
+_JPEG_QUALITY = 85
+_SECTIONS = 16
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's mark of a geom that leaves its colour to its material
+_Geom = mujoco.mjtGeom
+
+
+def write_scene(model: mujoco.MjModel, path: Path, hidden: str = PREFIX) -> None:
+    """Write the visual geoms of a model as GLB; equal models give equal bytes.
+
+    Boxes and planes carry their textures, all other shapes their texture's mean colour. Height fields and signed
+    distance fields are left out.
+
+    Args:
+        model: A compiled room, with or without the robot; shown as it stands at its initial state.
+        path: The file.
+        hidden: Bodies whose name begins with this are left out.
+    """
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    material = cache(lambda matid, rgba, textured: _make_material(model, matid, rgba, textured))
+    scene = trimesh.Scene()
+    for geom in range(model.ngeom):
+        rgba = _colour(model, geom)
+        if not _is_drawn(model, geom, hidden) or rgba[3] == 0:
+            continue
+        shape, coordinates = _SHAPES[_Geom(model.geom_type[geom])](model, geom)
+        texture = _texture(model, geom) if coordinates is not None else -1
+        shape.visual = TextureVisuals(
+            uv=coordinates if texture >= 0 else None,
+            material=material(int(model.geom_matid[geom]), tuple(rgba.tolist()), texture >= 0),
+        )
+        name = model.geom(geom).name or f"geom_{geom}"
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+        scene.add_geometry(shape, node_name=name, geom_name=name, transform=pose)
+    content = scene.export(file_type="glb")
+    assert isinstance(content, bytes)
+    write_bytes(path, content)
+
+
+def _is_drawn(model: mujoco.MjModel, geom: int, hidden: str) -> bool:
+    return (
+        model.geom_group[geom] in DRAWN_GROUPS
+        and _Geom(model.geom_type[geom]) in _SHAPES
+        and not model.body(model.geom_bodyid[geom]).name.startswith(hidden)
+    )
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
+    """Colour (4,) of a geom: its own unless it is left at the default, then its material's."""
+    own, material = model.geom_rgba[geom], model.geom_matid[geom]
+    return model.mat_rgba[material] if material >= 0 and np.allclose(own, _DEFAULT_RGBA) else own
+
+
+def _texture(model: mujoco.MjModel, geom: int) -> int:
+    material = model.geom_matid[geom]
+    return int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+
+
+def _make_material(model: mujoco.MjModel, material: int, rgba: tuple[float, ...], textured: bool) -> PBRMaterial:
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB]) if material >= 0 else -1
+    colour, picture = np.array(rgba), None
+    if texture >= 0:
+        pixels = _pixels(model, texture)
+        if textured and model.tex_type[texture] == mujoco.mjtTexture.mjTEXTURE_2D:
+            picture = _compress(pixels)
+        else:
+            colour[:3] *= pixels.reshape(-1, 3).mean(axis=0) / 255
+    return PBRMaterial(
+        baseColorFactor=np.rint(np.clip(colour, 0, 1) * 255).astype(np.uint8),
+        baseColorTexture=picture,
+        metallicFactor=0.0,
+        roughnessFactor=1.0,
+        alphaMode="BLEND" if colour[3] < 1 else "OPAQUE",
+    )
+
+
+def _pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
+    """A texture's picture (rows, columns, 3) uint8."""
+    rows, columns, channels = (int(part[texture]) for part in (model.tex_height, model.tex_width, model.tex_nchannel))
+    start = model.tex_adr[texture]
+    pixels = model.tex_data[start : start + rows * columns * channels].reshape(rows, columns, channels)
+    return pixels[..., :3] if channels >= 3 else np.repeat(pixels[..., :1], 3, axis=-1)
+
+
+def _compress(pixels: np.ndarray) -> Image.Image:
+    file = BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(file, "JPEG", quality=_JPEG_QUALITY)
+    return Image.open(file)  # an image that was opened keeps its format when trimesh writes it
+
+
+Shape = tuple[trimesh.Trimesh, np.ndarray | None]
+
+
+def _box(model: mujoco.MjModel, geom: int) -> Shape:
+    half = model.geom_size[geom]
+    points, places = [], []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            across, along = (other for other in range(3) if other != axis)
+            corners = np.zeros((4, 3))
+            corners[:, axis] = sign
+            corners[:, across], corners[:, along] = [-1, 1, 1, -1], [-1, -1, 1, 1]
+            # counter-clockwise seen from outside
+            order = [0, 1, 2, 3] if (sign > 0) != (axis == 1) else [3, 2, 1, 0]
+            points.append(corners[order] * half)
+            places.append(corners[order][:, [across, along]])
+    quads = np.arange(24).reshape(6, 4)
+    return _join(np.concatenate(points), quads), _coordinates(model, geom, np.concatenate(places))
+
+
+def _plane(model: mujoco.MjModel, geom: int) -> Shape:
+    half = model.geom_size[geom, :2].copy()
+    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # a plane without end ends beyond the rest
+    half[half == 0] = reach.max() + 1.0
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
+    points = np.column_stack([corners * half, np.zeros(4)])
+    return _join(points, np.arange(4)[None]), _coordinates(model, geom, corners)
+
+
+def _join(points: np.ndarray, quads: np.ndarray) -> trimesh.Trimesh:
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return trimesh.Trimesh(points, faces, process=False)
+
+
+def _coordinates(model: mujoco.MjModel, geom: int, places: np.ndarray) -> np.ndarray | None:
+    """Texture coordinates (n, 2) of places in [-1, 1] on a face, as MuJoCo lays a texture on boxes and planes."""
+    if _texture(model, geom) < 0:
+        return None
+    material = model.geom_matid[geom]
+    repeat = model.mat_texrepeat[material].astype(float)
+    if model.mat_texuniform[material]:
+        repeat = repeat * np.where(model.geom_size[geom, :2] > 0, model.geom_size[geom, :2], 1.0)
+    across, down = (places[:, 0] + 1) / 2, (1 - places[:, 1]) / 2
+    return np.column_stack([across * repeat[0], 1 - down * repeat[1]])
+
+
+def _sphere(model: mujoco.MjModel, geom: int) -> Shape:
+    return trimesh.creation.uv_sphere(model.geom_size[geom, 0], count=[_SECTIONS // 2, _SECTIONS]), None
+
+
+def _ellipsoid(model: mujoco.MjModel, geom: int) -> Shape:
+    shape = trimesh.creation.uv_sphere(1.0, count=[_SECTIONS // 2, _SECTIONS])
+    shape.apply_scale(model.geom_size[geom])
+    return shape, None
+
+
+def _capsule(model: mujoco.MjModel, geom: int) -> Shape:
+    radius, half = model.geom_size[geom, :2]
+    return trimesh.creation.capsule(2 * half, radius, count=[_SECTIONS // 2, _SECTIONS]), None
+
+
+def _cylinder(model: mujoco.MjModel, geom: int) -> Shape:
+    radius, half = model.geom_size[geom, :2]
+    return trimesh.creation.cylinder(radius, 2 * half, sections=_SECTIONS), None
+
+
+def _mesh(model: mujoco.MjModel, geom: int) -> Shape:
+    mesh = model.geom_dataid[geom]
+    vertex, face = model.mesh_vertadr[mesh], model.mesh_faceadr[mesh]
+    points = model.mesh_vert[vertex : vertex + model.mesh_vertnum[mesh]]
+    return trimesh.Trimesh(points, model.mesh_face[face : face + model.mesh_facenum[mesh]], process=False), None
+
+
+_SHAPES: dict[mujoco.mjtGeom, Callable[[mujoco.MjModel, int], Shape]] = {
+    _Geom.mjGEOM_PLANE: _plane,
+    _Geom.mjGEOM_BOX: _box,
+    _Geom.mjGEOM_SPHERE: _sphere,
+    _Geom.mjGEOM_ELLIPSOID: _ellipsoid,
+    _Geom.mjGEOM_CAPSULE: _capsule,
+    _Geom.mjGEOM_CYLINDER: _cylinder,
+    _Geom.mjGEOM_MESH: _mesh,
+}

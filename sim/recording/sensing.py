@@ -1,0 +1,152 @@
+"""What the sensors make of states of the robot, in worker processes: each opens its cameras once and keeps them."""
+
+import os
+import zlib
+from collections.abc import Callable
+from functools import lru_cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sim.apriltag.detector import find_tags
+from sim.files import write_arrays
+from sim.recording.renderers import Part, UnsteadyError
+from sim.robot.world import RoomWorld
+from sim.rooms.build import build_room
+from sim.sensors.camera_faults import decode, encode
+from sim.sensors.camera_mount import drive_on
+from sim.sensors.fisheye import Fisheye
+from sim.sensors.lidar import Lidar
+from sim.sensors.tag_camera import Horizontal
+from sim.settings import SimSettings
+
+SIGHTINGS, HORIZONTAL = ".tags.npz", ".horizontal.npy"
+"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, if they are kept."""
+IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
+"""What the file of a part holds."""
+NONE_TWICE = {TWICE: np.array(0), DIFFERED: np.array(0)}
+Beat = Callable[[], None]
+"""Tells that the work goes on."""
+
+
+def _rest() -> None:
+    pass
+
+
+def sense_part(part: Part, beat: Beat) -> None:
+    """In a worker: write what is seen in the states of a part, as far as its files do not exist.
+
+    One image of a part is drawn again after the others, to see whether the renderer can be trusted. The file of a part
+    says what drew it (``renderer``), how many of its images were drawn twice and how often they differed.
+
+    Raises:
+        UnsteadyError: An image that was drawn twice came out different; nothing is written.
+    """
+    settings, path = part.settings, part.path
+    if settings.horizontal.mounted and not all(file.is_file() for file in side_files(settings, path)):
+
+        def look_around(rows: slice) -> np.ndarray:
+            return _look_around(settings, part.states[rows], beat)
+
+        images, counts = _draw_twice(look_around, part)
+        if settings.horizontal.kept:
+            write_arrays(path.with_suffix(HORIZONTAL), {IMAGE: images})
+        write_arrays(path.with_suffix(SIGHTINGS), {**vars(find_tags(images)), **counts})
+    if path.is_file():
+        return
+    if settings.sensor == "lidar":
+        write_arrays(path, {IMAGE: _scan_states(settings, part.states, beat), RENDERER: np.array("none"), **NONE_TWICE})
+        return
+
+    def draw(rows: slice) -> np.ndarray:
+        return draw_states(settings, part.states[rows], None if part.leans is None else part.leans[rows], beat)
+
+    images, counts = _draw_twice(draw, part)
+    renderer = open_camera(settings)[1].renderer_string  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    write_arrays(path, {IMAGE: images, RENDERER: np.array(renderer), **counts})
+
+
+def side_files(settings: SimSettings, path: Path) -> list[Path]:
+    """The files beside the one of a part that hold what the horizontal camera saw."""
+    kept = [path.with_suffix(HORIZONTAL)] if settings.horizontal.kept else []
+    return [path.with_suffix(SIGHTINGS), *kept] if settings.horizontal.mounted else []
+
+
+def _draw_twice(draw: Callable[[slice], np.ndarray], part: Part) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """All images of a part, and how many were drawn twice and differed; raises UnsteadyError."""
+    count = len(part.states)
+    images = draw(slice(count))
+    again = zlib.crc32(part.path.name.encode()) % max(count - 1, 1)  # not the last one, so that others come between
+    if not np.array_equal(draw(slice(again, again + 1))[0], images[again]):
+        raise UnsteadyError(f"{part.path}: image {again} of {count} was drawn twice and came out different")
+    return images, {TWICE: np.array(1 + part.differed), DIFFERED: np.array(part.differed)}
+
+
+def draw_states(
+    settings: SimSettings, states: np.ndarray, leans: np.ndarray | None = None, beat: Beat = _rest
+) -> np.ndarray:
+    """In a worker: polar images (n, rings, sectors, 3) of states (n, nq), the camera leaning by (n, 2) [rad]; ``beat``
+    is called after each."""
+    world, fisheye = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
+    for number, (image, state) in enumerate(zip(images, states, strict=True)):
+        lean = None if leans is None else leans[number]
+        image[:] = _expose(world, fisheye, state, lean, settings.mount.driven_m)
+        beat()
+    return images
+
+
+def _expose(
+    world: RoomWorld, fisheye: Fisheye, state: np.ndarray, lean: np.ndarray | None, driven_m: float
+) -> np.ndarray:
+    """One polar image of a state (nq,), or where the robot drives meanwhile the mean light of several."""
+    light = []
+    for place in drive_on(state, driven_m) if driven_m else [state]:
+        world.data.qpos[:] = place
+        mujoco.mj_kinematics(world.model, world.data)
+        light.append(fisheye.polar(world.data, lean))
+    return encode(decode(np.array(light)).mean(axis=0)) if driven_m else light[0]
+
+
+def _scan_states(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.ndarray:
+    """In a worker: scans (n, headings, rays) [m] of states (n, nq), exact."""
+    lidar = _open_lidar(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    scans = []
+    for state in states:
+        scans.append(lidar.scan(state))
+        beat()
+    return np.stack(scans)
+
+
+@lru_cache(maxsize=1)
+def _open_lidar(settings: SimSettings) -> Lidar:
+    """The lidar in its room, opened once in each worker."""
+    return Lidar(build_room(settings.room), settings.lidar)
+
+
+def _look_around(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.ndarray:
+    """In a worker: grey images (n, rows, columns) of the horizontal camera at states (n, nq)."""
+    world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    horizontal = _open_horizontal(settings)  # pyright: ignore[reportArgumentType]
+    images = np.empty((len(states), settings.horizontal.height_px, settings.horizontal.width_px), np.uint8)
+    for image, state in zip(images, states, strict=True):
+        world.data.qpos[:] = state
+        mujoco.mj_kinematics(world.model, world.data)
+        image[:] = horizontal.look(world.data)
+        beat()
+    return images
+
+
+@lru_cache(maxsize=1)
+def _open_horizontal(settings: SimSettings) -> Horizontal:
+    """The horizontal camera of the scene of ``open_camera``."""
+    return Horizontal(open_camera(settings)[0].model, settings.horizontal)  # pyright: ignore[reportArgumentType]
+
+
+@lru_cache(maxsize=1)
+def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
+    """The scene and its camera, opened once in each worker: a context belongs to its process."""
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the workers share the cores already
+    world = RoomWorld(settings)
+    return world, Fisheye(world.model, settings.camera)

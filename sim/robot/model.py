@@ -1,0 +1,100 @@
+"""The robot: its model, its dimensions and its kinematics. assets/robot/README.md gives each figure's source."""
+
+import mujoco
+import numpy as np
+
+from sim.paths import ROBOT
+from sim.settings import CameraSettings, HorizontalSettings, RobotSettings
+
+PREFIX = "robot/"
+"""Everything of the robot has this before its name once it is attached to a room."""
+BASE = "base"
+WHEELS = ("left_wheel", "right_wheel")
+BUMPER = "bumper"
+CAMERA_SITE = "camera"
+CAMERA = "fisheye"
+HORIZONTAL_SITE = "horizontal"
+
+RADIUS_M = 0.105
+"""Radius of the round body about the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
+BODY_HEIGHT_M = 0.19
+"""Top of the body, where the mast begins [m] (e-Manual: 192 mm)."""
+WHEEL_RADIUS_M = 0.03299
+"""Effective wheel radius [m]: distance driven over the mean wheel angle, from sim.robot.calibrate (nominal 0.033)."""
+TRACK_M = 0.16
+"""Effective track [m]: difference of the wheels' distances over the angle turned, from sim.robot.calibrate
+(nominal 0.160)."""
+
+_LENS_M = 0.35
+
+
+def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
+    """Read the robot's model and fit it to the settings: the left wheel's radius, the camera's height."""
+    spec = mujoco.MjSpec.from_file(str(ROBOT / "robot.xml"))
+    if robot.wheel_radius_error != 0.0:
+        _scale_left_wheel(spec, 1.0 + robot.wheel_radius_error)
+    if camera.height_m != _LENS_M:
+        _raise_lens(spec, camera.height_m)
+    return spec
+
+
+def mount_horizontal(robot: mujoco.MjSpec, settings: HorizontalSettings) -> None:
+    """Put the horizontal camera on the robot: a small box without mass, and a site whose x looks out and z up."""
+    base, place, half = robot.body(BASE), (settings.ahead_m, 0.0, settings.height_m), np.radians(settings.yaw_deg) / 2
+    turned = (np.cos(half), 0.0, 0.0, np.sin(half))
+    base.add_site(name=HORIZONTAL_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
+    base.add_geom(
+        name=HORIZONTAL_SITE,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=place,
+        size=(0.012, 0.02, 0.012),
+        material="shell",
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
+
+
+def robot_height(camera: CameraSettings) -> float:
+    """Full height of the robot, floor to lens [m]."""
+    return max(camera.height_m, BODY_HEIGHT_M)
+
+
+def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
+    """Wheel speeds (2,) left, right [rad/s] for a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
+    half = turn_rate_rps * TRACK_M / 2
+    return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
+
+
+def planar_pose(qpos: np.ndarray) -> np.ndarray:
+    """Planar pose (..., 3) x, y [m], yaw [rad] of full positions (..., nq): the robot's free joint comes first."""
+    x, y, _, w, i, j, k = np.moveaxis(np.asarray(qpos, float)[..., :7], -1, 0)
+    return np.stack([x, y, np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))], axis=-1)
+
+
+def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:
+    """Make the left wheel larger about its own axle, which rises with it so that the body stays level."""
+    wheel = spec.body("left_wheel")
+    wheel.pos[2] *= factor
+    for geom in wheel.geoms:
+        if geom.type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+            geom.size = geom.size * (factor, 1.0, factor)
+        elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
+            geom.size = geom.size * (factor, 1.0, 1.0)
+        else:
+            geom.size = geom.size * (factor, 1.0, factor)
+
+
+def _raise_lens(spec: mujoco.MjSpec, lens_m: float) -> None:
+    """Put the lens at a height [m] and stretch the mast below it."""
+    rise = lens_m - _LENS_M
+    spec.site(CAMERA_SITE).pos[2] = lens_m
+    spec.camera(CAMERA).pos[2] = lens_m
+    for name in ("mast_head", "lens"):
+        spec.geom(name).pos[2] += rise
+    for name in ("mast_visual", "mast"):
+        mast = spec.geom(name)
+        bottom = mast.pos[2] - mast.size[1]
+        half = max(mast.size[1] + rise / 2, 0.001)
+        mast.size[1], mast.pos[2] = half, bottom + half

@@ -1,0 +1,106 @@
+"""How the robot moves: it turns in place, looks about, rolls back and stands, all closed on its own wheel angles."""
+
+from typing import Protocol
+
+import numpy as np
+
+from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, wheel_speeds
+from sim.robot.range_finder import clear_length
+from sim.settings import DriveSettings
+
+ACCELERATION_MPS2 = 0.5
+TURN_ACCELERATION_RPS2 = 6.0
+REST_S = 0.12
+"""The robot stands this long after it has stopped, so that it no longer rocks [s]."""
+PATIENCE_TURNS = 4
+"""A turn that takes longer than this many whole turns would is given up."""
+CLOSE_RAD = 0.01
+"""Nearer than this to its goal the robot stops: a controller that decides in periods cannot do better."""
+SEEN_M = 0.01
+"""Ranges that differ by less tell nothing new [m]."""
+BACK_M = 0.06
+BACK_MPS = 0.08
+
+
+class Robot(Protocol):
+    """What the drive needs of a robot; none of it is the truth, and it never looks into a snapshot."""
+
+    def step(self, wheel_speed: np.ndarray) -> None: ...
+    def wheel_angle(self) -> np.ndarray: ...
+    def ranges(self, reach_m: float, turned_rad: float = 0.0) -> np.ndarray: ...
+    def bumped(self) -> bool: ...
+    def time(self) -> float: ...
+    def snapshot(self) -> np.ndarray: ...
+    def carry(self, rng: np.random.Generator) -> None: ...
+
+
+def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
+    """How far the robot could go straight before it touches [m], ahead or so much to its left, by rays of a reach."""
+    return clear_length(robot.ranges(reach_m, turned_rad))
+
+
+def turn(
+    robot: Robot,
+    settings: DriveSettings,
+    angle: float,
+    until_clear_m: float | None = None,
+    caution: float = 1.0,
+) -> bool:
+    """Turn in place by an angle [rad], closed on the wheel angles.
+
+    Args:
+        robot: Stands still.
+        settings: How fast to turn.
+        angle: How far; counted from the first heading with this much clear ahead where ``until_clear_m`` [m] is given.
+        until_clear_m: See there.
+        caution: Share of the settings' turn rate to turn with.
+
+    Returns:
+        False where a whole turn found nothing clear.
+    """
+    period, start = settings.control_period_s, robot.wheel_angle()
+    goal = abs(angle) if until_clear_m is None else np.inf
+    rate, highest = 0.0, settings.turn_rate_rps * caution
+    deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
+    while robot.time() < deadline:
+        left, right = robot.wheel_angle() - start
+        turned = abs(right - left) * WHEEL_RADIUS_M / TRACK_M
+        if until_clear_m is not None and goal == np.inf:
+            if look(robot, until_clear_m + RADIUS_M + SEEN_M) >= until_clear_m:
+                goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
+            elif turned > 2 * np.pi:
+                break
+        if goal - turned < CLOSE_RAD:
+            break
+        rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
+        robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
+    stand(robot, settings)
+    return goal < np.inf
+
+
+def back_off(robot: Robot, settings: DriveSettings) -> None:
+    """Roll back a little from what was touched."""
+    start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
+    while way(robot, start) > -BACK_M and robot.time() < deadline:
+        robot.step(wheel_speeds(-BACK_MPS, 0.0))
+    stand(robot, settings)
+
+
+def stand(robot: Robot, settings: DriveSettings) -> None:
+    for _ in range(max(1, round(REST_S / settings.control_period_s))):
+        robot.step(wheel_speeds(0.0, 0.0))
+
+
+def ramp(speed: float, highest: float, acceleration: float, rest: float, period: float) -> float:
+    """Speed for the next period: rises and falls no faster than the acceleration, and is zero where nothing rests.
+
+    Braking from v needs v^2 / 2a; the way of the period to come is spent before braking can begin.
+    """
+    braking = np.sqrt(2 * acceleration * max(rest - speed * period, 0.0))
+    return float(min(highest, speed + acceleration * period, braking))
+
+
+def way(robot: Robot, start: np.ndarray) -> float:
+    """Way by the wheel angles since they were ``start`` (2,) [m]."""
+    left, right = robot.wheel_angle() - start
+    return float(left + right) / 2 * WHEEL_RADIUS_M

@@ -1,0 +1,41 @@
+"""Openings beside the robot: where what it passes recedes, and it could turn in."""
+
+import numpy as np
+
+from sim.robot.model import RADIUS_M
+from sim.robot.motion import SEEN_M, Robot, look
+from sim.robot.range_finder import REACH_M
+
+RISE_M = 0.8
+"""Another part of the room begins where what is beside the robot recedes at once by this [m]."""
+NEAR_RISE_M = 0.1
+"""A place to turn in begins where it recedes by this [m]."""
+EVERY_M = 0.015
+"""It looks again after this way [m]: often enough for a mouth that leaves a few centimetres."""
+
+
+class Openings:
+    """Watches one side or both on one straight segment.
+
+    Args:
+        sides: Where to look: 1 left, -1 right.
+        enough_m: Any place counts where this much becomes clear [m]; none: only where another part of the room begins.
+    """
+
+    def __init__(self, sides: tuple[int, ...], enough_m: float | None) -> None:
+        self.sides, self.enough_m = sides, enough_m
+        self.reach_m = REACH_M if enough_m is None else enough_m + RADIUS_M + SEEN_M
+        self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
+
+    def beside(self, robot: Robot, way_m: float) -> list[int]:
+        """The sides on which an opening has begun since the last look, ``way_m`` [m] after the segment's start."""
+        if way_m < self.next_m:
+            return []
+        self.next_m = way_m + EVERY_M
+        return [side for side in self.sides if self._begins(side, look(robot, self.reach_m, side * np.pi / 2))]
+
+    def _begins(self, side: int, clear_m: float) -> bool:
+        before_m, self.before_m[side] = self.before_m[side], clear_m
+        if self.enough_m is None:
+            return clear_m - before_m > RISE_M
+        return clear_m - before_m > NEAR_RISE_M and clear_m >= self.enough_m

@@ -1,0 +1,123 @@
+"""The scene: a room with the robot in it, its physics and its picture quality the same whatever the room says."""
+
+from typing import Any
+
+import mujoco
+
+from sim.errors import InputError, one_line
+from sim.robot.model import PREFIX, load_robot, mount_horizontal
+from sim.rooms.deployment import dim
+from sim.settings import SimSettings, UseSettings
+
+AMBIENT = 0.4
+"""Brightness of the light that comes from everywhere; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
+AMBIENT_WITHOUT_LAMPS = 0.9
+NEAR_M = 0.01
+FAR_M = 60.0
+
+# MuJoCo would print a warning and add it to a file MUJOCO_LOG.TXT in the user's folder. Whoever steps the physics reads
+# warnings from its state, and what a file is warned of is refused.
+mujoco.set_mju_user_warning(lambda text: None)
+
+
+def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
+    """Attach the robot to a copy of a room, force physics and picture quality, and compile.
+
+    Args:
+        room: The room, without moving parts; it is not changed.
+        settings: Physics step, wheel error, camera height and the light in use are used.
+
+    Raises:
+        InputError: the room and the robot do not go together, as where both have parts of one name.
+    """
+    spec = freeze(room)
+    _force_physics(spec, settings.robot.timestep_s)
+    _force_picture(spec)
+    if settings.use != UseSettings():
+        dim(spec, settings.use)
+    robot = load_robot(settings.robot, settings.camera)
+    if settings.horizontal.mounted:
+        mount_horizontal(robot, settings.horizontal)
+    robot.option = spec.option
+    try:
+        spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(f"room: MuJoCo cannot put the robot into it: {one_line(error)}") from None
+
+
+def empty_room() -> mujoco.MjSpec:
+    """Nothing but an endless floor."""
+    spec = mujoco.MjSpec()
+    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 0.05))
+    return spec
+
+
+def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy a room without all that moves, drives or measures, and what would alter contacts with the robot."""
+    spec = room.copy()
+    for element in list_active(spec):
+        spec.delete(element)
+    for body in spec.bodies:
+        body.mocap = False
+    for geom in spec.geoms:
+        # The robot's geoms have priority 2: their friction and stiffness count. Margins would add up.
+        geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
+    # What the compiler would do to every mass of the model.
+    spec.compiler.settotalmass = -1.0
+    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
+    spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
+    return spec
+
+
+def list_active(spec: mujoco.MjSpec) -> list[Any]:
+    """Elements that move, drive, measure, or alter contacts."""
+    groups = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
+    return [element for group in (*groups, spec.joints) for element in group]
+
+
+def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:
+    """Copy a room without the geoms that nothing can touch."""
+    spec = room.copy()
+    for geom in list(spec.geoms):
+        if not (geom.contype | geom.conaffinity) & 1:
+            spec.delete(geom)
+    return spec
+
+
+def compile_solid(room: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Compile what rays can meet of a room, which is what collides, and its state."""
+    spec = bare(freeze(room))
+    for geom in spec.geoms:
+        # Rays pass through what is wholly transparent, and collision geoms are often drawn so.
+        geom.rgba[3], geom.material = 1.0, ""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    return model, data
+
+
+def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
+    defaults = mujoco.MjSpec()
+    spec.option = defaults.option
+    spec.option.timestep = timestep_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # A state that went wrong must be seen, not silently set back to the start.
+    spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    spec.memory = defaults.memory
+
+
+def _force_picture(spec: mujoco.MjSpec) -> None:
+    # Coarse primitives, no oversampling and no shadows: pictures cost by geometry, not by pixels.
+    quality = spec.visual.quality
+    quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
+    quality.offsamples, quality.shadowsize = 0, 0
+    # A headlight that follows the view would leave seams between the faces of the fisheye.
+    headlight = spec.visual.headlight
+    headlight.active = 1
+    headlight.ambient = [AMBIENT if spec.lights else AMBIENT_WITHOUT_LAMPS] * 3
+    headlight.diffuse = headlight.specular = [0.0] * 3
+    # Clip planes scale with the extent: fixed, so that they do not depend on the room's size.
+    spec.stat.extent = 1.0
+    spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M

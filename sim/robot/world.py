@@ -1,0 +1,173 @@
+"""The room as a world: the compiled scene, its state, the robot's motors and sensors, and the truth beside."""
+
+import math
+from functools import cached_property
+
+import mujoco
+import numpy as np
+
+from sim.errors import WorkError
+from sim.recording.format import FreeSpace
+from sim.robot.model import BASE, BUMPER, PREFIX, RADIUS_M, WHEELS, robot_height
+from sim.robot.range_finder import REACH_M, RangeFinder
+from sim.robot.scene import bare, compile_scene, empty_room, freeze
+from sim.rooms.build import build_room
+from sim.rooms.deployment import move_furniture
+from sim.rooms.free_space import find_free_space
+from sim.settings import SimSettings
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_SETTLE_S = 1.0
+
+
+class RoomWorld:
+    """A robot in a room, moved by physics.
+
+    Attributes:
+        model: The compiled scene.
+        data: Its state.
+        room: The compiled room without the robot.
+    """
+
+    def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None, drawn: bool = True) -> None:
+        """Build the room of the settings, or take a ready one, and put the robot into it at rest.
+
+        Args:
+            settings: Room, what has changed in it, robot, camera height and control period are used.
+            room: A ready room instead of the settings' own.
+            drawn: Whether ``model`` holds what nothing can touch; physics is a third faster without.
+        """
+        still = freeze(build_room(settings.room) if room is None else room)
+        if settings.use.moved_m:
+            still = move_furniture(still, settings.use.moved_m, settings.use.seed)
+        self.settings = settings
+        self.model = compile_scene(still if drawn else bare(still), settings)
+        self.data = mujoco.MjData(self.model)
+        self.room = still.compile()
+        self._finder = RangeFinder(still, robot_height(settings.camera))
+        self._substeps = round(settings.drive.control_period_s / settings.robot.timestep_s)
+        self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
+        self._bumper = self.model.sensor(PREFIX + BUMPER).adr[0]
+        self._base = self.model.body(PREFIX + BASE).id
+        self._rest = _settle(settings)
+
+    @cached_property
+    def free_space(self) -> FreeSpace:
+        """Where the robot fits."""
+        return find_free_space(self.room, RADIUS_M, robot_height(self.settings.camera))
+
+    @property
+    def bounds(self) -> np.ndarray:
+        """Lower and upper corner (2, 2) of the box about all places the robot can reach [m]."""
+        row, column = np.nonzero(self.free_space.reachable)
+        cell = np.array([[column.min(), row.min()], [column.max(), row.max()]])
+        return self.free_space.origin + cell * self.free_space.cell_m
+
+    def is_free(self, points: np.ndarray) -> np.ndarray:
+        """Whether the robot fits with its middle at ``points`` (..., 2) [m]."""
+        return self.free_space.is_free(points)
+
+    def place(self, pose: np.ndarray) -> None:
+        """Stand the robot at a pose (3,) x, y [m], yaw [rad], settled and at rest, its wheel angles zero."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = self.rest_states(np.asarray(pose)[None])[0]
+        mujoco.mj_forward(self.model, self.data)
+
+    def start(self, rng: np.random.Generator) -> None:
+        """Stand the robot at the room's start with a random heading."""
+        self.place(np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi))))
+
+    def carry(self, rng: np.random.Generator) -> None:
+        """Set the robot down at rest at the room's start, with a random heading: neither wheels nor clock notice."""
+        pose = np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi)))
+        self.data.qpos[:7] = self.rest_states(pose[None])[0, :7]
+        self.data.qvel[:] = self.data.qacc_warmstart[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+
+    def rest_states(self, poses: np.ndarray) -> np.ndarray:
+        """Full positions (n, nq) of the robot standing at rest at poses (n, 3), wheel angles zero."""
+        poses = np.asarray(poses, float)
+        half = poses[:, 2] / 2
+        w, i, j, k = self._rest[3:7]
+        c, s = np.cos(half), np.sin(half)
+        states = np.tile(self._rest, (len(poses), 1))
+        states[:, :2] = poses[:, :2]
+        states[:, 3:7] = np.stack([c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w], axis=-1)
+        return states
+
+    def step(self, wheel_speed: np.ndarray) -> None:
+        """Drive the wheels at speeds (2,) left, right [rad/s] for one control period.
+
+        Raises:
+            WorkError: MuJoCo warned, which it also does when the state is no longer finite.
+        """
+        data = self.data
+        data.ctrl[:] = wheel_speed
+        mujoco.mj_step(self.model, data, self._substeps)
+        if data.warning.number.any():
+            raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
+        # A step leaves the sensors one step behind the joints: read them where the robot is now.
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_sensorPos(self.model, data)
+
+    def wheel_angle(self) -> np.ndarray:
+        """Wheel-joint angles (2,) left, right [rad], from the joint-position sensors."""
+        sensor = self.data.sensordata
+        return np.array((sensor[self._left], sensor[self._right]))
+
+    def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
+        """Distances (K,) of the range rays [m], fan after fan; ``reach_m`` where nothing is nearer.
+
+        Args:
+            reach_m: Longest distance to measure [m].
+            turned_rad: Where the fans look: 0 straight ahead, positive to the left [rad].
+        """
+        x, y, yaw = self.pose()
+        return self._finder.measure(x, y, yaw + turned_rad, reach_m)
+
+    def bumped(self) -> bool:
+        """Whether something presses against the body or the mast."""
+        return bool(self.data.sensordata[self._bumper] > 0.0)
+
+    def time(self) -> float:
+        """Time since the start [s]."""
+        return self.data.time
+
+    def snapshot(self) -> np.ndarray:
+        """Full positions (nq,), for the camera and the truth; the robot itself does not look at it."""
+        return self.data.qpos.copy()
+
+    def pose(self) -> np.ndarray:
+        """The true pose (3,): x, y [m], yaw [rad]."""
+        x, y, _, w, i, j, k = self.data.qpos[:7].tolist()
+        return np.array((x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))))
+
+    def state(self) -> np.ndarray:
+        """All that decides what happens next, as one array."""
+        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state
+
+    def set_state(self, state: np.ndarray) -> None:
+        """Return to a state, exactly: what follows is bit for bit what followed then."""
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+        mujoco.mj_forward(self.model, self.data)
+        # Evaluating the sensors may have touched the solver's warm start, which is part of the state.
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+
+
+def _settle(settings: SimSettings) -> np.ndarray:
+    """Positions (nq,) of the robot standing at rest on a level floor at the origin, heading +x."""
+    model = compile_scene(empty_room(), settings)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, round(_SETTLE_S / settings.robot.timestep_s))
+    rest = data.qpos.copy()
+    rest[:2], rest[6], rest[7:] = 0.0, 0.0, 0.0
+    rest[3:7] /= np.linalg.norm(rest[3:7])
+    return rest
+
+
+def _name_warning(data: mujoco.MjData) -> str:
+    names = [mujoco.mjtWarning(kind).name for kind in np.flatnonzero(data.warning.number).tolist()]
+    return f"MuJoCo warned {', '.join(names)}"

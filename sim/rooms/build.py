@@ -1,0 +1,178 @@
+"""Builds a furnished room from a seed: walls, floor, ceiling, lamps, and what stands and hangs in it."""
+
+from pathlib import Path
+from typing import get_args
+
+import mujoco
+import numpy as np
+
+from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, textures, turned
+from sim.rooms.layout import Layout
+from sim.rooms.outline import DOORWAY_M, outline, slabs
+from sim.rooms.placement import Finish, Room, surface
+from sim.rooms.plans import FURNISH, finish_ceiling
+from sim.settings import RoomKind, RoomSettings, RoomShape
+
+FLOOR = "floor"
+WALL_M = 0.15
+CORNER_GAP_M = 0.002
+DOORWAY_HEIGHT_M = 2.05
+
+SIZE_M: dict[RoomKind, tuple[float, float, float]] = {
+    "living_room": (7.0, 4.3, 2.65),
+    "bedroom": (5.2, 4.4, 2.5),
+    "office": (7.2, 5.0, 2.8),
+    "kitchen": (6.0, 4.6, 2.6),
+    "studio": (7.4, 5.2, 2.8),
+    "workshop": (8.0, 5.6, 3.1),
+    "lab": (6.0, 5.0, 2.8),
+}
+"""Width, depth and height of each kind of room [m]."""
+
+FINISHES: dict[RoomKind, tuple[Finish, ...]] = {
+    "living_room": ("plaster", "wallpaper", "plaster", "brick"),
+    "bedroom": ("wallpaper", "plaster", "boards", "plaster"),
+    "office": ("plaster", "plaster", "boards", "plaster"),
+    "kitchen": ("tile", "plaster", "plaster", "wallpaper"),
+    "studio": ("brick", "plaster", "plaster", "wallpaper"),
+    "workshop": ("brick", "plaster", "boards", "brick"),
+    "lab": ("plaster", "brick", "plaster", "boards"),
+}
+PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
+
+
+def build_room(settings: RoomSettings) -> mujoco.MjSpec:
+    """Build a room, ready for a robot to be attached.
+
+    What is drawn lies in group 2 and collides with nothing; what collides lies in group 3 and is not drawn. The floor
+    is the plane ``floor`` at z = 0, the origin the middle of the room's extent.
+
+    Raises:
+        InputError: the MJCF file that the settings name cannot be used.
+    """
+    if settings.mjcf is not None:
+        from sim.rooms.mjcf import load_room
+
+        return load_room(Path(settings.mjcf))
+    rng = np.random.default_rng(
+        [settings.seed, get_args(RoomKind).index(settings.kind), get_args(RoomShape).index(settings.shape)]
+    )
+    width, depth, height = SIZE_M[settings.kind]
+    width = width if settings.width_m is None else settings.width_m
+    depth = depth if settings.depth_m is None else settings.depth_m
+    spec = mujoco.MjSpec()
+    spec.modelname = f"{settings.kind}_{settings.shape}_{settings.seed}"
+    layout = Layout(outline(settings.shape, width, depth, rng))
+    look = make_look(spec, rng)
+    room = Room(spec, rng, look, layout, height + float(rng.uniform(-0.08, 0.12)), [])
+    _lay_floor(room, settings.kind)
+    _raise_walls(room, settings.kind)
+    _close_ceiling(room, settings.kind)
+    if settings.shape == "pillar":
+        _raise_pillars(room)
+    elif settings.shape == "two_rooms":
+        _lay_lintel(room, settings.kind)
+    FURNISH[settings.kind](room)
+    finish_ceiling(room, settings.kind)
+    _light(spec)
+    return spec
+
+
+def _lay_floor(room: Room, kind: RoomKind) -> None:
+    world, rng = room.spec.worldbody, room.rng
+    width, depth = np.ptp(room.layout.corners, axis=0)
+    world.add_geom(
+        name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(width / 2 + 1, depth / 2 + 1, 1), group=COLLISION_GROUP
+    )
+    if kind == "kitchen":
+        image = textures.tile(rng, (256, 320), (0.75, 0.7, 0.62), textures.muted(rng), (12, 16))
+    elif kind == "workshop":
+        image = textures.plaster(rng, (256, 320), (0.55, 0.55, 0.53), stains=14, cracks=6)
+    elif kind in ("office", "lab"):
+        image = textures.fabric(rng, (256, 320), (0.42, 0.45, 0.5), (0.36, 0.4, 0.47))
+    else:
+        image = textures.wood(rng, (256, 320), np.multiply((0.66, 0.47, 0.3), rng.uniform(0.75, 1.1)), 22)
+    material = paper(room.spec, image)
+    for left, right, bottom, top in slabs(room.layout.corners):
+        middle = ((left + right) / 2, (bottom + top) / 2, -0.05)
+        box(world, middle, (right - left, top - bottom, 0.1), material)
+
+
+def _raise_walls(room: Room, kind: RoomKind) -> None:
+    finishes = FINISHES[kind]
+    shift, first_hue = int(room.rng.integers(len(finishes))), float(room.rng.random())
+    walls = room.layout.walls
+    for number, wall in enumerate(walls):
+        body = room.spec.worldbody.add_body(name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw))
+        # Out over an outer corner by the thickness; at an inner one a little short, so that no two faces coincide.
+        before, after = (_overlap(walls[number - 1], wall), _overlap(wall, walls[(number + 1) % len(walls)]))
+        length = wall.length_m + before + after
+        middle = (before - after) / 2
+        finish = finishes[(number + shift) % len(finishes)]
+        # The golden section keeps the hues of neighbours apart, however many walls there are.
+        colour = textures.muted(room.rng, first_hue + 0.382 * number) * 0.7 + 0.28 * room.rng.uniform(0.6, 1.0)
+        material = surface(room.look, room.rng, finish, (length, room.height_m), colour)
+        size = (length, WALL_M, room.height_m)
+        box(body, (middle, WALL_M / 2, room.height_m / 2), size, material, solid=True)
+        room.wall_bodies.append(body)
+
+
+def _overlap(wall, following) -> float:
+    """How far two walls that meet reach over their corner [m]."""
+    (ax, ay), (bx, by) = wall.end - wall.start, following.end - following.start
+    return WALL_M if ax * by > ay * bx else -CORNER_GAP_M
+
+
+def _close_ceiling(room: Room, kind: RoomKind) -> None:
+    rng, corners = room.rng, room.layout.corners
+    width, depth = np.ptp(corners, axis=0) + 2 * WALL_M
+    shape = (int(np.clip(72 * depth, 128, 512)), int(np.clip(72 * width, 128, 640)))
+    if kind in ("studio", "bedroom") and rng.random() < 0.5:
+        image = textures.wood(rng, shape, (0.8, 0.68, 0.52), int(rng.integers(14, 24)))
+    else:
+        colour, second = 0.4 + 0.55 * textures.muted(rng), 0.35 + 0.6 * textures.muted(rng)
+        image = textures.plaster(rng, shape, colour, second, stains=int(rng.integers(8, 14)), cracks=9, depth=0.35)
+    body = room.spec.worldbody.add_body(name="ceiling", pos=(0, 0, room.height_m))
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    box(body, (middle[0], middle[1], 0.05), (width, depth, 0.1), paper(room.spec, image))
+
+
+def _raise_pillars(room: Room) -> None:
+    """One or two pillars off the middle, where they leave paths."""
+    rng = room.rng
+    for number in range(int(rng.integers(1, 3))):
+        side = float(rng.uniform(0.32, 0.5))
+        it = Footprint(side, side, room.height_m)
+        clear = Footprint(side + 1.6, side + 1.6, 0.0)
+        pose = room.layout.in_the_open(clear, rng, lambda pose: -min(abs(pose.x), 1.0))
+        if pose is None:
+            continue
+        room.layout.take(it, pose)
+        body = room.spec.worldbody.add_body(name=f"pillar_{number}", pos=(pose.x, pose.y, 0.0))
+        finish: Finish = PILLAR_FINISHES[rng.integers(len(PILLAR_FINISHES))]
+        material = surface(room.look, rng, finish, (side, room.height_m), textures.muted(rng))
+        box(body, (0, 0, room.height_m / 2), (side, side, room.height_m), material)
+        block(body, (0, 0, room.height_m / 2), (side, side, room.height_m))
+
+
+def _lay_lintel(room: Room, kind: RoomKind) -> None:
+    """The wall above the doorway between two rooms."""
+    low, high = room.layout.corners[2], room.layout.corners[8]  # where the doorway begins and ends
+    size = (*(high - low), room.height_m - DOORWAY_HEIGHT_M)
+    colour = textures.muted(room.rng) * 0.7 + 0.25
+    material = surface(room.look, room.rng, FINISHES[kind][0], (DOORWAY_M, size[2]), colour)
+    body = room.spec.worldbody.add_body(name="lintel", pos=(*(low + high) / 2, DOORWAY_HEIGHT_M + size[2] / 2))
+    box(body, (0, 0, 0), size, material)
+
+
+def _light(spec: mujoco.MjSpec) -> None:
+    """Two fixed directions of light: from above, and weaker back from the floor; neither turns with the view."""
+    for direction, strength in (((0.45, 0.3, -0.85), 0.32), ((-0.3, -0.55, 0.8), 0.26)):
+        spec.worldbody.add_light(
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            dir=direction,
+            diffuse=[strength] * 3,
+            ambient=[0.06] * 3,
+            specular=[0.0] * 3,
+            castshadow=False,
+        )

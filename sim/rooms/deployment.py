@@ -1,0 +1,87 @@
+"""What has changed in a room between training and use: its light, and where small pieces stand."""
+
+import mujoco
+import numpy as np
+
+from sim.errors import InputError
+from sim.rooms.free_space import collides
+from sim.settings import UseSettings
+
+MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
+MOVABLE += ("plant", "stool")
+"""Pieces that a person pushes aside."""
+STEP_M = 0.05
+"""A piece is tried at every such step of its way [m]."""
+TRIES = 24
+GAMMA = 2.2
+"""Colours of the simulator are codes, about the 2.2th root of light (IEC 61966-2-1)."""
+
+
+def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjSpec:
+    """Push each small piece of a room straight aside, where nothing stands in its way; what is shut in stays.
+
+    Args:
+        room: Is not changed.
+        moved_m: How far [m].
+        seed: Directions come from this number.
+
+    Returns:
+        A copy of the room.
+
+    Raises:
+        InputError: Nothing can be pushed so far, so that nothing would be changed.
+    """
+    spec, rng = room.copy(), np.random.default_rng(seed)
+    model = spec.compile()
+    solid = np.flatnonzero(collides(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
+    pushed = 0
+    for body in spec.bodies:
+        if body.name.rpartition("_")[0] in MOVABLE:
+            angles = rng.uniform(-np.pi, np.pi, TRIES)  # as many for each, whichever is taken
+            ways = moved_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+            number = model.body(body.name).id
+            way = next((way for way in ways if _is_clear(model, number, way, solid)), np.zeros(2))
+            model.body_pos[number, :2] += way
+            body.pos = model.body_pos[number]
+            pushed += bool(way.any())
+    if not pushed:
+        raise InputError(f"use.moved_m {moved_m}: the room has no small piece that can be pushed so far")
+    return spec
+
+
+def dim(room: mujoco.MjSpec, use: UseSettings) -> None:
+    """Dim a scene's light: a material's glow is a lamp's where it has one colour, a window's or a screen's where it
+    shows a picture."""
+    windows, lamps = use.light ** (1.0 / GAMMA), (use.light * use.lamps) ** (1.0 / GAMMA)
+    headlight = room.visual.headlight
+    headlight.ambient = np.multiply(headlight.ambient, windows)
+    for light in room.lights:
+        light.diffuse = np.multiply(light.diffuse, lamps)
+        light.ambient = np.multiply(light.ambient, lamps)
+        light.specular = np.multiply(light.specular, lamps)
+    for material in room.materials:
+        material.emission *= windows if any(material.textures) else lamps
+
+
+def _is_clear(model: mujoco.MjModel, body: int, way: np.ndarray, solid: np.ndarray) -> bool:
+    """Whether a body can be pushed along a way (2,) [m] without touching more than it does where it stands."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    mine = model.geom_bodyid[solid] == body
+    pairs = [(one, other) for one in solid[mine] for other in solid[~mine]]
+    start = {pair: min(_distance(model, data, *pair), 0.0) for pair in pairs}
+    places = {one: data.geom_xpos[one].copy() for one in solid[mine]}
+    for step in np.linspace(0.0, 1.0, int(np.ceil(np.hypot(*way) / STEP_M)) + 1)[1:]:
+        for one, place in places.items():
+            data.geom_xpos[one, :2] = place[:2] + step * way
+        if any(_distance(model, data, *pair) < touching for pair, touching in start.items()):
+            return False
+    return True
+
+
+def _distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int) -> float:
+    """Signed distance of two geoms, 0 where they are not even near [m]."""
+    apart = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other])
+    if apart > model.geom_rbound[one] + model.geom_rbound[other]:
+        return 0.0
+    return mujoco.mj_geomDistance(model, data, one, other, 0.0, None)

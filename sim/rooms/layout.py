@@ -1,0 +1,303 @@
+"""Where things stand: the floor and the walls of a room, and a search for places that a person would choose.
+
+The floor is a grid of cells; each piece takes its footprint, keeps the floor before it open, and may stand only where
+a person can still walk from the door to everything that is used.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from sim.furniture.primitives import Footprint
+from sim.rooms.outline import Wall, slabs
+
+CELL_M = 0.05
+PATH_RADIUS_M = 0.3
+"""Half the width that a person needs to walk."""
+CUT_OFF_SHARE = 0.1
+"""Floor wide enough to walk on but cut off from the door may be this part of what is not."""
+GAP_CELLS = 2
+"""Pieces may stand this near to one another..."""
+BROOM_CELLS = 7
+"""...or leave a gap for a broom, at least so many cells wide; what lies behind a gap between the two is a nook."""
+NEAR_WALL_M = 0.3
+"""What stands nearer to a wall than this hides what hangs there."""
+
+
+class Pose(NamedTuple):
+    """Where a piece stands: the middle of its footprint [m] and its turn; at yaw 0 it faces -y."""
+
+    x: float
+    y: float
+    yaw: float
+
+    @property
+    def front(self) -> np.ndarray:
+        """The direction in which it faces (2,)."""
+        return np.array((np.sin(self.yaw), -np.cos(self.yaw)))
+
+    def ahead(self, forward_m: float, right_m: float = 0.0, turn_rad: float = 0.0) -> "Pose":
+        """The pose so far before it and to its own right, turned by so much."""
+        s, c = float(np.sin(self.yaw)), float(np.cos(self.yaw))
+        x, y = self.x + forward_m * s - right_m * c, self.y - forward_m * c - right_m * s
+        return Pose(x, y, self.yaw + turn_rad)
+
+
+Cost = Callable[[Pose], float]
+"""What a person would rather not: the place with the least is tried first [m]."""
+
+
+class Layout:
+    """The floor and the walls of one room, and what of them is taken.
+
+    Args:
+        corners: The room's corners (V, 2), counter-clockwise [m].
+    """
+
+    def __init__(self, corners: np.ndarray) -> None:
+        self.corners = corners
+        self.walls = [Wall(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
+        self.low = corners.min(axis=0)
+        size = corners.max(axis=0) - self.low
+        columns, rows = np.rint(size / CELL_M).astype(int)
+        self.inside = np.zeros((rows, columns), bool)
+        for left, right, bottom, top in slabs(corners):
+            self._cells(left, right, bottom, top, self.inside)[:] = True
+        self.taken = np.zeros_like(self.inside)
+        self.kept = np.zeros_like(self.inside)
+        self.overhead = ~self.inside
+        self.tall = np.zeros(self.inside.shape)
+        self.entrance: Pose | None = None
+        self.cut_off = self.nooks = 0
+
+    def against_wall(
+        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
+    ) -> Pose | None:
+        """Find a place with the back to a wall; without a cost anywhere, a little rather in a corner."""
+        poses = []
+        for wall in self.walls if walls is None else walls:
+            reach = (wall.length_m - piece.width_m) / 2 - 0.02
+            if reach < 0:
+                continue
+            for x in np.linspace(-reach, reach, max(int(2 * reach / 0.1), 1) + 1):
+                poses.append(wall_pose(wall, float(x), piece.depth_m / 2 + 0.02))
+        return self._first_good(piece, poses, rng, cost)
+
+    def in_the_open(
+        self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, turns: Sequence[float] = (0.0,)
+    ) -> Pose | None:
+        """Find a place anywhere on the floor, at one of the given turns."""
+        rows, columns = np.nonzero(self.inside[::3, ::3])
+        poses = [
+            Pose(float(self.low[0] + 3 * c * CELL_M), float(self.low[1] + 3 * r * CELL_M), turn)
+            for r, c in zip(rows, columns, strict=True)
+            for turn in turns
+        ]
+        return self._first_good(piece, poses, rng, cost)
+
+    def at(self, piece: Footprint, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
+        """Take the first of the given places that is good."""
+        return next((pose for pose in poses if self._good(piece, pose, walkable)), None)
+
+    def take(self, piece: Footprint, pose: Pose) -> None:
+        """Let a piece stand there."""
+        self._footprint(piece, pose, self.taken)[:] = True
+        self._front(piece, pose, self.kept)[:] = True
+        area = self._footprint(piece, pose, self.tall)
+        area[:] = np.maximum(area, piece.height_m)
+        for wall, rectangle in self._behind(piece, pose):
+            wall.taken.append(rectangle)
+        if self.entrance is not None:
+            self.cut_off = self._walk(self.taken)[1]
+            self.nooks = self._count_nooks(self.taken)
+
+    def hang(
+        self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
+    ) -> float | None:
+        """Find x [m] on a wall where (width, bottom, top) covers nothing, and take it."""
+        width, bottom, top = cover
+        reach = (wall.length_m - width) / 2 - 0.05
+        if reach < 0:
+            return None
+        places = rng.permutation(np.linspace(-reach, reach, max(int(2 * reach / 0.08), 1) + 1))
+        if cost is not None:
+            places = sorted(places, key=lambda x: cost(wall_pose(wall, x)))
+        for x in places:
+            rectangle = (x - width / 2 - 0.04, x + width / 2 + 0.04, bottom, top)
+            if not any(_overlap(rectangle, other) for other in wall.taken):
+                wall.taken.append(rectangle)
+                return float(x)
+        return None
+
+    def keep_open(self, wall: Wall, x: float, width_m: float, depth_m: float) -> None:
+        """Keep the floor before a place on a wall open, as before a door; the first is the entrance."""
+        front = Footprint(width_m, depth_m, 0.0)
+        self._footprint(front, wall_pose(wall, x, depth_m / 2), self.kept)[:] = True
+        if self.entrance is None:
+            self.entrance = wall_pose(wall, x, PATH_RADIUS_M + 2 * CELL_M)
+
+    def overhang(
+        self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
+    ) -> np.ndarray | None:
+        """Find a place (2,) on the ceiling for something of ``size`` (x, y) that hangs down to ``drop_m``."""
+        spread = 0.15
+        piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
+        rows, columns = np.nonzero(self.inside[::4, ::4])
+        order = rng.permutation(len(rows))
+        poses = [
+            Pose(float(self.low[0] + 4 * CELL_M * columns[i]), float(self.low[1] + 4 * CELL_M * rows[i]), 0.0)
+            for i in order
+        ]
+        for pose in poses if cost is None else sorted(poses, key=cost):
+            if not self._whole(piece, pose) or self._footprint(piece, pose, self.overhead).any():
+                continue
+            if (self._footprint(piece, pose, self.tall) > drop_m).any():
+                continue
+            self._footprint(piece, pose, self.overhead)[:] = True
+            return np.array((pose.x, pose.y))
+        return None
+
+    def clearance(self) -> np.ndarray:
+        """Distance (rows, columns) from each cell to the nearest wall or thing that stands [m]."""
+        return _clearance(self.inside & ~self.taken)
+
+    def cell(self, pose: Pose) -> tuple[int, int]:
+        """Row and column of the cell in which a pose lies."""
+        column, row = np.clip(
+            (np.array((pose.x, pose.y)) - self.low) / CELL_M, 0, np.array(self.inside.shape[::-1]) - 1
+        )
+        return int(row), int(column)
+
+    def cover_ceiling(self, at: tuple[float, float], size: tuple[float, float]) -> None:
+        """Take a part of the ceiling, at its middle [m] and of a size along x and y [m]."""
+        self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
+
+    def is_inside(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint lies in the room, whatever stands there."""
+        return self._whole(piece, pose)
+
+    def is_clear(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether a footprint lies in the room on floor on which nothing stands; it may have to stay open."""
+        return self._whole(piece, pose) and not self._footprint(piece, pose, self.taken).any()
+
+    def _first_good(
+        self, piece: Footprint, poses: Sequence[Pose], rng: np.random.Generator, cost: Cost | None
+    ) -> Pose | None:
+        chance = rng.uniform(0.0, 0.25 if cost is not None else 1.0, len(poses))
+        costs = [
+            float(extra) + (cost(pose) if cost is not None else 0.0) for pose, extra in zip(poses, chance, strict=True)
+        ]
+        return self.at(piece, [poses[i] for i in np.argsort(costs, kind="stable")])
+
+    def _good(self, piece: Footprint, pose: Pose, walkable: bool) -> bool:
+        if not self._whole(piece, pose):
+            return False
+        if self._footprint(piece, pose, self.taken | self.kept).any():
+            return False
+        front = self._front(piece, pose, self.taken)
+        if front.any():
+            return False
+        for wall, rectangle in self._behind(piece, pose):
+            if any(_overlap(rectangle, other) for other in wall.taken):
+                return False
+        return not walkable or self._leaves_paths(piece, pose)
+
+    def _whole(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether the footprint lies in the room."""
+        left, right, bottom, top = _rectangle(piece, pose)
+        high = self.low + np.array(self.inside.shape[::-1]) * CELL_M
+        tolerance = 1e-6
+        if left < self.low[0] - tolerance or bottom < self.low[1] - tolerance:
+            return False
+        if right > high[0] + tolerance or top > high[1] + tolerance:
+            return False
+        return bool(self._footprint(piece, pose, self.inside).all())
+
+    def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether one can still walk from the entrance to nearly all open floor and to the piece's front, and sweep."""
+        if self.entrance is None:
+            return True
+        taken = self.taken.copy()
+        self._footprint(piece, pose, taken)[:] = True
+        joined, cut_off = self._walk(taken)
+        # Where something had to stand in the way before, it must not become worse.
+        if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
+            return False
+        if self._count_nooks(taken) > self.nooks:
+            return False
+        if piece.front_m == 0.0:
+            return True
+        reachable = np.asarray(ndimage.distance_transform_edt(~joined)) * CELL_M <= PATH_RADIUS_M
+        return bool(self._front(piece, pose, reachable).any())
+
+    def _walk(self, taken: np.ndarray) -> tuple[np.ndarray, int]:
+        """Where a person can walk to from the entrance, and how many cells of wide enough floor are cut off."""
+        walkable = _clearance(self.inside & ~taken) > PATH_RADIUS_M - CELL_M / 2
+        label = np.zeros(walkable.shape, np.int32)
+        ndimage.label(walkable, output=label)
+        first = 0 if self.entrance is None else label[self.cell(self.entrance)]
+        joined = (label == first) & (first > 0)
+        return joined, int(walkable.sum() - joined.sum())
+
+    def _count_nooks(self, taken: np.ndarray) -> int:
+        """How many cells lie behind a gap too wide to be closed and too narrow for a broom."""
+        clear = self.inside & ~taken
+        broom = ndimage.binary_erosion(clear, np.ones((BROOM_CELLS, BROOM_CELLS)))
+        label = np.zeros(clear.shape, np.int32)
+        ndimage.label(broom, output=label)
+        first = 0 if self.entrance is None else label[self.cell(self.entrance)]
+        swept = ndimage.binary_dilation((label == first) & (first > 0), np.ones((BROOM_CELLS, BROOM_CELLS)))
+        open_floor = ndimage.binary_opening(clear, np.ones((GAP_CELLS + 1, GAP_CELLS + 1)))
+        return int(np.logical_and(open_floor, np.logical_not(swept)).sum())
+
+    def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
+        """The walls that a piece stands close to, with the rectangle it hides on each."""
+        left, right, bottom, top = _rectangle(piece, pose)
+        corners = np.array(((left, bottom), (right, bottom), (right, top), (left, top)))
+        hidden = []
+        for wall in self.walls:
+            away = (corners - wall.middle) @ wall.normal
+            x = (corners - wall.middle) @ wall.along
+            beside = x.max() < -wall.length_m / 2 or x.min() > wall.length_m / 2
+            if -0.01 < away.min() < NEAR_WALL_M and not beside:
+                hidden.append((wall, (float(x.min()), float(x.max()), 0.0, piece.height_m)))
+        return hidden
+
+    def _footprint(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
+        return self._cells(*_rectangle(piece, pose), grid)
+
+    def _front(self, piece: Footprint, pose: Pose, grid: np.ndarray) -> np.ndarray:
+        if piece.front_m == 0.0:
+            return grid[:0]
+        strip = Footprint(piece.width_m, piece.front_m, 0.0)
+        return self._cells(*_rectangle(strip, pose.ahead((piece.depth_m + piece.front_m) / 2)), grid)
+
+    def _cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
+        """The part of a grid that a rectangle covers, as a view."""
+        first = np.clip(np.floor((np.array((left, bottom)) - self.low) / CELL_M + 0.01).astype(int), 0, None)
+        last = np.clip(np.ceil((np.array((right, top)) - self.low) / CELL_M - 0.01).astype(int), 0, None)
+        return grid[first[1] : last[1], first[0] : last[0]]
+
+
+def wall_pose(wall: Wall, x: float, off_m: float = 0.0) -> Pose:
+    """The pose with its back to a wall at ``x`` along it, ``off_m`` into the room."""
+    at = wall.middle + x * wall.along + off_m * wall.normal
+    return Pose(float(at[0]), float(at[1]), wall.yaw)
+
+
+def _clearance(clear: np.ndarray) -> np.ndarray:
+    """Distance [m] from each cell to the nearest that is not clear, or to the grid's edge."""
+    return np.asarray(ndimage.distance_transform_edt(np.pad(clear, 1)))[1:-1, 1:-1] * CELL_M
+
+
+def _rectangle(piece: Footprint, pose: Pose) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top [m] of the world-aligned rectangle about a footprint."""
+    c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
+    x, y = (c * piece.width_m + s * piece.depth_m) / 2, (s * piece.width_m + c * piece.depth_m) / 2
+    return pose.x - x, pose.x + x, pose.y - y, pose.y + y
+
+
+def _overlap(a: tuple[float, float, float, float], b: tuple[float, float, float, float]) -> bool:
+    return a[0] < b[1] and b[0] < a[1] and a[2] < b[3] and b[2] < a[3]

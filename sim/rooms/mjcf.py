@@ -1,0 +1,114 @@
+"""A room of your own: an MJCF file, vetted before MuJoCo reads it, and made a room that only stands there."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from sim.errors import InputError, one_line
+from sim.robot.model import PREFIX
+from sim.robot.scene import list_active
+from sim.rooms.mjcf_files import Files
+from sim.rooms.mjcf_limits import FARTHEST, MOST, refuse_excess
+from sim.user_input import quote, shorten
+
+FLOOR = "floor"
+_SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
+_SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
+_SUPPORT_M = 0.001
+
+
+def load_room(path: Path) -> mujoco.MjSpec:
+    """Read an MJCF file as a room: everything in it stands still, nothing of it acts, its own floor is kept.
+
+    Files that it includes or draws on must lie in its own folder. A floor is a plane, or a horizontal top of a box, at
+    z = 0; where there is none, an endless plane ``floor`` is added.
+
+    Raises:
+        InputError: the file is missing, is not MJCF, reaches out of its folder, asks for plugins or is too large.
+    """
+    vet(path)
+    what = f"room.mjcf {shorten(str(path), 300)}"
+    try:
+        spec = mujoco.MjSpec.from_file(str(path.resolve()))
+        _still(spec)
+        _refuse_robot_names(spec)
+        model = spec.compile()
+        _refuse_large(model)
+    except InputError as error:
+        raise InputError(f"{what}: {error}") from None
+    except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+        raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
+    if not _has_floor(model):
+        name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
+        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), group=3)
+    return spec
+
+
+def vet(path: Path) -> None:
+    """Refuse a file that could make MuJoCo open anything outside its folder, or take more memory or time than a room
+    needs, before MuJoCo sees it.
+
+    Raises:
+        InputError: one line that names the file, the element and what is allowed.
+    """
+    files = Files(path)
+    files.refuse_forbidden()
+    refuse_excess(files)
+
+
+def _still(spec: mujoco.MjSpec) -> None:
+    """Take away all that moves, acts, measures, decides about contacts or claims memory: a room only stands there."""
+    for element in [*list_active(spec), *spec.skins]:
+        spec.delete(element)
+    for body in spec.bodies:
+        body.mocap = False
+    defaults = mujoco.MjSpec()
+    spec.memory = defaults.memory
+    for name in _SIZES:
+        setattr(spec, name, getattr(defaults, name))
+    spec.visual.global_.offwidth = defaults.visual.global_.offwidth
+    spec.visual.global_.offheight = defaults.visual.global_.offheight
+
+
+def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
+    """Names that the robot's own parts will have."""
+    named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
+    for element in [element for group in named for element in group]:
+        if element.name.startswith(PREFIX):
+            raise InputError(f"the name {quote(element.name)} begins with {PREFIX}, as the robot's own parts do")
+
+
+def _refuse_large(model: mujoco.MjModel) -> None:
+    """What only the finished room tells: whether all is somewhere, and how many triangles are drawn."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    if not (np.abs(data.geom_xpos) < FARTHEST).all() or not (np.abs(model.geom_size) < FARTHEST).all():
+        raise InputError("a geom is infinitely large or far away")
+    if model.ngeom > MOST.geoms:
+        raise InputError(f"more than {MOST.geoms} geoms")
+    drawn = model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
+    if (triangles := int(model.mesh_facenum[drawn[drawn >= 0]].sum())) > MOST.triangles:
+        raise InputError(f"its meshes draw {triangles} triangles; at most {MOST.triangles}")
+
+
+def _has_floor(model: mujoco.MjModel) -> bool:
+    """Whether something horizontal at z = 0 collides and could carry the robot."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for geom in range(model.ngeom):
+        if not (model.geom_contype[geom] & 1 or model.geom_conaffinity[geom] & 1):
+            continue
+        up = data.geom_xmat[geom].reshape(3, 3)[2]
+        height = data.geom_xpos[geom, 2]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and up[2] > 0.9999:
+            top = height
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX and np.abs(up).max() > 0.9999:
+            top = height + np.abs(up) @ model.geom_size[geom]
+        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD:
+            top = height
+        else:
+            continue
+        if abs(top) < _SUPPORT_M:
+            return True
+    return False

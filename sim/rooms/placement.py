@@ -1,0 +1,267 @@
+"""The verbs of furnishing: build a piece, look for its place, set it down there, or take it away again."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import mujoco
+import numpy as np
+
+from sim.furniture.decor import rug
+from sim.furniture.primitives import Footprint, Look, paper, textures, turned
+from sim.rooms.layout import CELL_M, Cost, Layout, Pose
+from sim.rooms.outline import Wall
+
+Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
+Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
+NEIGHBOUR_M = 0.58
+"""From the middle of a chair to that of the next: no gap between them that leads nowhere [m]."""
+WALK_M = 0.5
+"""Left on each side of what stands freely, where the room allows it."""
+Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
+Overhead = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room while it is being furnished.
+
+    Attributes:
+        spec: What it is built into.
+        rng: Its only source of chance.
+        look: Its materials.
+        layout: What stands where.
+        height_m: From the floor to the ceiling [m].
+        wall_bodies: One body for each wall of the layout; hangings are its children.
+        names: How many bodies of each name there are.
+    """
+
+    spec: mujoco.MjSpec
+    rng: np.random.Generator
+    look: Look
+    layout: Layout
+    height_m: float
+    wall_bodies: list[mujoco.MjsBody]
+    names: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def area_m2(self) -> float:
+        """Floor area [m2]."""
+        return float(self.layout.inside.mean() * np.prod(np.ptp(self.layout.corners, axis=0)))
+
+
+def stand(
+    room: Room, name: str, piece: Piece, cost: Cost | None = None, walls: Sequence[Wall] | None = None
+) -> Pose | None:
+    """Stand a piece with its back to a wall."""
+    return _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+
+
+def stand_first(room: Room, name: str, pieces: Iterable[Piece], cost: Cost | None = None) -> Pose | None:
+    """Stand the first of the pieces, such as ever narrower ones, for which a wall has room."""
+    return next((pose for piece in pieces if (pose := stand(room, name, piece, cost)) is not None), None)
+
+
+def centre(
+    room: Room, name: str, piece: Piece, cost: Cost | None = None, turns: Sequence[float] = (0.0, np.pi / 2)
+) -> Pose | None:
+    """Stand a piece freely on the floor, where one can walk around it if there is such a place."""
+
+    def find(it: Footprint) -> Pose | None:
+        roomy = Footprint(it.width_m + 2 * WALK_M, it.depth_m + 2 * WALK_M, it.height_m)
+        pose = room.layout.in_the_open(roomy, room.rng, cost, turns)
+        return pose if pose is not None else room.layout.in_the_open(it, room.rng, cost, turns)
+
+    return _settle(room, name, piece, find)
+
+
+def put(room: Room, name: str, piece: Piece, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
+    """Stand a piece at the first good one of the given places."""
+    return _settle(room, name, piece, lambda it: room.layout.at(it, poses, walkable))
+
+
+def hang(
+    room: Room, name: str, piece: Hanging, cost: Cost | None = None, walls: Sequence[Wall] | None = None
+) -> tuple[Wall, float] | None:
+    """Hang something on the first wall, in the order given or by chance, that has a place for it."""
+    choice = room.layout.walls if walls is None else walls
+    order = range(len(choice)) if walls is not None else _by_length(room)
+    for number in order:
+        wall = choice[number]
+        body = room.wall_bodies[room.layout.walls.index(wall)].add_body(name=_name(room, name))
+        x = room.layout.hang(wall, piece(body, room.rng, room.look), room.rng, cost)
+        if x is not None:
+            body.pos = (x, 0.0, 0.0)
+            return wall, x
+        _remove(room, body)
+    return None
+
+
+def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None = None) -> bool:
+    """Fix something to the ceiling where nothing tall stands ``drop_m`` above the floor."""
+    body = room.spec.worldbody.add_body(name=_name(room, name))
+    at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
+    if at is None:
+        _remove(room, body)
+        return False
+    body.pos = (at[0], at[1], room.height_m)
+    return True
+
+
+def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
+    """Lay a rug about a point, clipped to the room's own extent."""
+    c, s = abs(np.cos(at.yaw)), abs(np.sin(at.yaw))
+    extent = np.array((c * size[0] + s * size[1], s * size[0] + c * size[1]))
+    middle = np.array((at.x, at.y))
+    low, high = room.layout.corners.min(axis=0) + 0.1, room.layout.corners.max(axis=0) - 0.1
+    extent = np.minimum(extent, high - low)
+    middle = np.clip(middle, low + extent / 2, high - extent / 2)
+    body = room.spec.worldbody.add_body(name=_name(room, "rug"))
+    # Where two rugs overlap, the later lies on the other.
+    body.pos = (middle[0], middle[1], 0.001 * room.names["rug"])
+    rug(body, room.rng, room.look, (float(extent[0]), float(extent[1])))
+
+
+def beams(room: Room, name: str, draw: Callable[..., tuple[float, float]], count: int, width_m: float) -> None:
+    """Lay beams or ducts from wall to wall across the room, unevenly spaced."""
+    layout, along_x = room.layout, bool(room.rng.random() < 0.5)
+    axis = 1 if along_x else 0
+    low, high = layout.corners.min(axis=0)[axis], layout.corners.max(axis=0)[axis]
+    for number in range(count):
+        share = (number + room.rng.uniform(0.2, 0.8)) / count
+        place = low + share * (high - low)
+        run = _longest_run(layout, place, axis)
+        if run is None:
+            continue
+        middle, length = (run[0] + run[1]) / 2, run[1] - run[0]
+        at = (middle, place) if along_x else (place, middle)
+        size = (length, width_m) if along_x else (width_m, length)
+        body = room.spec.worldbody.add_body(name=_name(room, name), pos=(*at, room.height_m))
+        draw(body, room.rng, room.look, size)
+        layout.cover_ceiling(at, size)
+
+
+def near(point: Pose | np.ndarray) -> Cost:
+    """A cost: the distance from a pose or a point (2,)."""
+    return lambda pose: float(np.hypot(pose.x - point[0], pose.y - point[1]))
+
+
+def facing(other: Pose) -> Cost:
+    """A cost: being off the axis of another piece that this one should face."""
+
+    def cost(pose: Pose) -> float:
+        away = np.array((pose.x - other.x, pose.y - other.y))
+        ahead = float(away @ other.front)
+        aside = abs(float(away[0] * other.front[1] - away[1] * other.front[0]))
+        turned_away = pose.front @ other.front > -0.9
+        return float(aside + 2.0 * turned_away + 3.0 * (ahead < 1.2) + 0.2 * abs(ahead - 3.0))
+
+    return cost
+
+
+def in_a_corner(room: Room, others: Sequence[Pose] = ()) -> Cost:
+    """A cost: the distance from the nearest corner of the room in which none of the others stands."""
+    corners = room.layout.corners
+    for other in others:
+        far = np.hypot(*(corners - (other.x, other.y)).T) > 1.5
+        corners = corners[far] if far.any() else corners
+    return lambda pose: float(np.hypot(*(corners - (pose.x, pose.y)).T).min())
+
+
+def away_from(*points: np.ndarray) -> Cost:
+    """A cost: being near any of the points (2,)."""
+    return lambda pose: -float(min(np.hypot(pose.x - p[0], pose.y - p[1]) for p in points))
+
+
+def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Generator) -> list[Pose]:
+    """Places for chairs, half pushed in, at the long sides and then the ends of a table of ``size`` (width, depth)."""
+    c, s = np.cos(table.yaw), np.sin(table.yaw)
+    along = 1 if size[0] < 1.3 else 2
+    offsets = [((i - (along - 1) / 2) * NEIGHBOUR_M, side) for i in range(along) for side in (-1, 1)]
+    places = [(x, side * (size[1] / 2 + 0.13), 0.0 if side > 0 else np.pi) for x, side in offsets]
+    places += [(side * (size[0] / 2 + 0.13), 0.0, -side * np.pi / 2) for side in (-1, 1)]
+    poses = []
+    for x, y, turn in places[:seats]:
+        yaw = float(table.yaw + turn)
+        poses.append(Pose(float(table.x + c * x - s * y), float(table.y + s * x + c * y), yaw))
+    return poses
+
+
+def set_at(
+    room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_rad: float = 0.0, at_table: bool = False
+) -> None:
+    """Set a seat down at each of the places that is clear, or that its table keeps for it, a little askew."""
+    for pose in poses:
+        body = room.spec.worldbody.add_body(name=_name(room, name))
+        it = piece(body, room.rng, room.look)
+        good = room.layout.is_inside if at_table else room.layout.is_clear
+        if not good(it, pose):
+            _remove(room, body)
+            continue
+        room.layout.take(it, pose)
+        turn = pose.yaw + room.rng.uniform(-jitter_rad, jitter_rad)
+        body.pos, body.quat = (pose.x, pose.y, 0.0), turned(turn)
+
+
+def surface(
+    look: Look, rng: np.random.Generator, finish: Finish, size_m: tuple[float, float], colour: np.ndarray
+) -> str:
+    """A wall's own material, as large as the wall (width, height) [m]."""
+    width, height = size_m
+    shape = (int(np.clip(60 * height, 64, 256)), int(np.clip(60 * width, 64, 512)))
+    if finish == "wallpaper":
+        image = textures.wallpaper(rng, shape, colour, textures.vivid(rng), max(int(2 * width), 2))
+    elif finish == "brick":
+        clay = np.array((0.72, 0.38, 0.28)) * rng.uniform(0.8, 1.15, 3)
+        image = textures.brick(rng, shape, clay, int(height / 0.1), width / 0.28)
+    elif finish == "tile":
+        grid = (int(height / 0.2), max(int(width / 0.2), 2))
+        image = textures.tile(rng, shape, 0.5 * colour + 0.45, textures.vivid(rng), grid)
+    elif finish == "boards":
+        image = textures.wood(rng, (shape[1], shape[0]), colour * (0.95, 0.8, 0.6), max(int(width / 0.2), 3)).transpose(
+            1, 0, 2
+        )
+    else:
+        image = textures.plaster(rng, shape, colour, colour[[2, 0, 1]] if rng.random() < 0.3 else None)
+    return paper(look.spec, image)
+
+
+def _settle(room: Room, name: str, piece: Piece, find: Callable[[Footprint], Pose | None]) -> Pose | None:
+    body = room.spec.worldbody.add_body(name=_name(room, name))
+    it = piece(body, room.rng, room.look)
+    pose = find(it)
+    if pose is None:
+        _remove(room, body)
+        return None
+    room.layout.take(it, pose)
+    body.pos, body.quat = (pose.x, pose.y, 0.0), turned(pose.yaw)
+    return pose
+
+
+def _by_length(room: Room) -> list[int]:
+    """Walls by chance, long ones rather first."""
+    walls = room.layout.walls
+    weight = [wall.length_m * room.rng.uniform(0.3, 1.0) for wall in walls]
+    return [int(i) for i in np.argsort(weight)[::-1]]
+
+
+def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float] | None:
+    """The longest stretch of room along a line at ``place`` on the given axis [m]."""
+    index = int((place - layout.low[axis]) / CELL_M)
+    line = layout.inside[index] if axis == 1 else layout.inside[:, index]
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))
+    runs = edges.reshape(-1, 2)
+    if len(runs) == 0:
+        return None
+    first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
+    start = layout.low[1 - axis]
+    return float(start + first * CELL_M), float(start + last * CELL_M)
+
+
+def _name(room: Room, name: str) -> str:
+    room.names[name] = room.names.get(name, -1) + 1
+    return f"{name}_{room.names[name]}"
+
+
+def _remove(room: Room, body: mujoco.MjsBody) -> None:
+    room.spec.delete(body)

@@ -1,0 +1,38 @@
+"""How the camera sits on the robot: its lean, and what it sees while it is driven on with the shutter open."""
+
+import numpy as np
+
+from sim.robot.model import planar_pose
+from sim.settings import MountSettings
+
+FRAMES = 5
+"""Pictures of which an image is the mean where the robot drives while the shutter is open."""
+
+
+def draw_leans(settings: MountSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
+    """Lean to the right and ahead (count, 2) [rad] of the next images; none where the camera stands upright."""
+    fixed = np.array([settings.roll_deg, settings.pitch_deg])
+    if not fixed.any() and not settings.wobble_deg:
+        return None
+    return np.radians(fixed + settings.wobble_deg * rng.standard_normal((count, 2)))
+
+
+def tilt(lean: np.ndarray) -> np.ndarray:
+    """Axes of the leaning camera as columns (3, 3), in the frame of the upright one: R_y(ahead) R_x(right).
+
+    Args:
+        lean: To the right and ahead (2,) [rad].
+    """
+    (s, t), (c, d) = np.sin(lean), np.cos(lean)
+    right = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+    ahead = np.array([[d, 0.0, t], [0.0, 1.0, 0.0], [-t, 0.0, d]])
+    return ahead @ right
+
+
+def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
+    """States (FRAMES, nq) along a straight way whose middle is ``state`` (nq,): of equal parts, each its middle."""
+    yaw = planar_pose(state)[2]
+    along = driven_m * ((np.arange(FRAMES) + 0.5) / FRAMES - 0.5)
+    states = np.tile(state, (FRAMES, 1))
+    states[:, :2] += along[:, None] * [np.cos(yaw), np.sin(yaw)]
+    return states

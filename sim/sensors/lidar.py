@@ -1,0 +1,40 @@
+"""The lidar in a room: rays all around in the robot's own level plane, by ``mujoco.mj_multiRay``; no OpenGL.
+
+The room without the robot is its model, so that it cannot see the robot itself. Rays meet what collides.
+"""
+
+import mujoco
+import numpy as np
+
+from sim.robot.scene import compile_solid
+from sim.sensors.lidar_scan import arrange, ray_angles
+from sim.settings import LidarSettings
+
+
+class Lidar:
+    """Casts the rays in a room.
+
+    Args:
+        room: The room without the robot.
+        lidar: Number, height and reach of the rays.
+    """
+
+    def __init__(self, room: mujoco.MjSpec, lidar: LidarSettings) -> None:
+        self._model, self._data = compile_solid(room)
+        self._lidar = lidar
+        angle = ray_angles(lidar)
+        self._ahead = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
+        self._distance, self._geom = np.empty(len(angle)), np.empty(len(angle), np.int32)
+
+    def scan(self, state: np.ndarray) -> np.ndarray:
+        """Scan (headings, rays) float32 [m] of a state (nq,), whose free joint comes first; at most the reach."""
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, np.asarray(state[3:7], float))
+        axes = turn.reshape(3, 3)
+        point = np.asarray(state[:3], float) + self._lidar.height_m * axes[:, 2]
+        rays = np.ascontiguousarray((axes @ self._ahead).T).reshape(-1)
+        distance, geom, reach_m = self._distance, self._geom, self._lidar.reach_m
+        mujoco.mj_multiRay(self._model, self._data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
+        # MuJoCo says -1 where a ray meets nothing, and may tell of what is beyond the reach.
+        missed = (distance < 0) | (distance > reach_m)
+        return arrange(np.where(missed, reach_m, distance), self._lidar)

@@ -1,0 +1,83 @@
+"""The horizontal camera: a pinhole on the robot that looks level, drawn in grey by MuJoCo.
+
+Its frame is OpenCV's: x to the right, y down, z ahead. The image's middle is the principal point; nothing is distorted.
+"""
+
+from typing import Self
+
+import cv2
+import mujoco
+import numpy as np
+
+from sim.sensors.cube_faces import Face
+from sim.sensors.fisheye import ROBOT, UNSEEN, aim, dim_headlight, make_scene
+from sim.sensors.offscreen import Offscreen
+from sim.settings import HorizontalSettings
+
+SITE = "robot/horizontal"
+TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation from the camera's frame to its mount's, whose x looks out and z up: right is -y, down -z, ahead x."""
+
+
+class Horizontal:
+    """The horizontal camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
+
+    The robot itself is not drawn.
+
+    Args:
+        model: A compiled room with a robot that has this camera.
+        settings: Its angle and the size of its image.
+
+    Raises:
+        WorkError: No OpenGL context can be opened; the text names the cure.
+    """
+
+    def __init__(self, model: mujoco.MjModel, settings: HorizontalSettings) -> None:
+        self._model, self._site = model, model.site(SITE).id
+        self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
+        self._scene, self._option, self._view = make_scene(model)
+        across = np.tan(np.radians(settings.field_of_view_deg) / 2)
+        up = across * settings.height_px / settings.width_px
+        window = np.array([-across, across, -up, up])
+        self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
+        self._screen = Offscreen(model, settings.width_px, settings.height_px)
+
+    def look(self, data: mujoco.MjData) -> np.ndarray:
+        """The image of the state ``data``: (height_px, width_px) uint8, grey."""
+        self._screen.begin()
+        scene, face = self._scene, self._face
+        mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+        dim_headlight(scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            if self._robot[geom.objid]:
+                geom.type = UNSEEN
+        aim(scene, face, data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3))
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, face.width, face.height), scene, self._screen.target)
+        return cv2.cvtColor(np.ascontiguousarray(self._screen.read()[::-1]), cv2.COLOR_RGB2GRAY)
+
+    def close(self) -> None:
+        """Free the OpenGL context; a second call does nothing."""
+        self._screen.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def camera_matrix(settings: HorizontalSettings) -> np.ndarray:
+    """Intrinsic matrix (3, 3) [px], pixel middles at whole numbers."""
+    focal = settings.width_px / 2 / np.tan(np.radians(settings.field_of_view_deg) / 2)
+    middle = (settings.width_px - 1) / 2, (settings.height_px - 1) / 2
+    return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
+
+
+def mounting(settings: HorizontalSettings) -> np.ndarray:
+    """The camera's pose in the robot's frame (4, 4)."""
+    yaw = np.radians(settings.yaw_deg)
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ TURN
+    pose[:3, 3] = settings.ahead_m, 0.0, settings.height_m
+    return pose

@@ -1,0 +1,198 @@
+"""A contact sheet of rooms: from a corner, from above with the reachable floor tinted, fisheye, polar; a row a room."""
+
+from collections.abc import Callable, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import get_args
+
+import cv2
+import mujoco
+import numpy as np
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
+
+from sim.files import write_bytes
+from sim.recording.format import FreeSpace
+from sim.robot.world import RoomWorld
+from sim.rooms.build import build_room
+from sim.sensors import gl
+from sim.sensors.fisheye import Fisheye
+from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+
+MARK = ("Software", "deepgps")
+"""What the picture says of its origin, so that another picture is never written over."""
+ROW_PX = 330
+PERSPECTIVE_PX = 560
+TOP_PX = 430
+POLAR_PX = 520
+LABEL_PX = 26
+MARGIN_PX = 6
+CEILING_FROM_M = 1.8
+"""Bodies whose own frame lies higher belong to the ceiling, and are left out of the views from above."""
+HIDDEN_GROUP = 5
+_REACHABLE = np.array((70, 200, 120))
+_VIEW = {"azimuth": 58.0, "elevation": -40.0}
+
+
+def draw_gallery(
+    kinds: Sequence[RoomKind],
+    seeds: Sequence[int],
+    path: Path,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> None:
+    """Draw every kind with every seed, the shapes in turn, and write one PNG.
+
+    Args:
+        kinds: Kinds of room.
+        seeds: Seeds of each kind; a seed's shape is the seed modulo the number of shapes.
+        path: The picture to write.
+        progress: Told how many rooms are drawn.
+
+    Raises:
+        InputError: a room cannot be built.
+        WorkError: nothing can be drawn on this machine.
+    """
+    gl.choose_backend()
+    shapes = get_args(RoomShape)
+    rooms = [RoomSettings(kind=kind, shape=shapes[seed % len(shapes)], seed=seed) for kind in kinds for seed in seeds]
+    rows = []
+    for room in rooms:
+        rows.append(draw_room(room))
+        progress("rooms", len(rows), len(rooms))
+    buffer, mark = BytesIO(), PngInfo()
+    mark.add_text(*MARK)
+    Image.fromarray(np.vstack(rows)).save(buffer, "png", pnginfo=mark)
+    write_bytes(path, buffer.getvalue())
+
+
+def is_gallery(data: bytes) -> bool:
+    """Whether these are the contents of a picture that ``draw_gallery`` wrote."""
+    return data.startswith(b"\x89PNG") and "\0".join(MARK).encode() in data[:500]
+
+
+def draw_room(settings: RoomSettings) -> np.ndarray:
+    """One row of the sheet, (rows, columns, 3) uint8 RGB."""
+    spec = build_room(settings)
+    world = RoomWorld(SimSettings(room=settings), spec)
+    world.place(np.array((*world.free_space.start, 0.0)))
+    spec.visual.quality.shadowsize = 2048
+    spec.visual.quality.offsamples = 4
+    spec.visual.headlight.ambient = [0.42] * 3
+    spec.visual.headlight.diffuse = spec.visual.headlight.specular = [0.0] * 3
+    spec.visual.global_.offwidth, spec.visual.global_.offheight = PERSPECTIVE_PX, ROW_PX
+    spec.visual.rgba.haze = [1.0] * 4
+    model = spec.compile()
+    if model.nlight:
+        model.light_castshadow[0] = True
+    pictures = [
+        _draw_perspective(model),
+        _draw_top(model, world.free_space),
+        _draw_fisheye(world),
+        _draw_polar(world),
+    ]
+    title = settings.mjcf or f"{settings.kind}, {settings.shape}, seed {settings.seed}"
+    area = world.free_space.reachable.sum() * world.free_space.cell_m**2
+    drawn = int((model.geom_group <= 2).sum())
+    return _label(_beside(pictures), f"{title}: {area:.1f} m2 reachable, {drawn} shapes drawn")
+
+
+def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
+    """From above a corner, without the ceiling and the walls that turn their backs."""
+    low, high = _extent(model)
+    view = mujoco.MjvCamera()
+    view.azimuth, view.elevation = _VIEW["azimuth"], _VIEW["elevation"]
+    view.lookat[:] = (*(low + high)[:2] / 2, 0.6)
+    view.distance = 1.02 * float(np.hypot(*(high - low)[:2])) + 0.7
+    azimuth, elevation = np.radians((view.azimuth, view.elevation))
+    ahead = np.array((np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)))
+    eye = view.lookat - view.distance * ahead
+    hidden = _ceiling(model)
+    for body in _bodies(model, "wall_"):
+        rotation = np.empty(9)
+        mujoco.mju_quat2Mat(rotation, model.body_quat[body])
+        if (eye - model.body_pos[body]) @ -rotation.reshape(3, 3)[:, 1] < 0:
+            hidden |= (model.geom_bodyid == body) | (model.body_parentid[model.geom_bodyid] == body)
+    return _render(model, view, hidden, (ROW_PX, PERSPECTIVE_PX))
+
+
+def _draw_top(model: mujoco.MjModel, space: FreeSpace) -> np.ndarray:
+    """Straight from above without the ceiling; where the robot can get to is tinted, its start a dot."""
+    low, high = _extent(model)
+    middle, size = (low + high)[:2] / 2, (high - low)[:2] + 0.2
+    metres = max(size[1], size[0] * ROW_PX / TOP_PX)
+    view = mujoco.MjvCamera()
+    view.azimuth, view.elevation, view.distance = 90.0, -90.0, 8.0
+    view.lookat[:] = (*middle, 0.0)
+    # An orthographic camera's field of view is a length.
+    fovy = model.vis.global_.fovy
+    model.vis.global_.orthographic, model.vis.global_.fovy = 1, metres
+    image = _render(model, view, _ceiling(model), (ROW_PX, TOP_PX))
+    model.vis.global_.orthographic, model.vis.global_.fovy = 0, fovy
+    row, column = np.mgrid[0:ROW_PX, 0:TOP_PX] + 0.5
+    points = np.stack((column - TOP_PX / 2, ROW_PX / 2 - row), axis=-1) * metres / ROW_PX + middle
+    tint = space.is_reachable(points)[..., None]
+    image = np.where(tint, 0.75 * image + 0.25 * _REACHABLE, image)
+    start = np.hypot(*(points - space.start).transpose(2, 0, 1)) < 0.105
+    return np.where(start[..., None], (230, 40, 40), image).astype(np.uint8)
+
+
+def _draw_fisheye(world: RoomWorld) -> np.ndarray:
+    with Fisheye(world.model, CameraSettings(face_px=256)) as camera:
+        return camera.round(world.data, ROW_PX)
+
+
+def _draw_polar(world: RoomWorld) -> np.ndarray:
+    """What a network gets, each pixel drawn large."""
+    with Fisheye(world.model, world.settings.camera) as camera:
+        polar = camera.polar(world.data)
+    tall = POLAR_PX * polar.shape[0] // polar.shape[1] * 2
+    large = cv2.resize(polar, (POLAR_PX, tall), interpolation=cv2.INTER_NEAREST)
+    above = (ROW_PX - tall) // 2
+    return cv2.copyMakeBorder(large, above, ROW_PX - tall - above, 0, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255))
+
+
+def _render(model: mujoco.MjModel, view: mujoco.MjvCamera, hidden: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    group = model.geom_group.copy()
+    model.geom_group[hidden] = HIDDEN_GROUP
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    with mujoco.Renderer(model, *size) as renderer:
+        renderer.update_scene(data, view)
+        image = renderer.render()
+    model.geom_group[:] = group
+    # The empty space around a room is black; on the sheet it is paper.
+    return np.where((image == 0).all(axis=-1, keepdims=True), 255, image).astype(np.uint8)
+
+
+def _ceiling(model: mujoco.MjModel) -> np.ndarray:
+    return model.body_pos[model.geom_bodyid, 2] > CEILING_FROM_M
+
+
+def _bodies(model: mujoco.MjModel, prefix: str) -> list[int]:
+    return [body for body in range(model.nbody) if model.body(body).name.startswith(prefix)]
+
+
+def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper corner (3,) of all that is drawn and not endless [m]."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    finite = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2)
+    radius = model.geom_rbound[finite][:, None]
+    boxes = model.geom_aabb[finite, 3:]
+    rotation = np.abs(data.geom_xmat[finite].reshape(-1, 3, 3))
+    half = np.minimum(np.einsum("nij,nj->ni", rotation, boxes), radius)
+    centre = data.geom_xpos[finite]
+    return (centre - half).min(axis=0), (centre + half).max(axis=0)
+
+
+def _beside(pictures: Sequence[np.ndarray]) -> np.ndarray:
+    edged = [
+        cv2.copyMakeBorder(p, MARGIN_PX, 0, MARGIN_PX, 0, cv2.BORDER_CONSTANT, value=(255, 255, 255)) for p in pictures
+    ]
+    return np.hstack(edged)
+
+
+def _label(row: np.ndarray, text: str) -> np.ndarray:
+    strip = np.full((LABEL_PX, row.shape[1], 3), 255, np.uint8)
+    cv2.putText(strip, text, (MARGIN_PX, LABEL_PX - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (20, 20, 20), 1, cv2.LINE_AA)
+    return np.vstack([strip, row])

@@ -1,0 +1,232 @@
+"""How a command ends: by a signal, by a fault of its own, or without anyone who reads what it prints."""
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+from deepgps.command.failures import FAULT, Fault, explain, working_in
+from deepgps.command.signals import Stopped
+from sim.errors import InputError, WorkError
+from tests.deepgps.test_cli import MINI, deepgps, drop_progress
+
+LINES = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
+AGAIN = "; the same command continues where it stopped"
+
+
+@pytest.fixture(scope="module")
+def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "mini.yaml"
+    path.write_text(MINI)
+    return path
+
+
+def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
+    """Start the command in a session of its own, as a terminal does."""
+    command = [sys.executable, "-m", "deepgps.cli", *words]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # whoever starts the tests may ignore Ctrl-C, as a shell does for what runs in the background
+    heard = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(command, cwd=cwd, start_new_session=True, **pipes)
+    finally:
+        signal.signal(signal.SIGINT, heard)
+
+
+def find_session(session: int) -> list[str]:
+    """Processes of a session that have not ended."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, _, _, number, *_ = path.read_text().rpartition(")")[2].split()
+        except (OSError, ValueError):
+            continue
+        if int(number) == session and state != "Z":
+            found.append(path.parent.name)
+    return found
+
+
+def wait_until_gone(session: int) -> bool:
+    end = time.monotonic() + 5
+    while find_session(session) and time.monotonic() < end:
+        time.sleep(0.05)
+    return not find_session(session)
+
+
+@pytest.mark.parametrize("number", LINES)
+@pytest.mark.parametrize("seconds", [0.25, 1.0, 3.0])
+def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
+    mini: Path, tmp_path: Path, number: signal.Signals, seconds: float
+) -> None:
+    process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
+    time.sleep(seconds)
+    os.killpg(process.pid, number)
+    time.sleep(0.05)
+    os.killpg(process.pid, number)  # a second one changes nothing
+    out, said = process.communicate(timeout=60)
+    assert (process.returncode, out) == (128 + number, "")
+    assert drop_progress(said) == [LINES[number] + AGAIN]
+    assert wait_until_gone(process.pid)
+
+
+def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
+    process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
+    while not list(tmp_path.glob("run/recording.collecting/*.npz")):
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, drop_progress(said)) == (143, ["terminated" + AGAIN])
+    assert wait_until_gone(process.pid)
+    assert "collect" in (tmp_path / "run" / "timing.json").read_text()
+
+
+SWALLOWING = """
+import os, signal, sys, time
+sys.argv[0] = "deepgps"
+from deepgps import begin
+from deepgps.command.signals import stop_at_signals
+
+class Loud:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+
+stop_at_signals()
+{swallow}
+try:
+    while True:
+        time.sleep(0.01)
+except KeyboardInterrupt as stopped:
+    print("heard", *stopped.args)
+"""
+
+
+@pytest.mark.parametrize(
+    "swallow",
+    [
+        "try:\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(1)\nexcept BaseException:\n    pass",
+        "loud = Loud()\ndel loud",
+    ],
+)
+def test_a_signal_that_is_swallowed_is_repeated(swallow: str) -> None:
+    command = [sys.executable, "-c", SWALLOWING.format(swallow=swallow)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "heard 15\n", "")
+
+
+WAITING = """
+import os, signal, sys, time
+sys.argv[0] = "deepgps"
+from deepgps import begin, signals
+
+signals.LIMIT_S = 0.5
+signals.stop_at_signals()
+try:
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(1)
+finally:
+    {said}
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize(("said", "line"), [("pass", "terminated\n"), ("signals.ignore_signals()", "")])
+def test_clearing_up_that_never_ends_is_ended(said: str, line: str) -> None:
+    command = [sys.executable, "-c", WAITING.format(said=said)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
+    assert (done.returncode, done.stderr) == (143, line)
+
+
+READERS = [
+    (["--help"], ">&-", 0),
+    (["--help"], "| true", 0),
+    (["run", "--help"], "| head -1", 0),
+    (["run", "--help"], ">/dev/full", 1),
+    (["fly"], "2>&-", 2),
+    (["fly"], "2>/dev/full", 2),
+    (["fly"], "<&- >&-", 2),
+    (["fly"], "2>&1 | true", 2),
+]
+
+
+@pytest.mark.parametrize(("words", "rest", "code"), READERS)
+def test_output_that_nobody_reads_is_dropped(tmp_path: Path, words: list[str], rest: str, code: int) -> None:
+    line = f"{sys.executable} -m deepgps.cli {' '.join(words)} {rest}; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == code
+    assert len(done.stderr.splitlines()) <= 1 and "Errno" not in done.stderr and "ignored" not in done.stderr
+
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+
+
+@pytest.mark.parametrize("environment", [{"PYTHONIOENCODING": "ascii"}, ASCII, {"COLUMNS": "0", "TERM": "dumb"}])
+def test_any_terminal_can_print_any_name(tmp_path: Path, environment: dict[str, str]) -> None:
+    done = deepgps("run", "é空.yaml", cwd=tmp_path, **environment)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1 and ".yaml: no such file" in done.stderr
+
+
+def fail(error: Exception) -> Exception:
+    """The error with a traceback, as it is when it is caught."""
+    try:
+        raise error
+    except Exception as raised:
+        return raised
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "text"),
+    [
+        (InputError("camera.rings 3"), 2, "camera.rings 3"),
+        (WorkError("no renderer"), 1, "no renderer"),
+        (PermissionError(13, "Permission denied", "a/b"), 1, "a/b: Permission denied"),
+        (MemoryError("Unable to allocate 9 TiB"), 1, "the memory of this machine is not enough (Unable to"),
+        (KeyboardInterrupt(), 130, "interrupted" + AGAIN),
+    ],
+)
+def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int, text: str) -> None:
+    found, _, said = explain(error, ["run"])
+    assert found == code and said.startswith(text) and "\n" not in said
+
+
+@pytest.mark.parametrize("error", [Stopped(2), KeyboardInterrupt(), TypeError("half imported"), WorkError("died")])
+def test_the_signal_counts_and_not_what_became_of_its_exception(error: BaseException) -> None:
+    assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
+
+
+def test_a_full_disk_names_the_folder_and_what_is_free(tmp_path: Path) -> None:
+    with pytest.raises(Fault) as caught, working_in(tmp_path):
+        raise OSError(28, "No space left on device")
+    code, _, said = explain(caught.value, ["run"])
+    assert code == 1 and said.startswith(f"{tmp_path}: No space left on device (") and said.endswith(" MB free)")
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("rms_m"), RecursionError("deep"), UnicodeDecodeError("utf-8", b"x", 0, 1, "y")]
+)
+def test_a_fault_says_where_its_traceback_is_and_touches_no_file(tmp_path: Path, error: Exception) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(Fault) as caught, working_in(tmp_path):
+        raise error
+    code, kind, said = explain(caught.value, ["run", "tiny"])
+    (written,) = tmp_path.glob(f"{FAULT}*.txt")
+    assert (code, kind) == (1, "failed") and str(written) in said and "\n" not in said
+    text = written.read_text()
+    assert "Traceback" in text and type(error).__name__ in text and "['run', 'tiny']" in text
+    assert (tmp_path / "mine.txt").read_text() == "mine" and len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_fault_without_a_folder_is_written_among_temporary_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert str(tmp_path / FAULT) in explain(fail(ZeroDivisionError("x")), ["run"])[2]
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))
+    assert "its traceback is lost" in explain(fail(ZeroDivisionError("x")), ["run"])[2]

@@ -1,0 +1,196 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepgps.data.features import (
+    cached_features,
+    describe,
+    draw_rings,
+    find_edges,
+    fit_features,
+    normalise,
+    solve_generalised,
+)
+from deepgps.data.segments import read_segments
+from deepgps.learning.training_data import prepare
+from deepgps.settings import FeatureSettings, LearnSettings
+from sim.errors import InputError
+from tests.helpers.toy import make_toy
+
+
+def images(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (count, 6, 32, 3), dtype=np.uint8)
+
+
+@given(shift=st.integers(-40, 40), seed=st.integers(0, 1000))
+@settings(max_examples=40, deadline=None)
+def test_turning_changes_nothing(shift: int, seed: int):
+    image = images(2, seed)
+    there = describe(image, 12)
+    turned = describe(np.roll(image, shift, axis=2), 12)
+    assert torch.allclose(there, turned, atol=2e-4 * float(there.abs().max()))
+
+
+@pytest.mark.parametrize("frequencies", [1, 12, 16, 40])
+def test_it_is_made_of_plain_fourier_coefficients(frequencies: int):
+    image = images(3)
+    spectrum = np.fft.rfft(image.transpose(0, 1, 3, 2) / 255.0, norm="forward")[..., : frequencies + 1]
+    product = spectrum[:, :-1, :, 1:] * spectrum[:, 1:, :, 1:].conj()
+    product /= (np.abs(product) + 1e-8) ** 0.75
+    parts = np.sqrt(np.abs(spectrum)), np.stack([product.real, product.imag], axis=-1)
+    expected = np.concatenate([part.reshape(3, -1) for part in parts], axis=1)
+    assert np.abs(describe(image, frequencies).numpy() - expected).max() < 1e-4
+
+
+def test_turning_one_ring_alone_is_seen():
+    image = images(1)
+    broken = image.copy()
+    broken[:, 2] = np.roll(image[:, 2], 5, axis=1)
+    assert not torch.allclose(describe(image, 12), describe(broken, 12), atol=1e-2)
+
+
+def test_mirroring_is_seen():
+    image = images(1)
+    assert not torch.allclose(describe(image, 12), describe(image[:, :, ::-1].copy(), 12), atol=1e-2)
+
+
+def test_black_images_are_finite():
+    assert torch.isfinite(describe(np.zeros((2, 6, 32, 3), np.uint8), 12)).all()
+
+
+def test_vectors_stay_as_they_are():
+    vectors = np.arange(6.0).reshape(2, 3)
+    assert describe(vectors, 5).tolist() == vectors.tolist()
+
+
+def test_other_shapes_are_refused():
+    with pytest.raises(InputError, match=r"observations must be .* not \(2, 3, 4\)"):
+        describe(np.zeros((2, 3, 4)), 5)
+
+
+def test_fitted_features_are_those_applied(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    generator = torch.Generator().manual_seed(0)
+    fitted, features = fit_features(
+        recording.observation, read_segments(recording), FeatureSettings(components=8), generator
+    )
+    assert torch.allclose(fitted.apply(recording.observation), features, atol=1e-4)
+    assert float(features.square().mean()) == pytest.approx(1.0, rel=1e-4)
+    assert fitted.apply(recording.observation[:0]).shape == (0, 8)
+    with pytest.raises(InputError, match=r"observations of shape \(5,\), but trained on shape \(12,\)"):
+        fitted.apply(np.zeros((1, 5)))
+
+
+def test_slow_features_leave_noise_out(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=600)
+    signal = np.asarray(recording.observation)
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 3.0, signal.shape)
+    both = np.concatenate([signal, noise], axis=1) @ np.linalg.qr(rng.normal(size=(24, 24)))[0]
+    segments, settings = read_segments(recording), FeatureSettings(components=4)
+    _, features = fit_features(both, segments, settings, torch.Generator().manual_seed(0))
+
+    def explained(by: np.ndarray) -> float:
+        design = np.column_stack([np.ones(len(by)), by])
+        left = features.numpy() - design @ np.linalg.lstsq(design, features.numpy(), rcond=None)[0]
+        return 1.0 - float(np.sum(left**2) / np.sum((features.numpy() - features.numpy().mean(axis=0)) ** 2))
+
+    assert explained(signal) > 0.95
+    assert explained(noise) < 0.1
+
+
+def test_features_are_taken_from_the_cache_of_the_same_key(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    segments = read_segments(recording)
+
+    def make(key: str, seed: int):
+        generator = torch.Generator().manual_seed(seed)
+        settings = FeatureSettings(components=4, principal=4)
+        return cached_features(tmp_path, key, recording.observation, segments, settings, generator)
+
+    first, same, other = make("a", 0), make("a", 1), make("b", 1)
+    assert torch.equal(first[1], same[1]) and torch.equal(first[0].basis, same[0].basis)
+    assert torch.equal(first[0].apply(recording.observation), same[0].apply(recording.observation))
+    assert not torch.equal(first[1], other[1])
+
+
+def test_vectors_are_normalised_and_nothing_else(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=300)
+    vectors = np.asarray(recording.observation, float)
+    fitted, features = normalise(recording.observation)
+    assert np.allclose(features.mean(dim=0), 0.0, atol=1e-5)
+    assert float(features.square().mean()) == pytest.approx(1.0, rel=1e-4)
+    apart = np.linalg.norm(vectors[1:] - vectors[:-1], axis=1)
+    ratio = (features[1:] - features[:-1]).norm(dim=1).numpy() / apart
+    assert np.allclose(ratio, ratio[0], rtol=1e-3)
+    assert torch.allclose(fitted.apply(recording.observation), features, atol=1e-4)
+    material = prepare(recording, LearnSettings(), 0, tmp_path / "run")
+    assert torch.equal(material.features, features) and not (tmp_path / "run").exists()
+
+
+def test_generalised_eigenvectors_solve_their_equation():
+    rng = np.random.default_rng(0)
+    a, b = (torch.from_numpy(m @ m.T) for m in rng.normal(size=(2, 5, 5)))
+    w, v = solve_generalised(a, b)
+    assert torch.allclose(a @ v, b @ v * w)
+    assert torch.allclose(v.T @ b @ v, torch.eye(5, dtype=torch.float64), atol=1e-8)
+
+
+def scans(count: int, rays: int = 64, seed: int = 0) -> np.ndarray:
+    """Scans (count, 2, rays) of walls with jumps."""
+    rng = np.random.default_rng(seed)
+    wall = rng.uniform(0.2, 3.0, (count, 2, 8)).repeat(rays // 8, axis=2)
+    return (wall + rng.uniform(0, 0.1, wall.shape)).astype(np.float32)
+
+
+EDGES = torch.tensor([0.0, 0.5, 0.8, 1.4, 3.1])
+
+
+@given(shift=st.integers(-70, 70), seed=st.integers(0, 1000), heading=st.integers(0, 1))
+@settings(max_examples=40, deadline=None)
+def test_turning_by_whole_rays_changes_nothing(shift: int, seed: int, heading: int):
+    scan = scans(2, seed=seed)
+    there = describe(scan, 12, EDGES, heading)
+    turned = describe(np.roll(scan, shift, axis=2), 12, EDGES, heading)
+    # A ring that is all full or all empty has coefficients of rounding errors alone, whose phases weigh up to this.
+    assert torch.allclose(there, turned, atol=1e-2 * float(there.abs().max()))
+    assert not torch.allclose(there, describe(scan, 12, EDGES, 1 - heading), atol=1e-2)
+    assert not torch.allclose(there, describe(scan[:, :, ::-1].copy(), 12, EDGES, heading), atol=1e-2)
+
+
+def test_rings_lose_nothing_of_a_scan():
+    scan = torch.from_numpy(scans(3)[:, 0])
+    rings = draw_rings(scan, EDGES)
+    assert rings.shape == (3, 4, 64)
+    assert torch.allclose((rings / 255 * EDGES.diff()[:, None]).sum(dim=1), scan, atol=1e-5)
+
+
+def test_rings_are_filled_equally_often_even_where_many_rays_end_at_the_reach():
+    observation = scans(500)
+    edges = find_edges(observation, 8)
+    assert edges is not None
+    inside = np.histogram(observation[:, 0], edges.numpy())[0]
+    assert inside.min() > 0.9 * inside.max()
+    blunt = find_edges(np.minimum(observation, 0.5), 8)
+    assert blunt is not None and (blunt.diff() > 0).all()
+    assert find_edges(images(3), 8) is None
+
+
+def test_a_heading_is_drawn_among_those_kept(tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=300)
+    count = len(toy.observation)
+    recording = replace(toy, observation=scans(count))
+    chosen = LearnSettings.model_validate({"features": {"components": 8, "principal": 32, "noise": 0}})
+    material = prepare(recording, chosen, 0, tmp_path / "run")
+    assert material.inputs.table.shape == (count, 2, 8)
+    assert torch.equal(material.inputs.take(torch.arange(count)), material.features)
+    other = material.projection.apply(recording.observation, 1)
+    drawn = material.inputs.take(torch.arange(count), torch.Generator().manual_seed(0))
+    first = (drawn == material.features).all(dim=1)
+    assert 0.35 < float(first.float().mean()) < 0.65
+    assert torch.equal(drawn[~first], other[~first])

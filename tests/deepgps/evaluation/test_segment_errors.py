@@ -1,0 +1,42 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.evaluation.segment_errors import judge_encoders
+from sim.recording.format import open_recording, open_truth
+from sim.sensors.encoder import read_encoders
+from sim.settings import EncoderSettings
+from tests.helpers.toy import ODOMETRY, make_toy
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_toy(tmp_path_factory.mktemp("segments") / "toy").folder
+
+
+def measure(folder: Path, encoder: EncoderSettings) -> dict[str, float]:
+    recording, truth = open_recording(folder), open_truth(folder)
+    ticks, arrived = read_encoders(truth.wheel_angle, 0.033, encoder, np.random.default_rng(0))
+    odometry = {**ODOMETRY, "ticks_per_rev": encoder.ticks_per_rev, "gap_noise": encoder.gap_noise}
+    recording.manifest.update(odometry=odometry, settings={"encoder": encoder.model_dump(mode="json")})
+    reading = np.column_stack([recording.reading[:, :2], ticks])[arrived]
+    return judge_encoders(type(recording)(**{**vars(recording), "reading": reading}), truth)
+
+
+def test_no_fault_gives_no_error(folder: Path):
+    found = measure(folder, EncoderSettings(ticks_per_rev=65536))
+    assert found["segment_rms_m"] < 1e-4 and found["segment_expected_m"] < 1e-4
+    assert found["segments_wrong"] == found["segments_doubted"] == 0
+
+
+def test_noise_is_measured_as_expected(folder: Path):
+    found = measure(folder, EncoderSettings(ticks_per_rev=65536, gap_noise=0.2))
+    assert found["segment_rms_m"] == pytest.approx(found["segment_expected_m"], rel=0.35)
+    assert found["segment_rms_m"] > 0.02 and found["segments_wrong"] <= 2
+
+
+def test_a_stuck_encoder_is_counted_and_found(folder: Path):
+    found = measure(folder, EncoderSettings(ticks_per_rev=65536, stuck=0.25))
+    assert found["segments_wrong"] >= 5
+    assert found["wrong_doubted"] == found["segments_wrong"] <= found["segments_doubted"]

@@ -1,0 +1,105 @@
+"""Figures: the worst heading decides, one colour scale for all, equal runs give equal files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from deepgps.figures.field_plot import SCALE_M, colours_of, limits, read_fields, worst_heading
+from deepgps.figures.run_figures import draw_error_field, draw_figures, make_figures
+from deepgps.figures.style import smooth, to_png
+from sim.errors import InputError
+from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run
+
+POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.4)
+
+
+@given(POSITIONS)
+def test_the_worst_heading_decides(predicted: np.ndarray) -> None:
+    truth = np.arange(10.0).reshape(5, 2)
+    field = worst_heading(truth, predicted)
+    for cell in range(5):
+        errors = [np.hypot(*(predicted[cell, heading] - truth[cell])) for heading in range(3)]
+        assert field.error[cell] == pytest.approx(max(errors))
+        assert any(np.array_equal(field.predicted[cell], predicted[cell, heading]) for heading in range(3))
+    np.testing.assert_allclose(np.linalg.norm(field.predicted - truth, axis=1), field.error)
+
+
+def test_colours_depend_on_the_error_alone_and_end_with_the_scale() -> None:
+    error = np.array([0.0, SCALE_M[0], 0.05, SCALE_M[1], 50.0])
+    colours = colours_of(error)
+    np.testing.assert_array_equal(colours[0], colours[1])
+    np.testing.assert_array_equal(colours[3], colours[4])
+    np.testing.assert_array_equal(colours_of(error[2:3])[0], colours[2])  # whatever else is drawn
+    assert len(np.unique(colours, axis=0)) == 3
+
+
+@given(arrays(float, st.integers(1, 300), elements=st.floats(0, 1)))
+def test_smoothing_stays_within_the_values(values: np.ndarray) -> None:
+    smoothed = smooth(values)
+    assert smoothed.shape == values.shape
+    assert values.min() <= smoothed.min()
+    assert smoothed.max() <= values.max()
+
+
+def test_limits_enclose_the_reachable_area() -> None:
+    space = make_free_space()
+    low, high = limits(space, margin_m=0.0)
+    row, column = np.nonzero(space.reachable)
+    points = space.origin + np.stack([column, row], axis=1) * space.cell_m
+    assert (points >= low - 1e-9).all()
+    assert (points <= high + 1e-9).all()
+    np.testing.assert_allclose(limits(space, margin_m=0.5)[0], low - 0.5)
+
+
+def test_every_figure_is_written_as_png(run: Path) -> None:
+    paths = draw_figures(run)
+    names = {f"error_field_{name}" for name in METHODS} | {"error_fields", "error_cdf", "drive", "training"}
+    assert {path.stem for path in paths} == names
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
+    assert all(path.parent == run / "figures" for path in paths)
+
+
+def test_equal_figures_give_equal_bytes(run: Path) -> None:
+    space, field = make_free_space(), read_fields(run)["deepgps"]
+    first, second = (to_png(draw_error_field(space, field, "deepgps")) for _ in range(2))
+    assert first == second
+    assert b"Matplotlib" not in first
+
+
+def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
+    space, field = make_free_space(), read_fields(run)["posenet"]
+    axes = draw_error_field(space, field, "posenet").axes[0]
+    arrows = next(part for part in axes.collections if hasattr(part, "U"))
+    drawn = np.stack([np.asarray(getattr(arrows, name)) for name in ("X", "Y", "U", "V")], axis=1)
+    expected = np.concatenate([field.truth, field.predicted - field.truth], axis=1)
+    np.testing.assert_allclose(drawn[np.lexsort(drawn.T)], expected[np.lexsort(expected.T)])
+    assert getattr(arrows, "scale", None) == 1
+    assert axes.get_aspect() == 1
+
+
+def test_a_run_without_histories_has_no_training_figure(run: Path, tmp_path: Path) -> None:
+    for path in run.rglob("*"):
+        if path.is_file() and path.name != "history.npz":
+            (tmp_path / path.relative_to(run)).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / path.relative_to(run)).symlink_to(path)
+    assert "training" not in make_figures(tmp_path)
+
+
+def test_a_broken_error_field_is_one_clear_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no whole run: error_field.npz is missing"):
+        read_fields(tmp_path)
+    (tmp_path / "error_field.npz").write_bytes(b"PK\x03\x04 half")
+    with pytest.raises(InputError, match=r"error_field\.npz is damaged"):
+        read_fields(tmp_path)
+    np.savez(tmp_path / "error_field.npz", deepgps=np.zeros((1, 1, 2)))
+    with pytest.raises(InputError, match="truth"):
+        read_fields(tmp_path)

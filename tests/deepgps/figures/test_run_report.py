@@ -1,0 +1,97 @@
+"""The report's figures are those of metrics.json, in every form it is printed."""
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from deepgps.figures.run_report import (
+    COLUMNS,
+    describe,
+    markdown_report,
+    markdown_table,
+    print_report,
+    read_metrics,
+    tabulate,
+)
+from sim.errors import InputError
+from tests.helpers.synthetic_run import make_metrics
+
+
+@pytest.fixture
+def metrics() -> dict:
+    truth = np.zeros((4, 2))
+    off = np.array([[0.03, 0.0], [0.0, 0.04], [0.0, 0.0], [0.05, 0.0]])[:, None]
+    return make_metrics(truth, {"deepgps": np.repeat(off, 2, axis=1), "mine": np.repeat(2 * off, 2, axis=1)}, 96)
+
+
+def test_the_table_holds_the_metrics_in_centimetres(metrics: dict) -> None:
+    headings, rows = tabulate(metrics)
+    deepgps = dict(zip(headings, rows[0], strict=True))
+    # RMS of 3, 4, 0 and 5 cm: sqrt(50 / 4)
+    assert deepgps["RMS [cm]"] == "3.5"
+    assert deepgps["median [cm]"] == "3.5"
+    assert deepgps["max [cm]"] == "5.0"
+    assert deepgps["RMS / side"] == f"{100 * np.sqrt(50 / 4) / 430:.2f} %"
+    assert deepgps["align"] == "E2"
+    assert [row[0] for row in rows] == ["DeepGPS", "mine"]
+
+
+def test_a_figure_that_a_method_lacks_is_a_dash(metrics: dict) -> None:
+    del metrics["methods"]["mine"]["scale"]
+    headings, rows = tabulate(metrics)
+    assert rows[1][headings.index("scale")] == "-"
+
+
+def test_markdown_has_a_line_per_method_and_a_cell_per_column(metrics: dict) -> None:
+    lines = markdown_table(metrics).splitlines()
+    assert len(lines) == 2 + len(metrics["methods"])
+    assert {line.count("|") for line in lines} == {len(COLUMNS) + 2}
+
+
+def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
+    text = markdown_report(metrics)
+    assert "1 of 4 reachable test positions (25.0 %)" in text
+    assert "collect 92.3 s, train 140.1 s, evaluate 12.4 s; 244.8 s in all" in text
+    assert "drifts by RMS 0.41 m, at most 1.03 m" in text
+    assert "mujoco 3.17.0" in text
+    assert len(describe({**metrics, "trajectory": None})) == len(describe(metrics)) - 1
+
+
+@pytest.mark.parametrize(
+    ("test", "errors", "places"),
+    [
+        ({}, "on the test grid, the worst heading of each position;", "reachable test positions"),
+        ({"held_out": False, "headings": 4}, "on the test grid, the worst heading of", "reachable test positions"),
+        ({"held_out": False, "headings": 1}, "on the test grid;", "reachable test positions"),
+        ({"held_out": True, "headings": 1}, "at test samples of the same drive;", "test samples"),
+    ],
+)
+def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: str, places: str) -> None:
+    text = markdown_report({**metrics, "test": test})
+    assert f"Errors {errors}" in text
+    assert f"1 of 4 {places} (25.0 %) lie within" in text
+
+
+def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    console = Console(width=80, record=True, file=StringIO())
+    print_report(tmp_path, console)
+    text = console.export_text()
+    assert "[cm]" in text
+    assert "…" not in text
+    assert "0.82 %" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "is no run: it has no metrics.json"), ("{", "is not JSON"), ('{"a": 1}', "holds no methods")],
+)
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
+    if content is not None:
+        (tmp_path / "metrics.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        read_metrics(tmp_path)

@@ -1,0 +1,48 @@
+"""Figures beside their targets: how they are written, and when a target is met."""
+
+import pytest
+
+from deepgps.figures.targets import Figure, judge, tabulate_targets, write
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "text"),
+    [
+        (0.0123, "cm", "1.2 cm"),
+        (0.00059, "mm", "0.59 mm"),
+        (0.97, "%", "97.0 %"),
+        (None, "s", "-"),
+        (0.0, "mm", "0.00 mm"),
+        (2e-9, "mm", "< 0.01 mm"),
+        (0.2, "s", "< 1 s"),
+        (0.0049, "", "< 0.01"),
+        (0.0051, "", "0.01"),
+    ],
+)
+def test_written_value_has_its_unit_and_is_never_nothing_where_something_was(
+    value: float | None, unit: str, text: str
+) -> None:
+    assert write(value, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("figure", "target", "verdict"),
+    [
+        (Figure("RMS", 0.02, "cm"), 0.02, "met"),
+        (Figure("RMS", 0.021, "cm"), 0.02, "missed"),
+        (Figure("wins", 0.5, "%", at_least=True), 0.6, "missed"),
+        (Figure("wins", 0.7, "%", at_least=True), 0.6, "met"),
+        (Figure("RMS", None, "cm"), 0.02, "not measured"),
+        (Figure("RMS", 0.02, "cm"), None, "-"),
+    ],
+)
+def test_target_is_met_at_most_or_at_least(figure: Figure, target: float | None, verdict: str) -> None:
+    assert judge(figure, target) == verdict
+
+
+def test_table_sets_each_figure_beside_the_target_and_the_paper_of_its_name() -> None:
+    table = tabulate_targets({"rms": Figure("RMS", 0.0123, "cm", worst=0.03)}, {"rms": 0.01}, {"rms": 0.101})
+
+    assert [cell.strip() for cell in table.splitlines()[-1].strip("|").split("|")] == [
+        "RMS", "1.2 cm", "3.0 cm", "<= 1.0 cm", "missed", "10.1 cm",
+    ]  # fmt: skip

@@ -1,0 +1,155 @@
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deepgps.alignment import fit_alignment
+from deepgps.data.segments import Segments, read_segments, spread
+from deepgps.learning.trainer import Batch
+from deepgps.methods.deepgps import SLACK_M, choose_start, find_plane, fit, flatten_later, imitate_first
+from deepgps.methods.positioner import Positioner
+from deepgps.progress import ignore
+from deepgps.settings import LearnSettings, LiftSettings
+from sim.errors import InputError
+from sim.recording.format import Recording, open_truth
+from tests.deepgps.learning.test_trainer import Cut, cut_at
+from tests.helpers.toy import QUICK, make_toy
+
+SETTINGS = LearnSettings.model_validate(QUICK)
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return make_toy(tmp_path_factory.mktemp("deepgps") / "toy")
+
+
+@pytest.fixture(scope="module")
+def trained(toy: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained") / "deepgps"
+    fit(toy, SETTINGS, 0, folder)
+    return folder
+
+
+def measure(positioner: Positioner, recording: Recording) -> np.ndarray:
+    truth = open_truth(recording.folder)
+    alignment = fit_alignment(positioner(recording.observation), truth.pose[:, :2], "E2")
+    found = alignment.apply(positioner(recording.test_observation[:, 0]))
+    return np.linalg.norm(found - truth.test_pose[:, 0, :2], axis=1)
+
+
+def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
+    error = measure(fit(toy, SETTINGS, 0, trained), toy)
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    training = json.loads((trained / "training.json").read_text())
+    assert training["steps"] == 300 and training["attempts"] == 1 and not training["fold"]["found"]
+
+
+def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: Recording, trained: Path):
+    (trained / "attempt0").mkdir()
+    fit(toy, SETTINGS, 0, trained)
+    assert not (trained / "attempt0").exists()
+
+
+def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path):
+    shutil.copytree(toy.folder, tmp_path / "blind")
+    shutil.rmtree(tmp_path / "blind" / "truth")
+    blind = Recording(tmp_path / "blind", toy.manifest, toy.observation, toy.reading, toy.time, toy.test_observation)
+    fit(blind, SETTINGS, 0, tmp_path / "run" / "deepgps")
+    weights = (tmp_path / "run" / "deepgps" / "weights.safetensors").read_bytes()
+    assert weights == (trained / "weights.safetensors").read_bytes()
+
+
+def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    recording = make_toy(tmp_path / "toy", samples=2400)
+    looked_at = []
+
+    def spread_less(segments: Segments, observations: int) -> tuple[Segments, torch.Tensor]:
+        kept, chosen = spread(segments, observations, 800)
+        looked_at.append(len(chosen))
+        return kept, chosen
+
+    monkeypatch.setattr("deepgps.methods.deepgps.spread", spread_less)
+    monkeypatch.setattr("deepgps.data.features.spread", spread_less)
+    error = measure(fit(recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
+    assert max(looked_at) <= 800
+    assert np.sqrt(np.mean(error**2)) < 0.05
+
+
+def test_done_work_is_not_repeated(toy: Recording, trained: Path):
+    fit(toy, SETTINGS, 0, trained, cut_at(1))
+
+
+def test_cut_off_it_continues_to_the_same_bytes(toy: Recording, trained: Path, tmp_path: Path):
+    folder = tmp_path / "run" / "deepgps"
+    for step in (130, 260):
+        with pytest.raises(Cut):
+            fit(toy, SETTINGS, 0, folder, cut_at(step))
+    fit(toy, SETTINGS, 0, folder)
+    for name in ("weights.safetensors", "history.npz", "positioner.json"):
+        assert (folder / name).read_bytes() == (trained / name).read_bytes()
+    assert not list(folder.glob("attempt*"))
+
+
+def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=1500, endpoint=True)
+    assert choose_start(SETTINGS, read_segments(recording)) == "lifting"
+    train = SETTINGS.train.model_copy(update={"steps": 600, "segments": 128, "samples": 2})
+    positioner = fit(recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps")
+    assert np.median(measure(positioner, recording)) < 0.06
+
+
+def test_a_fold_restarts_training_and_the_best_attempt_is_kept(toy: Recording, tmp_path: Path):
+    train = SETTINGS.train.model_copy(update={"steps": 40})
+    strict = SETTINGS.fold.model_copy(update={"bent": 1e-9, "restarts": 1})
+    settings = SETTINGS.model_copy(update={"train": train, "fold": strict, "start": "random"})
+    labels = []
+    fit(toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, *_: labels.append(label))
+    training = json.loads((tmp_path / "run" / "deepgps" / "training.json").read_text())
+    assert training["attempts"] == 2 and training["fold"]["found"] and training["steps"] == 80
+    assert set(labels) == {"deepgps", "deepgps, restart 1"}
+
+
+def test_a_restart_unfolds_another_way(toy: Recording):
+    segments = read_segments(toy)
+    assert [choose_start(SETTINGS, segments, number) for number in range(3)] == ["paths", "lifting", "lifting"]
+
+
+def test_paths_need_three_readings(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=60, endpoint=True)
+    with pytest.raises(InputError, match=r"learn\.start 'paths': most segments have only two readings"):
+        fit(recording, SETTINGS.model_copy(update={"start": "paths"}), 0, tmp_path / "run" / "deepgps", ignore)
+
+
+def test_a_plane_in_space_is_found():
+    generator = torch.Generator().manual_seed(0)
+    flat = torch.randn((50, 2), generator=generator, dtype=torch.float64) * torch.tensor([3.0, 1.0])
+    basis = torch.linalg.qr(torch.randn((6, 2), generator=generator, dtype=torch.float64))[0]
+    centre, axes = find_plane(flat @ basis.T + 5.0)
+    found = (flat @ basis.T + 5.0 - centre) @ axes
+    assert torch.allclose(torch.cdist(found, found), torch.cdist(flat, flat), atol=1e-5)
+
+
+def test_the_penalty_is_the_distance_from_the_plane_and_grows():
+    points = torch.tensor([[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 0.5], [0, 0, -0.5]])
+    batch = Batch(torch.arange(6), torch.zeros(6), torch.ones(6, dtype=torch.bool))
+    loss = flatten_later(lambda out, batch, done: out.sum() * 0.0, LiftSettings(flatten_from=0.2, flatten_to=0.4))
+    values = [loss(points, batch, done).item() for done in (0.1, 0.3, 0.9)]
+    assert values == pytest.approx([0.0, 0.5 / 6.0, 1.0 / 6.0])
+
+
+def test_imitation_ends_in_a_leash():
+    known = torch.tensor([[1.0, 1.0]] * 3 + [[float("nan")] * 2])
+    batch = Batch(torch.arange(4), torch.zeros(4), torch.tensor([True, True, False, True]))
+    slack = SLACK_M["paths"]
+    loss = imitate_first(lambda out, batch, done: out.nan_to_num().sum() * 0.0, known, slack)
+    values = [loss(torch.zeros((4, 2)), batch, done).item() for done in (0.0, 0.1, 0.5)]
+    assert values == pytest.approx([2.0**0.5, 2.0**0.5 - slack / 2.0, 2.0**0.5 - slack])
+    assert loss(known + slack / 2.0, batch, 0.5).item() == 0.0
+    nobody = Batch(torch.tensor([3]), torch.zeros(1), torch.ones(1, dtype=torch.bool))
+    assert loss(torch.ones((1, 2)), nobody, 0.0).item() == 0.0
+    out = torch.zeros((4, 2), requires_grad=True)
+    loss(out, batch, 0.1).backward()
+    assert out.grad is not None and torch.isfinite(out.grad).all()

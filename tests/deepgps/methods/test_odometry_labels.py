@@ -1,0 +1,41 @@
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.alignment import fit_alignment
+from deepgps.methods.odometry_labels import fit
+from deepgps.settings import LearnSettings
+from sim.recording.format import Recording, open_truth
+from tests.helpers.toy import QUICK, make_toy
+
+SETTINGS = LearnSettings.model_validate(QUICK)
+
+
+def error_of(recording: Recording, folder: Path) -> float:
+    positioner = fit(recording, SETTINGS, 0, folder)
+    truth = open_truth(recording.folder)
+    alignment = fit_alignment(positioner(recording.observation), truth.pose[:, :2], "SE2")
+    found = alignment.apply(positioner(recording.test_observation[:, 0]))
+    return float(np.sqrt(np.mean(np.sum((found - truth.test_pose[:, 0, :2]) ** 2, axis=1))))
+
+
+def test_exact_encoders_teach_as_well_as_the_truth(tmp_path: Path):
+    assert error_of(make_toy(tmp_path / "toy"), tmp_path / "run" / "odometry") < 0.06
+
+
+def test_a_wrong_track_spoils_the_map(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy")
+    wrong = {"odometry": {**recording.manifest["odometry"], "track_m": 0.15}}
+    drifting = Recording(
+        recording.folder, wrong, recording.observation, recording.reading, recording.time, recording.test_observation
+    )
+    assert error_of(drifting, tmp_path / "run" / "odometry") > 0.3
+
+
+def test_observations_without_a_reading_have_no_label(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy")
+    some = recording.reading[np.random.default_rng(0).random(len(recording.reading)) < 0.7]
+    thinned = Recording(
+        recording.folder, recording.manifest, recording.observation, some, recording.time, recording.test_observation
+    )
+    assert error_of(thinned, tmp_path / "run" / "odometry") < 0.2

@@ -1,0 +1,118 @@
+"""A study on a real Ray cluster of two workers: what the local engine makes, byte for byte; and how it ends."""
+
+import os
+import secrets
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+
+from deepgps.studies.engine.engine import open_engine
+from sim.errors import InputError
+from tests.deepgps.test_cli import drop_progress
+from tests.helpers.small_study import finish, start, wait_until, write_study
+
+pytest.importorskip("ray", reason="the package ray is not installed")
+
+CLUSTER = """
+import logging, sys, ray
+ray.init("local", num_cpus=2, include_dashboard=False, logging_level=logging.ERROR, log_to_driver=False)
+print(ray.get_runtime_context().gcs_address, flush=True)
+sys.stdin.read()
+"""
+MADE = ("deepgps/*.safetensors", "deepgps/history.npz", "error_field.npz", "scenario.yaml")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """Address of a Ray cluster of two workers, which lets in only who knows its token."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_AUTH_MODE", "token")
+        patch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        process = subprocess.Popen(
+            [sys.executable, "-c", CLUSTER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        assert process.stdout
+        yield process.stdout.readline().strip()
+        process.communicate("")
+
+
+def read_runs(out: Path) -> dict[str, bytes]:
+    paths = [path for pattern in MADE for path in out.glob(f"runs/*/{pattern}")]
+    return {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
+
+
+@pytest.mark.slow
+def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str, tmp_path: Path):
+    cases = [{}, {"encoder.gap_noise": 0.1}, {"learn.train.device": "cuda:99"}]
+    study = write_study(tmp_path, cases=cases)
+    rows = {}
+    for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
+        process = start(study, tmp_path / name, *words)
+        _, errors = process.communicate(timeout=120)
+        assert drop_progress(errors) == [f"failed: 1 of 3 runs failed; {tmp_path / name / 'table.md'} says why"]
+        assert process.returncode == 1
+        table = pq.read_table(tmp_path / name / "table.parquet").to_pylist()
+        rows[name] = [{key: value for key, value in row.items() if key != "train_s"} for row in table]
+    assert rows["ray"] == rows["local"]
+    assert [row["failure"] is None for row in rows["ray"]] == [True, True, False]
+    assert "cuda:99" in rows["ray"][2]["failure"]
+    ours, theirs = read_runs(tmp_path / "ray"), read_runs(tmp_path / "local")
+    assert len(ours) == 2 * len(MADE)
+    assert ours == theirs
+
+
+@pytest.mark.slow
+def test_an_interrupted_cluster_leaves_no_process_and_the_local_engine_goes_on(tmp_path: Path):
+    study, out = write_study(tmp_path, set={"learn.train.steps": 2000}), tmp_path / "out"
+    process = start(study, out, "--engine", "ray")
+    wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
+    begun = psutil.Process(process.pid).children(recursive=True)
+    assert any("raylet" in child.name() for child in begun)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, errors = process.communicate(timeout=60)
+    said = drop_progress(errors)
+    assert (process.returncode, said) == (130, ["interrupted; the same command continues where it stopped"])
+    assert not psutil.wait_procs(begun, timeout=30)[1]
+    times = {path: path.stat().st_mtime_ns for path in out.glob("recordings/*/*.npy")}
+    finish(start(study, out))
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    assert len(list(out.glob("runs/*/metrics.json"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("engine", "address", "message"),
+    [
+        ("local", "auto", "--address auto names a Ray cluster and needs --engine ray"),
+        ("ray", "127.0.0.1:1", "--address 127.0.0.1:1: no Ray cluster answers there: .*refused"),
+        ("ray", "nonsense", "--address nonsense: no Ray cluster answers there"),
+    ],
+)
+def test_wrong_addresses_are_named_in_one_line(engine, address, message):
+    with pytest.raises(InputError, match=message) as caught, open_engine(engine, address):
+        pass
+    assert "\n" not in str(caught.value)
+
+
+def test_a_cluster_that_cannot_be_started_here_is_no_wrong_address(monkeypatch: pytest.MonkeyPatch):
+    def fail(*_: object, **__: object) -> None:
+        raise RuntimeError("no shared\nmemory")
+
+    monkeypatch.setattr(pytest.importorskip("ray"), "init", fail)
+    monkeypatch.setenv("RAY_AUTH_TOKEN", "of this test")  # else one is left in the environment
+    message = "^--engine ray: no Ray cluster can be started here: no shared memory$"
+    with pytest.raises(InputError, match=message), open_engine("ray", None):
+        pass
+
+
+def test_without_ray_the_cure_is_said(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "ray", None)  # as if it were not installed
+    cure = r"^--engine ray needs .*: pip install 'deepgps\[ray\]'$"
+    with pytest.raises(InputError, match=cure), open_engine("ray", None):
+        pass

@@ -1,0 +1,72 @@
+"""Trainings that encoders do not touch are done once in a study, and are what each run would have learned alone."""
+
+from pathlib import Path
+
+import pytest
+
+from deepgps.data.features import TABLE
+from deepgps.learning.training_data import FEATURES
+from deepgps.methods.catalog import METHODS
+from deepgps.progress import ignore
+from deepgps.run import training_seed
+from deepgps.run_folder import open_run
+from sim.recording.format import open_recording
+from tests.helpers.small_study import finish, start, write_study
+
+FIRST = [{}, {"encoder.lost": 0.3}]
+LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.gap_noise": 0.1}, {"use.light": 0.5}]
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory) -> dict[str, Path]:
+    """Runs of a study that has grown, by what their encoders suffer from, or what has changed since they learned."""
+    home = tmp_path_factory.mktemp("shared")
+    for cases in (FIRST, [*FIRST, *LATER]):
+        study = write_study(home, cases=cases, methods=["posenet", "odometry"], report="plain", target={})
+        finish(start(study, home / "out"))
+    found = {}
+    for folder in (home / "out" / "runs").iterdir():
+        scenario = open_run(folder)
+        encoder = scenario.encoder
+        kinds = {"lost": encoder.lost, "ticks": encoder.ticks_per_rev == 64, "noise": encoder.gap_noise}
+        kinds["use"] = scenario.use.light < 1.0
+        found[next((kind for kind, is_there in kinds.items() if is_there), "none")] = folder
+    return found
+
+
+def weights(run: Path, method: str) -> Path:
+    return run / method / "weights.safetensors"
+
+
+@pytest.mark.slow
+def test_posenet_is_trained_once_for_all_encoders_that_lose_no_image_and_for_all_uses(runs):
+    assert set(runs) == {"none", "lost", "ticks", "noise", "use"}
+    for kind in ("ticks", "noise", "use"):
+        assert weights(runs[kind], "posenet").samefile(weights(runs["none"], "posenet"))
+    assert not weights(runs["lost"], "posenet").samefile(weights(runs["none"], "posenet"))
+
+
+@pytest.mark.slow
+def test_features_are_made_once_for_all_encoders_that_lose_no_image(runs):
+    table = Path(FEATURES) / TABLE
+    for kind in ("ticks", "noise", "use"):
+        assert (runs[kind] / table).samefile(runs["none"] / table)
+    assert not (runs["lost"] / table).samefile(runs["none"] / table)
+    # features and PoseNet, of all images and of those that are not lost
+    assert len(list((runs["none"].parent.parent / "trainings").iterdir())) == 4
+
+
+@pytest.mark.slow
+def test_a_method_that_reads_ticks_is_trained_for_each(runs):
+    learned = {kind: weights(run, "odometry").read_bytes() for kind, run in runs.items()}
+    assert learned.pop("use") == learned["none"]
+    assert len(set(learned.values())) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["ticks", "lost"])
+def test_what_is_shared_is_what_the_run_would_have_learned_alone(kind, runs, tmp_path):
+    scenario, recording = open_run(runs[kind]), open_recording(runs[kind] / "recording")
+    METHODS["posenet"](recording, scenario.learn, training_seed(scenario), tmp_path / "posenet", ignore)
+    for name in (weights(Path(), "posenet"), Path(FEATURES) / TABLE):
+        assert (tmp_path / name).read_bytes() == (runs[kind] / name).read_bytes()

@@ -1,0 +1,163 @@
+"""The report of encoders from made-up rows, and the study run small."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from deepgps.figures.style import to_png
+from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.reports.encoder import add_errors, choose_encoders, measure, report
+from deepgps.studies.reports.encoder_plots import draw, draw_near
+from deepgps.studies.reports.encoder_sweeps import find_pairs, find_sweeps
+from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.table import Row
+from sim.settings import EncoderSettings
+from tests.deepgps.test_cli import drop_progress
+
+NAMES = ("ticks_per_rev", "gap_noise", "radius_error_left", "radius_error_right")
+PERFECT = EncoderSettings()
+
+
+def make_rows(rms: dict[tuple[tuple[str, float], ...], float]) -> list[Row]:
+    """Two seeds of two methods for each set of faults; the noise-aware one is half as wrong."""
+    rows = []
+    for faults, error in rms.items():
+        settings = {f"encoder.{name}": dict(faults).get(name, getattr(PERFECT, name)) for name in NAMES}
+        for method, share in (("deepgps", 1.0), ("deepgps_aware", 0.5)):
+            for seed in (0, 1):
+                row = {"run": "r", "seed": seed, **settings, "samples": 100, "method": method, "scale": 1.0}
+                row |= {"rms_m": share * error * (1 + 0.1 * seed), "failure": None}
+                row |= {"within_2_cm": 1.0 - 10 * share * error, "within_5_cm": 1.0 - 3 * share * error}
+                row |= {"segment_rms_m": error, "segment_expected_m": error, "wrong_doubted": 3, "segments_wrong": 4}
+                rows.append(row)
+    return rows
+
+
+ROWS = make_rows(
+    {
+        (): 0.01,
+        (("ticks_per_rev", 64),): 0.0105,
+        (("ticks_per_rev", 16),): 0.011,
+        (("ticks_per_rev", 4),): 0.03,
+        (("gap_noise", 0.1),): 0.025,
+        (("radius_error_left", 0.02), ("radius_error_right", 0.02)): 0.04,
+        (("radius_error_left", 0.02),): 0.02,
+        (("gap_noise", 0.1), ("ticks_per_rev", 4)): 0.05,
+    }
+)
+
+
+def test_faults_are_told_apart_from_pairs_of_them():
+    found = {sweep.names: list(sweep.by_value("deepgps")) for sweep in find_sweeps(ROWS)}
+    assert found == {
+        ("ticks_per_rev",): [4096, 64, 16, 4],
+        ("gap_noise",): [0.0, 0.1],
+        ("radius_error_left",): [0.0, 0.02],
+        ("radius_error_left", "radius_error_right"): [0.0, 0.02],
+    }
+    assert find_pairs(ROWS) == [("gap_noise", "ticks_per_rev")]
+
+
+def test_faults_of_either_sign_grow_from_none():
+    sweep = find_sweeps(make_rows({(("radius_error_left", error),): 0.01 for error in (-0.1, 0.0, 0.02)}))[0]
+    assert list(sweep.by_value("deepgps")) == [0.0, 0.02, -0.1]
+
+
+def test_the_page_says_which_encoder_is_enough():
+    methods = ["deepgps", "deepgps_aware"]
+    heads, lines = choose_encoders(find_sweeps(ROWS), methods, 0.02)
+    assert heads == ["fault", "DeepGPS", "DeepGPS, noise-aware"]
+    assert lines[0] == ["ticks per revolution", "16", "all, to 4"]
+    assert lines[1] == ["noise w of each gap", "0, no more", "all, to 0.1"]
+    assert choose_encoders(find_sweeps(ROWS), methods, 0.05)[1][1][1:] == ["all, to 0.1", "all, to 0.1"]
+    one_bad_place = [{**row, "seed": 2, "rms_m": 1.0} for row in ROWS if row["seed"] == 0]
+    assert choose_encoders(find_sweeps([*ROWS, *one_bad_place]), methods, 0.02)[1] == lines
+    worse = find_sweeps([{**row, "within_2_cm": row["within_2_cm"] - 0.2} for row in ROWS])
+    assert {cell for line in choose_encoders(worse, methods, 0.02)[1] for cell in line[1:]} == {"none is enough"}
+
+
+def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path):
+    truth = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]])
+    predicted = np.stack([truth, truth + np.array([[0.0, 0.01], [0.0, 0.03], [0.04, 0.0], [0.0, 0.3]])], axis=1)
+    np.savez(tmp_path / "error_field.npz", truth=truth, heading=np.zeros(2), deepgps=predicted)
+    (tmp_path / "metrics.json").write_text('{"methods": {}, "distances": {"segment_rms_m": 0.1}}')
+    columns = add_errors(tmp_path, {"method": "deepgps"})
+    assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "segment_rms_m": 0.1}
+
+
+def test_every_fault_and_pair_has_a_table():
+    text = "\n".join(report(ROWS, []))
+    for title in (
+        "## Ticks per revolution",
+        "## Error of both wheels' radius",
+        "## Noise w of each gap with ticks per",
+    ):
+        assert title in text
+    ticks = read_cells(text.split("## Ticks per revolution")[1].split("##")[0])
+    assert ticks["4"] == ["3.00", "3.00", "3.1 (3.0 to 3.3), 70 %", "1.6 (1.5 to 1.7), 85 %", "1.0000", "3 / 4"]
+    pair = read_cells(text.split("## Noise w of each gap with ticks per")[1].split("##")[0], 2)
+    assert list(pair) == ["0 4", "0 4096", "0.1 4", "0.1 4096"]
+    assert pair["0.1 4"] == ["5.3 (5.0 to 5.5), 50 %", "2.6 (2.5 to 2.8), 75 %"]
+
+
+def read_cells(table: str, names: int = 1) -> dict[str, list[str]]:
+    """Cells of a Markdown table by its first columns."""
+    lines = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines() if line.startswith("|")]
+    return {" ".join(line[:names]): line[names:] for line in lines[2:]}
+
+
+def test_targets_are_ratios_to_a_perfect_encoder():
+    figures = measure(ROWS)
+    assert set(figures) == set(FIGURES["encoder"])
+    assert figures["rms_w"].value == pytest.approx(0.025 * 1.05)
+    assert figures["aware_rms_w"].worst == pytest.approx(0.0125 * 1.1)
+    assert figures["ticks_16"].value == pytest.approx(1.1)
+    assert figures["ticks_4"].value == figures["aware_ticks_4"].value == pytest.approx(3.0)
+
+
+def test_each_fault_is_a_panel_with_a_band_and_theory():
+    picture = draw(ROWS, [], Path())
+    assert [axes.get_xlabel() for axes in picture.axes] == [sweep.title for sweep in find_sweeps(ROWS)]
+    labels = {str(line.get_label()) for line in picture.axes[0].lines}
+    assert {"DeepGPS", "DeepGPS, noise-aware", "one segment, theory", "one segment, measured"} == labels
+    assert len(picture.axes[0].collections) == 2
+    assert to_png(picture).startswith(b"\x89PNG")
+
+
+def test_the_part_of_the_room_that_stays_near_is_drawn_beside_what_is_good_enough():
+    axes = draw_near(ROWS, [], Path()).axes[0]
+    assert axes.get_ylim() == (0, 100)
+    lines = {str(line.get_label()): np.asarray(line.get_ydata()).tolist() for line in axes.lines}
+    assert lines["DeepGPS"] == pytest.approx([90, 89.5, 89, 70])
+    assert lines["good enough"] == [80, 80]
+
+
+def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives():
+    plans = plan_runs(load_study("encoder", tiny=False))
+    asked = {name for plan in plans for name in EncoderSettings.model_fields if name in str(dict(plan.varied))}
+    assert asked == set(EncoderSettings.model_fields) - {"rounding"}
+    assert len({plan.scenario.seed for plan in plans}) == 5
+    assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5
+    assert {tuple(plan.scenario.methods) for plan in plans} == {
+        ("deepgps", "deepgps_aware", "deepgps_turns", "odometry", "posenet")
+    }
+
+
+@pytest.mark.slow
+def test_the_study_runs_small(tmp_path: Path):
+    command = [sys.executable, "-m", "deepgps.cli", "study", "encoder", "--tiny", "--out", "study"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, drop_progress(done.stderr)) == (0, [])
+    rows = pq.read_table(tmp_path / "study" / "table.parquet").to_pylist()
+    assert len(rows) == 5 * 3 and not any(row["failure"] for row in rows)
+    noisy = [row for row in rows if row["encoder.gap_noise"] == 0.1]
+    assert all(row["segment_rms_m"] > 10 * rows[0]["segment_rms_m"] for row in noisy)
+    recordings = {row["recording"] for row in rows}
+    manifests = [(tmp_path / "study" / "recordings" / name / "manifest.json").read_text() for name in recordings]
+    assert sum("derived_from" in text for text in manifests) == len(manifests) - 1  # driven once
+    assert (tmp_path / "study" / "figures" / "encoder.png").stat().st_size > 10_000
+    assert "Which encoder keeps most of the room within 2 cm" in (tmp_path / "study" / "table.md").read_text()

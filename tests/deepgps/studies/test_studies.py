@@ -1,0 +1,388 @@
+"""A study run for real, small: killed, interrupted, finished, grown; and its errors by their text."""
+
+import os
+import signal
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import yaml
+
+from deepgps.scenario import digest, digest_recording, load_scenario, names_in
+from deepgps.studies.engine.engine import list_undriven
+from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.reports.report import KINDS, varied_names, write_report
+from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.table import gather, varied_in
+from deepgps.viewer.run.recording import find_recording
+from sim.errors import InputError
+from sim.files import read_json, write_arrays, write_json
+from sim.paths import STUDIES
+from sim.recording.format import check_recording
+from tests.deepgps.test_cli import drop_progress
+from tests.helpers.small_study import STUDY, finish, start, wait_until, write_study
+
+MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
+INTERRUPTED = "interrupted; the same command continues where it stopped"
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> tuple[Path, Path, str]:
+    """A study killed while it recorded, interrupted in its runs, and finished: file, folder, what it said."""
+    home = tmp_path_factory.mktemp("study")
+    study, out = write_study(home), home / "out"
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("recordings/*.collecting/drive-*.npz")), process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to the children as well
+    said = process.communicate(timeout=60)[1]
+    assert (process.returncode, drop_progress(said)) == (130, [INTERRUPTED])
+    process = start(study, out)
+    said, errors = process.communicate(timeout=120)
+    assert (process.returncode, drop_progress(errors)) == (0, [])
+    return study, out, said
+
+
+@pytest.fixture(scope="module")
+def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
+    """The same with a run more and one that fails: folder, what it said, its errors, when older files were written."""
+    study, out, _ = finished
+    write_study(study.parent, cases=[*STUDY["cases"], *MORE])
+    times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".deepgps"}
+    process = start(study, out)
+    said, errors = process.communicate(timeout=120)
+    assert process.returncode == 1
+    return out, said, errors, times
+
+
+@pytest.mark.slow
+def test_runs_share_one_recording_and_can_be_viewed(finished):
+    _, out, said = finished
+    (recording,) = out.glob("recordings/*")
+    runs = sorted(out.glob("runs/*"))
+    assert len(runs) == 2
+    for run in runs:
+        assert not (run / "recording").readlink().is_absolute()
+        assert (run / "recording").resolve() == recording.resolve()
+        metrics = read_json(run / "metrics.json")["methods"]["deepgps"]
+        assert 0.0 <= metrics["flipped"] <= 0.5
+        assert set(metrics["fold"]) >= {"found", "bent", "doubled"}
+    assert find_recording(runs[0]).stat().st_size > 10_000
+    assert "deepgps view" in said
+
+
+@pytest.mark.slow
+def test_the_table_holds_every_run_and_the_report_its_target(finished):
+    _, out, said = finished
+    rows = pq.read_table(out / "table.parquet").to_pylist()
+    for row in rows:
+        assert row["rms_m"] == read_json(out / "runs" / row["run"] / "metrics.json")["methods"]["deepgps"]["rms_m"]
+        assert row["failure"] is None
+    assert [(row["learn.start"], row["learn.seed"]) for row in rows] == [("auto", 0), ("random", 1)]
+    text = (out / "table.md").read_text()
+    assert text in said
+    assert "unfolded of 1 maps" in text
+    assert ">= 100.0 %" in text
+    assert (out / "figures" / "seeds.png").is_file()
+    assert yaml.safe_load((out / "study.yaml").read_text())["methods"] == ["deepgps"]
+    assert not list(out.rglob("*.part"))
+
+
+@pytest.mark.slow
+def test_a_study_that_grows_runs_only_what_is_missing(grown):
+    out, said, _, times = grown
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    assert len(list(out.glob("runs/*/metrics.json"))) == 3
+    assert len(list(out.glob("recordings/*"))) == 1
+    assert "4 runs of" in said
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_is_listed_and_the_others_are_done(grown):
+    out, said, errors, _ = grown
+    assert drop_progress(errors) == [f"failed: 1 of 4 runs failed; {out / 'table.md'} says why"]
+    rows = pq.read_table(out / "table.parquet").to_pylist()
+    assert [row["failure"] is None for row in rows] == [True, True, True, False]
+    assert "cuda:99" in rows[3]["failure"]
+    assert rows[3]["failure"] in said
+
+
+def test_a_recording_is_shared_by_what_does_not_change_it(tmp_path):
+    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
+    assert len({plan.run for plan in plans}) == 8
+    assert len({plan.recording for plan in plans}) == 4
+    assert {plan.scenario.seed for plan in plans} == {0, 5}
+    assert {plan.scenario.methods for plan in plans} == {("deepgps",)}
+
+
+def test_tiny_replaces_only_what_it_names(tmp_path):
+    tiny = {"cases": [{"room.seed": 3}], "set": {"drive.samples": 32}}
+    study = load_study(str(write_study(tmp_path, set={"grid.headings": 3}, tiny=tiny)), tiny=True)
+    (plan,) = plan_runs(study)
+    assert (study.name, study.target) == ("mine-tiny", {})
+    assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
+
+
+def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
+    full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
+    path = str(write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full))
+    study = load_study(path, tiny=False, full=True)
+    assert (study.name, study.target) == ("mine-full", {"unfolded": 1.0})
+    assert {plan.scenario.learn.train.steps for plan in plan_runs(study)} == {50}
+    assert [(plan.scenario.seed, plan.scenario.grid.headings) for plan in plan_runs(study)] == [(0, 3), (1, 3)]
+    with pytest.raises(InputError) as caught:
+        load_study(path, tiny=True, full=True)
+    assert str(caught.value) == "--tiny and --full exclude each other"
+    with pytest.raises(InputError) as caught:
+        load_study(str(write_study(tmp_path)), tiny=False, full=True)
+    assert str(caught.value) == "study mine has no long version: --full takes what a study's full describes"
+
+
+def test_a_case_may_name_its_own_scenario(tmp_path):
+    cases = [{"scenario": "landmarks", "drive.samples": 500}, {}]
+    study = write_study(tmp_path, cases=cases, axes={"encoder.gap_noise": [0.0, 0.1]})
+    plans = plan_runs(load_study(str(study), tiny=False))
+    assert [plan.scenario.name for plan in plans] == ["landmarks"] * 2 + ["mini"] * 2
+    rows = gather(plans, {plan.run: "not run" for plan in plans}, tmp_path)
+    assert [row["scenario"] for row in rows] == ["landmarks"] * 2 + ["mini"] * 2
+    assert set(varied_in(rows[0])) == {"scenario", "drive.samples", "encoder.gap_noise"}
+    assert varied_in(rows[0])[-1] == "encoder.gap_noise"  # the axis
+
+
+@pytest.mark.parametrize("varied", [{"cases": [{"scenario": "other.yaml"}]}, {"axes": {"scenario": ["other.yaml"]}}])
+def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(varied, tmp_path):
+    (tmp_path / "other.yaml").write_text("drive: {samples: 50}")
+    whole = load_study(str(write_study(tmp_path, **{"cases": [{}], **varied})), tiny=False)
+    tiny = load_study(str(write_study(tmp_path, tiny={"cases": [{}], **varied})), tiny=True)
+    for (plan,) in (plan_runs(whole), plan_runs(tiny)):
+        assert (plan.scenario.name, plan.scenario.drive.samples) == ("other", 50)
+
+
+def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
+    axes = {"encoder.gap_noise": [0.1, 0.0], "drive.samples": [40, 60]}
+    plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
+    drives = find_drives(plans)
+    assert len(drives) == 8
+    assert {digest_recording(drive) for drive in drives.values()} == {plan.recording for plan in (plans[6], plans[7])}
+    for plan in plans:
+        drive = drives[plan.recording]
+        assert (drive.seed, drive.drive.samples, drive.encoder.gap_noise) == (plan.scenario.seed, 60, 0.0)
+
+
+def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
+    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5], target={})), tiny=False)
+    plans = plan_runs(study)
+
+    def list_seeds(fresh: bool = False) -> list[int]:
+        return [scenario.seed for scenario in list_undriven(study, plans, tmp_path, fresh)]
+
+    assert list_seeds() == [0, 5]
+    drive = next(plan for plan in plans if plan.scenario.seed == 0 and plan.scenario.encoder.gap_noise == 0.0)
+    write_json(tmp_path / "recordings" / drive.recording / "manifest.json", {})
+    assert list_seeds() == [5], "that with noise is derived"
+    for plan in plans:
+        if plan.scenario.seed == 5:
+            write_json(tmp_path / "runs" / plan.run / "metrics.json", {})
+            write_arrays(tmp_path / "runs" / plan.run / "error_field.npz", {})
+    assert list_seeds() == []
+    (tmp_path / "study.yaml").touch()
+    assert set(list_seeds(fresh=True)) == {0, 5}
+
+
+@pytest.mark.slow
+def test_killed_among_derived_recordings_only_what_is_missing_is_made_and_a_seed_adds_only_itself(tmp_path):
+    axes = {"encoder.gap_noise": [0.0, 0.1], "drive.samples": [40, 60]}
+    study, out = write_study(tmp_path, cases=[{}], axes=axes, target={}), tmp_path / "out"
+    process = start(study, out)
+    wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    derived = [path for path in out.glob("recordings/*/manifest.json") if "derived_from" in read_json(path)]
+    assert len(derived) == 3
+    done = {(path.parent / "recording").resolve() for path in out.glob("runs/*/metrics.json")}
+    needed = next(path for path in derived if path.parent.resolve() not in done)
+    needed.unlink()  # as if it had been killed just then
+    made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
+    assert 4 <= len(made) < 7
+    finish(start(study, out))
+    assert {path: path.stat().st_mtime_ns for path in made} == made
+    made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
+    for path in out.glob("recordings/*"):
+        check_recording(path)
+    finish(start(write_study(tmp_path, cases=[{}], axes=axes, target={}, seeds=[0, 1]), out))
+    assert {path: path.stat().st_mtime_ns for path in made} == made
+    assert len(list(out.glob("r*/*/m*.json"))) == 2 * len(made) == 16
+
+
+@pytest.mark.slow
+def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
+    (tmp_path / "broken.xml").write_text("<mujoco")
+    cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {}]
+    axes = {"encoder.gap_noise": [0.0, 0.1]}
+    process = start(write_study(tmp_path, cases=cases, axes=axes, target={}), tmp_path / "out")
+    _, errors = process.communicate(timeout=120)
+    assert drop_progress(errors)[0].startswith("failed: 2 of 4 runs failed;")
+    rows = pq.read_table(tmp_path / "out" / "table.parquet").to_pylist()
+    assert [row["failure"] is None for row in rows] == [False, False, True, True]
+    assert all(row["failure"].startswith("recording: ") and "broken.xml" in row["failure"] for row in rows[:2])
+
+
+@pytest.mark.parametrize("name", names_in(STUDIES))
+@pytest.mark.parametrize("tiny", [False, True])
+def test_every_study_can_be_planned(name, tiny):
+    assert len(plan_runs(load_study(name, tiny))) >= (1 if tiny else 2)
+
+
+def test_precision_covers_every_kind_and_shape():
+    rooms = [plan.scenario.room for plan in plan_runs(load_study("precision", tiny=False))]
+    assert [room.seed for room in rooms] == list(range(20, 30))
+    assert {room.kind for room in rooms} == {"living_room", "bedroom", "office", "kitchen", "studio", "workshop"}
+    assert {room.shape for room in rooms} == {"rectangle", "l", "u", "pillar"}
+
+
+def test_rooms30_has_every_kind_in_every_shape_and_no_room_that_was_developed_on():
+    rooms = [plan.scenario.room for plan in plan_runs(load_study("rooms30", tiny=False))]
+    assert len(rooms) == 30
+    assert len({(room.kind, room.shape) for room in rooms}) == 24
+    assert min(room.seed for room in rooms) >= 30
+
+
+def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
+    study = load_study("precision", tiny=False)
+    plans = plan_runs(study)[:2]
+    common = {"median_m": 0.007, "p95_m": 0.03, "max_m": 0.3, "relative_rms": 0.01, "seen": 1.0, "flipped": 0.0}
+    rows = [
+        {"run": plan.run, "recording": plan.recording, "method": method, "rms_m": rms, "train_s": 80.0, **common}
+        | {**plan.varied, "failure": None}
+        for plan, (ours, theirs) in zip(plans, ((0.01, 0.02), (0.03, 0.02)), strict=True)
+        for method, rms in (("deepgps", ours), ("posenet", theirs))
+    ]
+    lines = write_report(study, plans, {}, rows).splitlines()
+    verdicts = {
+        line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
+        for line in lines[lines.index("## In all") :]
+        if "|" in line
+    }
+    assert verdicts["RMS"] == ["2.0 cm", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]
+    assert verdicts["max"][:4] == ["30.0 cm", "30.0 cm", "<= 20.0 cm", "missed"]
+    assert verdicts["RMS / PoseNet's RMS"][:4] == ["1.00", "1.50", "<= 1.05", "met"]
+    assert verdicts["PoseNet, RMS"][:2] == ["2.0 cm", "2.0 cm"]
+    assert verdicts["rooms with RMS below PoseNet's"][0] == "50.0 %"
+    assert (
+        "Of 2 rooms, DeepGPS has lower errors than PoseNet in 1 by RMS (p = 1), 0 by median (p = 1), 0 by max (p = 1)."
+        in lines
+    )
+
+
+@pytest.mark.parametrize("name", ["precision", "seeds", "strategies", "networks", "mds"])
+def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
+    study = load_study(name, tiny=False)
+    plans, table = plan_runs(study), STUDIES.parents[1] / "docs" / "results" / name / "table.parquet"
+    rows = [{**row, "flipped": None} for row in pq.read_table(table).to_pylist()]
+    lines = [line.split("|")[1:-1] for line in write_report(study, plans, {}, rows).splitlines() if "|" in line]
+    headings = [heading.strip() for heading in lines[0]]
+    (place, *_) = [headings.index(word) for word in ("flipped", "folded", "unfolded") if word in headings]
+    assert {line[place].strip() for line in lines[2:] if len(line) == len(headings)} == {"-"}
+    for draw in KINDS[study.report].figures.values() if name == "seeds" else ():
+        assert draw(rows, varied_names(study), Path()).axes
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seedz": [0]}, "seedz: there is no such setting, did you mean seeds?"),
+        ({"seeds": [], "report": "fancy"}, "seeds []: tuple should have at least 1 item"),
+        ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'rooms'"),
+        ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
+        ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
+        ({"axes": {"learn.seed": [1]}}, "learn.seed stands both in cases and in axes"),
+        ({"axes": {"room.seed": []}}, "axes.room.seed has no values"),
+        ({"target": {"rms": 1}}, "rms is no figure of the report seeds, which has unfolded, found, false_alarms"),
+        ({"tiny": {"casez": []}}, "tiny.casez: there is no such setting, did you mean cases?"),
+        ({"scenario": "nowhere"}, "scenario 'nowhere' does not exist"),
+        ({"set": {"room.sed": 3}}, "room.sed: there is no such setting, did you mean seed?"),
+        ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "drive.samples 1: must be greater"),
+        ({"cases": [{"drive.samples": 1}, {"grid.headings": 0}]}, "; grid.headings 0: must be greater"),
+        ({"cases": [{}, {"learn.start": "auto"}]}, "two runs are the same"),
+        ({"cases": [{"scenario": "nowhere"}]}, "scenario 'nowhere' does not exist"),
+        ({"cases": [{"scenario": 3}]}, "scenario 3 must be a name in assets/scenarios, or a path"),
+        ({"full": {"casez": []}}, "full.casez: there is no such setting, did you mean cases?"),
+        ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
+        ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
+    ],
+)
+def test_wrong_studies_are_named_in_one_line(changes, message, tmp_path):
+    with pytest.raises(InputError) as caught:
+        plan_runs(load_study(str(write_study(tmp_path, **changes)), tiny=False))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_runs_are_counted_before_any_is_planned(tmp_path):
+    axes = {name: list(range(1000)) for name in ("room.seed", "drive.samples", "learn.seed")}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False)
+    with pytest.raises(InputError) as caught:
+        plan_runs(study)
+    assert str(caught.value) == "study mine has 1000000000 runs; a study has at most 10000"
+
+
+def test_thousands_of_runs_are_planned_as_one_by_one_and_progress_is_told(tmp_path):
+    axes = {"encoder.gap_noise": [number / 1000 for number in range(400)]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 1, 2, 3, 4])), tiny=False)
+    told = []
+    plans = plan_runs(study, lambda label, done, total, look=None: told.append((label, done, total)))
+    assert told == [("plan", done, 2000) for done in range(0, 2001, 100)]
+    assert len({plan.run for plan in plans}) == 2000
+    last = plans[-1]
+    assert (last.run, last.recording) == (digest(last.scenario), digest_recording(last.scenario))
+    one = load_scenario(study.scenario, {**study.set, **last.varied, "methods": study.methods, "seed": 4})
+    assert last.scenario == one
+
+
+def test_of_many_wrong_runs_the_first_problems_are_named_and_planning_ends(tmp_path):
+    axes = {"room.kind": [f"k{number}" for number in range(9000)]}
+    with pytest.raises(InputError) as caught:
+        plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False))
+    assert "room.kind 'k4': must be" in str(caught.value)
+    assert "k5" not in str(caught.value)
+    assert str(caught.value).endswith("; and 495 more; only the first 500 of 9000 runs were looked at")
+
+
+def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    process = start(write_study(tmp_path), tmp_path / "other")
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert errors.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
+    assert errors.count("\n") == 1
+    assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
+    allowed = os.sched_getaffinity(0)
+    try:
+        os.sched_setaffinity(0, {min(allowed)})  # so that one process does all runs
+        cases = [{"learn.train.steps": 1_000_000}, {}, {"learn.seed": 1}]
+        process = start(write_study(tmp_path, cases=cases, target={}), tmp_path / "out")
+        wait_until(lambda: list(tmp_path.glob("out/runs/*/deepgps")), process)
+        (worker,) = find_workers(process.pid)
+        os.kill(worker, signal.SIGKILL)
+        _, errors = process.communicate(timeout=120)
+    finally:
+        os.sched_setaffinity(0, allowed)
+    assert "1 of 3 runs failed" in errors
+    assert "its process ended with -9" in (tmp_path / "out" / "table.md").read_text()
+    assert len(list(tmp_path.glob("out/runs/*/metrics.json"))) == 2
+
+
+def find_workers(parent: int) -> list[int]:
+    """Processes started by another to do runs."""
+    children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
+    return [int(child) for child in children if b"engine_local" in Path(f"/proc/{child}/cmdline").read_bytes()]

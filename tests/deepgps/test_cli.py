@@ -1,0 +1,225 @@
+"""Every command run small, as a user runs it, and its errors by their text."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.scenario import names_in
+from sim.paths import STUDIES
+from sim.recording.format import check_recording
+
+MINI = """
+room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
+camera: {rings: 8, sectors: 32, face_px: 16}
+drive: {samples: 120}
+grid: {spacing_m: 0.5, headings: 2}
+learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
+"""
+ONE_LINE_ERRORS = [
+    (["run", "living_room", "--encoder.ticks-per-rev", "abc"], "encoder.ticks_per_rev 'abc': must be a valid integer"),
+    (["run", "living_room", "--encoder.tickz", "3"], "encoder.tickz: there is no such setting; there are"),
+    (["run", "living_room", "--encoder.tick-per-rev", "3"], "there is no such setting, did you mean ticks_per_rev?"),
+    (["run", "living_room", "--room.seed"], "--room.seed needs a value"),
+    (["run", "living_room", "--room.seed", "1", "2"], "--room.seed takes one value, not 1 2"),
+    (["run", "nowhere"], "scenario 'nowhere' does not exist; there are lab, landmarks, lidar, living_room"),
+    (["run", "missing.yaml"], "scenario missing.yaml: no such file"),
+    (["run"], "deepgps run needs a scenario first"),
+    (["run", "living_room", "--out"], "--out"),
+    (["fly"], "command 'fly' does not exist; there are run, collect"),
+    (["study"], f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path"),
+    (["study", "nothing"], f"study 'nothing' does not exist; there are {', '.join(names_in(STUDIES))}, or a path"),
+    (["study", "missing.yaml"], "study missing.yaml: no such file"),
+    (["study", "seeds", "--tinny"], "--tinny"),
+    (["view", "."], "is no run folder: it has no scenario.yaml"),
+    (["view"], "deepgps view takes one folder, or two to compare, not 0"),
+    (["view", "a", "b", "c"], "deepgps view takes one folder, or two to compare, not 3"),
+    (["view", "nowhere"], "is no run folder: it has no scenario.yaml"),
+    (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
+    (["rooms", "--seeds", "3-x"], "--seeds '3-x': one to a hundred whole numbers"),
+]
+FILES = [
+    ("", "is empty; a settings file is a mapping"),
+    ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
+    ("a: !!python/object/apply:os.system [ls]", "is not allowed; write a number or text as it is"),
+]
+
+
+def deepgps(*words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "deepgps.cli", *words]
+    return subprocess.run(
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
+    )
+
+
+def drop_progress(said: str) -> list[str]:
+    """The lines on standard error but those of the progress."""
+    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
+
+
+def assert_one_clear_line(done: subprocess.CompletedProcess[str], code: int, message: str, folder: Path) -> None:
+    assert done.returncode == code, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert list(folder.rglob("*")) == [], "nothing half-written"
+
+
+def arrays(run: Path) -> dict[str, bytes]:
+    kinds = {".npy", ".npz", ".safetensors"}
+    return {
+        path.relative_to(run).as_posix(): path.read_bytes() for path in sorted(run.rglob("*")) if path.suffix in kinds
+    }
+
+
+@pytest.fixture(scope="module")
+def mini(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "mini.yaml"
+    path.write_text(MINI)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(mini, tmp_path_factory) -> tuple[Path, str]:
+    """A finished run of the mini scenario and what it printed."""
+    folder = tmp_path_factory.mktemp("runs")
+    done = deepgps("run", str(mini), "--out", "one", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return folder / "one", done.stdout
+
+
+@pytest.mark.parametrize(("words", "message"), ONE_LINE_ERRORS)
+def test_wrong_words_give_one_clear_line(words, message, tmp_path):
+    assert_one_clear_line(deepgps(*words, cwd=tmp_path), 2, message, tmp_path)
+
+
+@pytest.mark.parametrize(("text", "message"), FILES)
+def test_wrong_files_give_one_clear_line(text, message, tmp_path, tmp_path_factory):
+    path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
+    path.write_text(text)
+    assert_one_clear_line(deepgps("run", str(path), cwd=tmp_path), 2, message, tmp_path)
+
+
+def test_an_empty_study_gives_one_clear_line(tmp_path, tmp_path_factory):
+    path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
+    path.touch()
+    done = deepgps("study", str(path), cwd=tmp_path)
+    assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
+
+
+def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
+    words = ("collect", "landmarks", "--landmarks.segments", "4", "--grid.spacing-m", "0.5", "--out", "plane")
+    done = deepgps(*words, cwd=tmp_path, MUJOCO_GL="nothing")
+    assert done.returncode == 0, done.stderr
+    check_recording(tmp_path / "plane" / "recording")
+    assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
+
+
+def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("house") / "rooms"
+    folder.mkdir()
+    (folder.parent / "secret.xml").write_text("<mujoco/>")
+    (folder / "room.xml").write_text('<mujoco><include file="../secret.xml"/></mujoco>')
+    done = deepgps("run", "tiny", "--room.mjcf", str(folder / "room.xml"), "--out", "new/deep", cwd=tmp_path)
+    assert_one_clear_line(done, 2, "../secret.xml", tmp_path)
+
+
+def test_a_renderer_of_no_kind_is_named(tmp_path):
+    done = deepgps("run", "tiny", cwd=tmp_path, MUJOCO_GL="bogus")
+    assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
+
+
+ABOUT = {"run": "Run a scenario", "collect": "only drive", "train": "collect, and train", "evaluate": "collect, train,"}
+
+
+@pytest.mark.parametrize("command", ABOUT)
+def test_help_says_what_a_command_does_and_shows_every_setting_with_its_default(command, tmp_path):
+    said = deepgps(command, "--help", cwd=tmp_path).stdout
+    assert ABOUT[command] in said
+    for text in ("--encoder.ticks-per-rev", "default: 4096", "--room.kind", "--learn.train.steps", "--out", "[m]"):
+        assert text in said
+
+
+def test_help_lists_the_commands(tmp_path):
+    done = deepgps("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    assert all(name in done.stdout for name in ("run", "study", "view", "rooms", "doctor", "collect"))
+
+
+def test_doctor_finds_a_renderer(tmp_path):
+    done = deepgps("doctor", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "mujoco" in done.stdout
+    assert "device" in done.stdout
+
+
+@pytest.mark.slow
+def test_a_run_leaves_all_that_was_promised(finished):
+    run, said = finished
+    for name in ("scenario.yaml", "metrics.json", "error_field.npz", "recording.rrd", "log.txt", "recording/scene.glb"):
+        assert (run / name).is_file(), name
+    assert list((run / "figures").glob("*.png"))
+    check_recording(run / "recording")
+    assert not list(run.rglob("*.part"))
+    for word in ("DeepGPS", "PoseNet", "collect", "deepgps view"):
+        assert word in said
+
+
+@pytest.mark.slow
+def test_every_figure_can_be_computed_again_from_the_error_field(finished):
+    run, _ = finished
+    metrics = json.loads((run / "metrics.json").read_text())
+    field = np.load(run / "error_field.npz")
+    assert set(metrics["methods"]) == {"deepgps", "posenet", "odometry", "knn"}
+    for name, values in metrics["methods"].items():
+        worst = np.linalg.norm(field[name] - field["truth"][:, None], axis=-1).max(axis=1)
+        assert values["rms_m"] == pytest.approx(np.sqrt((worst**2).mean()))
+        assert values["median_m"] == pytest.approx(np.median(worst))
+        assert values["max_m"] == pytest.approx(worst.max())
+        assert values["relative_rms"] == pytest.approx(values["rms_m"] / metrics["shorter_side_m"])
+        assert {"scale", "alignment", "steps", "train_s", "parameters", "p75_m", "p95_m"} <= set(values)
+
+
+@pytest.mark.slow
+def test_done_work_is_not_done_again(finished, mini):
+    run, _ = finished
+    before = {path: path.stat().st_mtime_ns for path in run.rglob("*") if path.name != ".deepgps"}
+    done = deepgps("run", str(mini), "--out", str(run), cwd=run.parent)
+    assert done.returncode == 0
+    assert "DeepGPS" in done.stdout
+    changed = [path.name for path, time in before.items() if path.stat().st_mtime_ns != time]
+    assert not changed
+
+
+@pytest.mark.slow
+def test_a_folder_of_another_run_is_not_touched(finished, mini):
+    run, _ = finished
+    done = deepgps("run", str(mini), "--seed", "7", "--out", str(run), cwd=run.parent)
+    assert done.returncode == 2
+    assert "holds a run of another scenario (a recording, trained" in done.stderr
+
+
+@pytest.mark.slow
+def test_killed_again_and_again_it_ends_with_the_same_bytes(finished, mini, tmp_path):
+    """kill -9 after ever longer times, among them in the drive, in trainings and in between."""
+    run, _ = finished
+    rng = np.random.default_rng(0)
+    command = [sys.executable, "-m", "deepgps.cli", "run", str(mini), "--out", "two"]
+    kills = 0
+    for seconds in rng.uniform(2.0, 9.0, 4):
+        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            kills += 1
+    assert kills
+    done = deepgps("run", str(mini), "--out", "two", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert arrays(tmp_path / "two") == arrays(run)

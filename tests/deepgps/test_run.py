@@ -1,0 +1,137 @@
+"""The run folder: what is kept and what is thrown away when a run ends early."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from deepgps import run as running
+from deepgps.owned_folder import MARK
+from deepgps.progress import ignore
+from deepgps.run import run, stage_times, timed
+from deepgps.run_folder import RUN, claim, open_run
+from deepgps.scenario import Scenario, write_out
+from sim.errors import InputError
+from sim.files import read_json, write_json
+from sim.recording.format import work_folder
+from sim.settings import SimSettings
+
+SCENARIO = Scenario(world="landmarks", methods=("knn",))
+WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.cli import main; main(sys.argv[1:])"
+
+
+def begin(folder: Path, scenario: Scenario = SCENARIO) -> None:
+    with claim(scenario, folder, fresh=False):
+        pass
+
+
+def record(folder: Path) -> None:
+    """Leave what tells a finished recording."""
+    write_json(folder / "recording" / "manifest.json", {})
+
+
+def test_wrong_input_leaves_nothing_behind(tmp_path: Path):
+    folder = tmp_path / "new" / "run"
+    with pytest.raises(InputError), claim(SCENARIO, folder, fresh=False):
+        work_folder(folder / "recording").mkdir()
+        raise InputError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_wrong_input_that_shows_late_costs_no_finished_work(tmp_path: Path):
+    with pytest.raises(InputError), claim(SCENARIO, tmp_path / "run", fresh=False):
+        record(tmp_path / "run")
+        raise InputError
+    assert (tmp_path / "run" / "recording" / "manifest.json").is_file()
+    assert open_run(tmp_path / "run") == SCENARIO
+
+
+@pytest.mark.parametrize("trained", [False, True])
+def test_of_a_study_s_run_wrong_input_leaves_only_what_was_trained(trained: bool, tmp_path: Path):
+    record(tmp_path / "shared")
+    with pytest.raises(InputError), claim(SCENARIO, tmp_path / "runs" / "one", fresh=False):
+        (tmp_path / "runs" / "one" / "recording").symlink_to(tmp_path / "shared" / "recording")
+        if trained:
+            write_json(tmp_path / "runs" / "one" / "posenet" / "positioner.json", {})
+        raise InputError
+    assert (tmp_path / "runs" / "one" / "posenet" / "positioner.json").exists() == trained
+    assert (tmp_path / "runs").exists() == trained
+    assert (tmp_path / "shared" / "recording" / "manifest.json").is_file()
+
+
+def test_wrong_input_takes_nothing_from_a_run_that_was_begun_before(tmp_path: Path):
+    begin(tmp_path)
+    with pytest.raises(InputError), claim(SCENARIO, tmp_path, fresh=False):
+        raise InputError
+    assert open_run(tmp_path) == SCENARIO
+
+
+def test_killed_while_it_wrote_its_first_file_the_folder_is_still_ours(tmp_path: Path):
+    (tmp_path / MARK).touch()
+    (tmp_path / MARK).write_text(RUN.text)
+    (tmp_path / "scenario.yaml.123.deepgps-part").write_text("name: li")
+    begin(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {MARK, "scenario.yaml"}
+
+
+def on_device(name: str) -> Scenario:
+    return Scenario.model_validate({**SCENARIO.model_dump(), "learn": {"train": {"device": name}}})
+
+
+def test_a_device_that_is_not_here_is_told_before_anything_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    monkeypatch.setattr(running, "make_recording", lambda *_: pytest.fail("it drove"))
+    with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
+        run(on_device("cuda"), tmp_path / "run", False, ignore)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_stands_needs_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    record(tmp_path)
+    running.ask_for_device(on_device("cuda"), tmp_path)
+
+
+@pytest.mark.slow
+def test_where_the_recording_stands_a_run_needs_neither_mujoco_nor_a_renderer(
+    small_settings: SimSettings, small_recording: Path, tmp_path: Path
+):
+    scenario = Scenario.model_validate({**small_settings.model_dump(), "methods": ("knn",)})
+    begin(tmp_path / "run", scenario)
+    shutil.copytree(small_recording, tmp_path / "run" / "recording")
+    (tmp_path / "mine.yaml").write_text(write_out(scenario))
+
+    def start(*more: str) -> subprocess.CompletedProcess[str]:
+        command = [sys.executable, "-c", WITHOUT_MUJOCO, "run", "mine.yaml", "--out", "run", *more]
+        environment = {**os.environ, "MUJOCO_GL": "nothing"}
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    done = start()
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "recording.rrd").is_file()
+    assert "MUJOCO_GL" in start("--fresh").stderr
+    assert (tmp_path / "run" / "recording.rrd").is_file()
+
+
+def test_a_stage_that_was_cut_off_is_timed_as_the_sum_of_its_parts(tmp_path: Path):
+    with pytest.raises(KeyboardInterrupt), timed(tmp_path, "train knn"):
+        time.sleep(0.05)
+        raise KeyboardInterrupt
+    first_s = stage_times(tmp_path)["train"]
+    assert first_s >= 0.05
+    with timed(tmp_path, "train knn"):
+        time.sleep(0.05)
+    assert stage_times(tmp_path)["train"] >= first_s + 0.05
+    assert (tmp_path / "log.txt").read_text().count("train knn: ") == 2
+
+
+def test_only_what_was_done_here_is_timed(tmp_path: Path):
+    for stage, done in (("train posenet", True), ("train deepgps", False), ("evaluate", False)):
+        with timed(tmp_path, stage, done):
+            time.sleep(0.02)
+    assert set(read_json(tmp_path / "timing.json")) == {"train deepgps", "evaluate"}
+    assert list(stage_times(tmp_path)) == ["train", "evaluate"]

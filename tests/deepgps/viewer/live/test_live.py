@@ -1,0 +1,300 @@
+"""A run that is watched: what arrives is what was made, the results are the same, and a lost viewer ends nothing."""
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from deepgps.figures.field_plot import read_fields
+from deepgps.progress import Look, ignore
+from deepgps.scenario import Scenario
+from deepgps.viewer.live.drive import LiveDrive
+from deepgps.viewer.live.layout import RUN_TIME
+from deepgps.viewer.live.live import show_live
+from deepgps.viewer.live.view import LiveView
+from deepgps.viewer.read import read_entity
+from deepgps.viewer.run.drive import ROBOT
+from deepgps.viewer.window.connect import find_url, open_viewer
+from sim.errors import InputError, WorkError
+from sim.files import write_arrays
+from sim.recording.format import chunk_files, open_truth, work_folder
+from sim.settings import CameraSettings
+from tests.deepgps.test_cli import MINI, arrays, assert_one_clear_line, deepgps, drop_progress
+from tests.helpers.blueprints import find_missing
+from tests.helpers.live_server import serve_grpc
+from tests.helpers.toy import make_toy
+
+
+@pytest.fixture(scope="module")
+def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("scenario") / "mini.yaml"
+    path.write_text(MINI)
+    return path
+
+
+@pytest.fixture(scope="module")
+def watched(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A run that streamed to a viewer while it went on, and what the viewer got."""
+    folder = tmp_path_factory.mktemp("watched")
+    got = folder / "got.rrd"
+    with serve_grpc("--save", str(got)) as (address, server):
+        done = deepgps("run", str(mini), "--out", "run", "--live", address, cwd=folder)
+        time.sleep(1)
+        server.send_signal(signal.SIGINT)
+        server.wait(10)
+    assert (done.returncode, drop_progress(done.stderr)) == (0, [])
+    return folder / "run", got
+
+
+def rows(path: Path) -> Counter[str]:
+    """Rows of each entity along the run's time."""
+    counts = Counter()
+    for chunk in RrdReader(path).stream():
+        if RUN_TIME in chunk.timeline_names:
+            counts[chunk.entity_path] += chunk.num_rows
+    return counts
+
+
+# The server is killed at last, and does not close its file.
+no_footer = pytest.mark.filterwarnings("ignore:RRD file has no footer")
+
+
+@pytest.mark.slow
+@no_footer
+def test_the_viewer_gets_the_whole_run(watched: tuple[Path, Path]) -> None:
+    run, got = watched
+    counts = rows(got)
+    assert counts["/world/drive/path"] >= len(np.unique(np.load(run / "recording" / "truth" / "reading.npy")[:, 0]))
+    # the drive goes on to the end of its chunk, and is cut to the samples wanted
+    assert counts[f"/{ROBOT}"] >= len(np.load(run / "recording" / "truth" / "pose.npy"))
+    assert counts["/drive/fisheye"] == counts["/drive/polar"] > 0
+    for name in ("deepgps", "posenet", "odometry"):
+        with np.load(run / name / "history.npz") as history:
+            assert counts[f"/training/{name}/loss"] >= len(history["loss"])
+            assert counts[f"/world/training/{name}"] >= len(history["snapshot"])
+
+
+@pytest.mark.slow
+@no_footer
+def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> None:
+    run, got = watched
+    static = {chunk.entity_path: chunk for chunk in RrdReader(got).stream() if not chunk.timeline_names}
+    for name, field in read_fields(run).items():
+        batch = static[f"/world/error_field/{name}"].to_record_batch()
+        arrows = batch.column("Arrows3D:vectors").flatten().flatten().to_numpy().reshape(-1, 3)[:, :2]
+        np.testing.assert_allclose(arrows, field.predicted - field.truth, atol=1e-6)
+    assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= set(static)
+    assert find_missing(got) == []
+
+
+@pytest.mark.slow
+def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(
+    watched: tuple[Path, Path], mini: Path, tmp_path: Path
+) -> None:
+    run, _ = watched
+    command = [sys.executable, "-m", "deepgps.cli", "run", str(mini), "--out", "run", "--live"]
+    with serve_grpc("--serve-grpc") as (address, server):
+        process = subprocess.Popen(
+            [*command, address], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
+        while not list(tmp_path.glob("run/recording.collecting/drive-*.npz")):
+            assert process.poll() is None
+            time.sleep(0.1)
+        server.kill()
+        _, said = process.communicate(timeout=300)
+    assert process.returncode == 0, said
+    assert "warning: the viewer is gone" in said and "the run goes on without it" in said
+    assert len(drop_progress(said)) == 1
+    unwatched = deepgps("run", str(mini), "--out", "plain", cwd=tmp_path)
+    assert unwatched.returncode == 0, unwatched.stderr
+    assert arrays(tmp_path / "run") == arrays(tmp_path / "plain") == arrays(run)
+
+
+def write_chunk(recording: Path, place: np.ndarray, reading: np.ndarray) -> None:
+    """Write what a drive leaves while it is collected: places (n, 2), and segment and observation of readings."""
+    state = np.zeros((len(place), 7))
+    state[:, :2], state[:, 3] = place, 1.0
+    arrays = {"state": state, "segment": reading[:, 0], "observation": reading[:, 1]}
+    write_arrays(chunk_files(work_folder(recording), 0)[0], arrays)
+
+
+@pytest.mark.parametrize("endpoint", [False, True])
+def test_segments_after_the_last_chunk_that_was_seen_are_whole(tmp_path: Path, endpoint: bool) -> None:
+    recording = make_toy(tmp_path / "recording", samples=40 if endpoint else 400, endpoint=endpoint)
+    truth = open_truth(recording.folder)
+    begins = np.flatnonzero(np.diff(truth.reading[:, 0], prepend=-1))
+    strips = np.stack([truth.reading[begins, 1], truth.reading[np.r_[begins[1:], len(truth.reading)] - 1, 1]], axis=1)
+    seen = truth.reading[truth.reading[:, 0] < 3]
+    write_chunk(recording.folder, truth.pose[: seen[-1, 1] + 1, :2], seen)
+    path = tmp_path / "got.rrd"
+    with rr.RecordingStream("test") as stream:
+        stream.save(path)
+        drive = LiveDrive(stream, recording.folder, CameraSettings())
+        drive.send_chunks(count_rows)
+        drive.send_rest(recording, truth, count_rows)
+        stream.disconnect()
+    shown = np.concatenate(read_entity(path, "world/drive/path")["LineStrips3D:strips"].to_pylist())
+    np.testing.assert_allclose(shown[:, :, :2], truth.pose[strips, :2], atol=1e-6)
+
+
+def count_rows(rows: int) -> list[rr.TimeColumn]:
+    return [rr.TimeColumn(RUN_TIME, duration=np.arange(rows))]
+
+
+HANGING = """
+import os, signal, sys
+from pathlib import Path
+from deepgps.progress import ignore
+from deepgps.scenario import Scenario
+from deepgps.viewer import live
+
+live.STALL_S, live.PATIENCE_S = 1.0, 5.0
+with live.show_live(sys.argv[1], Scenario(), Path(sys.argv[2]), ignore, print) as report:
+    os.kill(int(sys.argv[3]), signal.SIGSTOP)
+    report("drive", 1, 2)
+print("done")
+"""
+
+
+def test_a_viewer_that_hangs_holds_up_neither_the_run_nor_the_end_of_the_process(tmp_path: Path) -> None:
+    many = np.arange(300_000)  # more than waits in the sockets between
+    write_chunk(tmp_path / "recording", np.stack([many / len(many), 0 * many], 1), np.stack([0 * many, many], 1))
+    with serve_grpc("--serve-grpc") as (address, server):
+        command = [sys.executable, "-c", HANGING, address, str(tmp_path), str(server.pid)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+        server.send_signal(signal.SIGCONT)
+    assert done.returncode == 0, done.stderr
+    warning, end = done.stdout.splitlines()
+    assert re.fullmatch(
+        r"the viewer (is gone \(.+\); the run goes on|takes nothing any more; what it shows).+", warning
+    )
+    assert end == "done"
+
+
+def test_what_the_stages_tell_is_told_on(tmp_path: Path) -> None:
+    heard, warned = [], []
+
+    def progress(label: str, done: int, total: int, look: Look | None = None) -> None:
+        heard.append((label, done, total))
+
+    with (
+        serve_grpc("--serve-grpc") as (address, _),
+        show_live(address, Scenario(), tmp_path, progress, warned.append) as report,
+    ):
+        report("drive", 1, 2)
+        report("deepgps", 2, 2, dict)
+    assert heard == [("drive", 1, 2), ("deepgps", 2, 2)]
+    assert warned == []
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (RuntimeError("no connection"), "the viewer is gone (RuntimeError: no connection)"),
+        (ConnectionResetError("reset"), "the viewer is gone (ConnectionResetError: reset)"),
+        (InputError("a file is\ncut off"), "showing failed (InputError: a file is cut off)"),
+    ],
+)
+def test_only_a_viewer_that_went_away_is_called_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    def fail(view: LiveView) -> None:
+        raise error
+
+    monkeypatch.setattr(LiveView, "update", fail)
+    warned = []
+    with (
+        serve_grpc("--serve-grpc") as (address, _),
+        show_live(address, Scenario(), tmp_path, ignore, warned.append) as report,
+    ):
+        report("drive", 1, 2)
+    assert warned == [f"{said}; the run goes on without it"]
+
+
+@pytest.mark.parametrize(("refused", "looks"), [(True, 0), (False, 1)])
+def test_a_folder_that_is_refused_is_not_shown_and_a_finished_run_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: bool, looks: int
+) -> None:
+    looked = []
+
+    def look(view: LiveView) -> None:
+        looked.append(view)
+
+    monkeypatch.setattr(LiveView, "update", look)
+    with (
+        serve_grpc("--serve-grpc") as (address, _),
+        suppress(InputError),
+        show_live(address, Scenario(), tmp_path, ignore, pytest.fail),
+    ):
+        if refused:
+            raise InputError("it holds a run of another scenario")
+    assert len(looked) == looks
+
+
+@pytest.mark.parametrize(
+    ("address", "message"),
+    [
+        ("nowhere", "--live 'nowhere': must be host:port, as 127.0.0.1:9876"),
+        ("127.0.0.1:99999", "must be host:port"),
+        ("127.0.0.1:one", "must be host:port"),
+        ("127.0.0.1:9876 twice", "must be host:port"),
+        ("http://127.0.0.1:9876/proxy", "or rerun+http://host:port/proxy"),
+        ("rerun+http://127.0.0.1:9876", "or rerun+http://host:port/proxy"),
+        ("127.0.0.1:1", "--live 127.0.0.1:1: no viewer answers there (Connection refused); one listens after: rerun"),
+    ],
+)
+def test_a_wrong_address_is_one_clear_line(address: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        find_url(address)
+    assert message in str(caught.value)
+
+
+def test_an_address_with_a_scheme_is_taken_as_it_is() -> None:
+    with serve_grpc("--serve-grpc") as (address, _):
+        assert find_url(f"rerun+http://{address}/proxy") == find_url(address)
+
+
+def test_without_an_answer_nothing_begins(tmp_path: Path) -> None:
+    done = deepgps("run", "tiny", "--live", "127.0.0.1:1", cwd=tmp_path)
+    assert_one_clear_line(done, 2, "--live 127.0.0.1:1: no viewer answers there", tmp_path)
+
+
+@pytest.fixture
+def stranger() -> Iterator[str]:
+    """Something that listens and is no viewer."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def answer() -> None:
+            with suppress(OSError):  # closed
+                while True:
+                    with listener.accept()[0] as connection:
+                        connection.sendall(b"HTTP/1.1 505 what?\r\n\r\n")
+
+        threading.Thread(target=answer, daemon=True).start()
+        yield f"127.0.0.1:{listener.getsockname()[1]}"
+
+
+def test_something_else_that_answers_is_refused_before_the_run_begins(stranger: str, tmp_path: Path) -> None:
+    done = deepgps("run", "tiny", "--live", stranger, cwd=tmp_path)
+    assert_one_clear_line(done, 2, f"--live {stranger}: what answers there is no Rerun viewer", tmp_path)
+
+
+def test_a_viewer_without_a_display_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    assert "DISPLAY" not in os.environ
+    with pytest.raises(WorkError, match="cannot open a window; without a display, --live HOST:PORT streams"):
+        open_viewer()

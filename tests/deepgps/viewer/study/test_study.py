@@ -1,0 +1,399 @@
+"""The recording of a study: what each slider shows is what was measured; whole, repeatable, and clear errors."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from deepgps.figures.run_figures import field_plot
+from deepgps.studies.study import Plan, load_study, plan_runs
+from deepgps.studies.table import gather, write_table
+from deepgps.viewer.read import read_entity, read_error_field, read_error_table
+from deepgps.viewer.study.sliders import find_sliders
+from deepgps.viewer.study.study import STUDY as STUDY_RRD
+from deepgps.viewer.study.study import find_study
+from deepgps.viewer.study.study import study as viewer
+from deepgps.viewer.study.study import write_study as write_rrd
+from deepgps.viewer.study.text import write_length
+from deepgps.viewer.window.connect import find_viewer
+from deepgps.viewer.window.show import view
+from sim.errors import InputError
+from tests.helpers.blueprints import find_missing
+from tests.helpers.small_study import finish, start, wait_until, write_study
+from tests.helpers.synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
+
+AXIS = "encoder.gap_noise"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Plan]]:
+    folder = tmp_path_factory.mktemp("study")
+    plans = write_synthetic_study(folder)
+    rr.set_strict_mode(True)
+    write_rrd(folder)
+    rr.set_strict_mode(False)
+    return folder, plans
+
+
+@pytest.fixture
+def copied(study: tuple[Path, list[Plan]], tmp_path: Path) -> Path:
+    return Path(shutil.copytree(study[0], tmp_path / "copy", symlinks=True))
+
+
+def cells(path: Path, entity: str, component: str) -> Iterator[tuple[str, int, Any]]:
+    """A component of an entity wherever it stands: timeline, place on it, value."""
+    for chunk in RrdReader(path).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path != entity or component not in batch.schema.names:
+            continue
+        for timeline in chunk.timeline_names:
+            yield from zip(
+                [timeline] * chunk.num_rows,
+                batch.column(timeline).to_pylist(),
+                batch.column(component).to_pylist(),
+                strict=True,
+            )
+
+
+def fields(path: Path, method: str) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
+    """Arrows of a method at every place of every slider: where they begin, and their way (n, 2)."""
+    entity = f"/world/error_field/{method}"
+    origins = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:origins")}
+    vectors = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:vectors")}
+    assert origins.keys() == vectors.keys()
+    return {key: (flatten(origins[key]), flatten(vectors[key])) for key in origins}
+
+
+def flatten(points: Any) -> np.ndarray:
+    return np.reshape(points, (-1, 3))[:, :2]
+
+
+def texts(path: Path, entity: str, component: str = "TextDocument:text") -> dict[tuple[str, int], str]:
+    return {(line, at): value[0] for line, at, value in cells(path, entity, component)}
+
+
+def find(plans: list[Plan], room: int, noise: float, seed: int) -> Plan:
+    (plan,) = [
+        plan
+        for plan in plans
+        if (plan.scenario.room.seed, plan.scenario.encoder.gap_noise, plan.scenario.seed) == (room, noise, seed)
+    ]
+    return plan
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, method):
+    folder, plans = study
+    shown = fields(folder / STUDY_RRD, method)
+    expected = {
+        **{(AXIS, index): find(plans, ROOMS[0], noise, 0) for index, noise in enumerate(NOISES)},
+        **{("case", index): find(plans, room, NOISES[0], 0) for index, room in enumerate(ROOMS)},
+        **{("seed", seed): find(plans, ROOMS[0], NOISES[0], seed) for seed in (0, 1)},
+        **{("run", index): plan for index, plan in enumerate(plans)},
+    }
+    assert shown.keys() == expected.keys()
+    for key, plan in expected.items():
+        with np.load(folder / "runs" / plan.run / "error_field.npz") as arrays:
+            truth, predicted = arrays["truth"], arrays[method]
+        error = predicted - truth[:, None]
+        worst = np.linalg.norm(error, axis=-1).argmax(axis=1)
+        np.testing.assert_allclose(shown[key][0], truth, atol=1e-5)
+        np.testing.assert_allclose(shown[key][1], error[np.arange(len(truth)), worst], atol=1e-5)
+
+
+def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
+    path = study[0] / STUDY_RRD
+    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
+        read_error_table(path)
+    with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
+        read_error_field(path, "deepgps")
+    assert AXIS in read_entity(path, "world/error_field/deepgps").column_names
+
+
+def test_arrows_grow_with_the_noise_where_it_matters_and_nowhere_else(study):
+    lengths = {
+        method: [
+            np.linalg.norm(fields(study[0] / STUDY_RRD, method)[AXIS, index][1], axis=1).mean() for index in range(3)
+        ]
+        for method in METHODS
+    }
+    assert lengths["deepgps"][2] > 2 * lengths["deepgps"][1] > 4 * lengths["deepgps"][0]
+    assert np.ptp(lengths["posenet"]) < 1e-5
+
+
+def test_every_room_fills_the_same_rectangle(study):
+    path = study[0] / STUDY_RRD
+    scales = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:scale")}
+    moves = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:translation")}
+    assert set(scales) == {("case", 0), ("case", 1), (AXIS, 0), ("seed", 0), ("run", 0), ("run", 6)}
+    assert {(line, at) for line, at, _ in cells(path, "/world/floor_plan", "GridMap:data")} == set(scales)
+    corners = []
+    for index, room in enumerate(ROOMS):
+        scale, move = scales["case", index][0], np.array(moves["case", index][:2])
+        corners.append(np.stack(field_plot.limits(make_room(room))) * scale + move)
+    for corner in corners:
+        np.testing.assert_allclose(corner[0], -corner[1], atol=1e-5)
+    np.testing.assert_allclose(np.ptp(corners[0], axis=0)[0], np.ptp(corners[1], axis=0)[0], rtol=0.05)
+
+
+def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
+    path = study[0] / STUDY_RRD
+    here = texts(path, "/report/here")
+    assert here[AXIS, 2].startswith(f"# {AXIS} 0.3\n")
+    assert "RMS of all 2 seeds: DeepGPS " in here[AXIS, 2]
+    assert "| PoseNet |" in here[AXIS, 2]
+    assert here["case", 1].startswith("# case room.seed 2")
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1].startswith(f"{AXIS} 0.1\nRMS ")
+    (guide,) = [value[0] for value in static(path, "/report/sliders")]
+    assert f"The slider at the bottom moves `{AXIS}`" in guide
+    assert f"- **{AXIS}**: `0`, `0.1`, `0.3` (with room.seed 1, seed 0)" in guide
+    assert "- **run**: all 12 runs, one after another" in guide
+    assert [value[0] for value in static(path, "/report/table")] == [(study[0] / "table.md").read_text()]
+
+
+def static(path: Path, entity: str) -> Iterator[Any]:
+    for chunk in RrdReader(path).stream():
+        if chunk.entity_path == entity:
+            yield from chunk.to_record_batch().column("TextDocument:text").to_pylist()
+
+
+def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
+    folder, plans = study
+    rows = gather(plans, {}, folder)
+    takes = {"": np.mean, "/best": np.min, "/worst": np.max}
+    for (end, take), name in product(takes.items(), ("rms", "median")):
+        curve = cells(folder / STUDY_RRD, f"/curve/{name}/deepgps{end}", "Scalars:scalars")
+        shown = {at: value[0] for line, at, value in curve if line == AXIS}
+        for index, noise in enumerate(NOISES):
+            group = [
+                100 * row[f"{name}_m"]
+                for row in rows
+                if (row["method"], row["room.seed"], row[AXIS]) == ("deepgps", ROOMS[0], noise)
+            ]
+            assert len(group) == 2
+            assert shown[index] == pytest.approx(take(group))
+
+
+def test_no_wall_clock_is_written_and_the_file_verifies_and_is_small(study):
+    path = study[0] / STUDY_RRD
+    assert {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names} == {
+        AXIS,
+        "case",
+        "seed",
+        "run",
+    }
+    assert len(RrdReader(path).blueprints()) >= 1
+    assert path.stat().st_size < 2_000_000
+    verify(path)
+
+
+def test_every_view_shows_what_was_logged(study):
+    assert find_missing(study[0] / STUDY_RRD) == []
+
+
+def verify(path: Path) -> None:
+    done = subprocess.run([find_viewer(), "rrd", "verify", str(path)], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_equal_studies_give_equal_contents_and_what_stands_is_not_written_again(study, copied):
+    (copied / STUDY_RRD).unlink()
+    pair = [study[0] / STUDY_RRD, find_study(copied)]
+    assert len({RrdReader(path).recordings()[0].recording_id for path in pair}) == 1
+    command = [find_viewer(), "rrd", "compare", "--unordered", *map(str, pair)]
+    compared = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert compared.returncode == 0, compared.stderr
+    before = pair[1].stat().st_mtime_ns
+    assert write_rrd(copied).stat().st_mtime_ns == before
+    (copied / "table.md").write_text("another report")
+    assert write_rrd(copied).stat().st_mtime_ns > before
+    assert list(static(pair[1], "/report/table")) == [["another report"]]
+
+
+def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
+    one_room = STUDY.model_copy(update={"cases": ({"room.seed": 1},)})
+    plans = write_synthetic_study(tmp_path, one_room, failed=(0, 2, 3))  # noise 0 of seed 0, both of noise 0.1
+    path = write_rrd(tmp_path)
+    shown = fields(path, "deepgps")
+    with np.load(tmp_path / "runs" / plans[1].run / "error_field.npz") as arrays:
+        np.testing.assert_allclose(shown[AXIS, 0][0], arrays["truth"], atol=1e-5)
+    assert len(shown[AXIS, 1][0]) == 0
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1] == f"{AXIS} 0.1\nfailed"
+    assert texts(path, "/report/here")[AXIS, 1].endswith("This run failed: it did not want to")
+
+
+def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monkeypatch):
+    monkeypatch.setattr(viewer, "MOST_PLACES", 11)
+    (copied / STUDY_RRD).unlink()
+    path = write_rrd(copied)
+    assert {line for line, _ in fields(path, "deepgps")} == {AXIS, "case", "seed"}
+    assert any("Left out, for it has too many places: run." in value[0] for value in static(path, "/report/sliders"))
+
+
+def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
+    whole = fields(study[0] / STUDY_RRD, "deepgps")[AXIS, 0][0]
+    monkeypatch.setattr(viewer, "MOST_ARROWS", 19 * 2 * len(whole) // 3 + 1)  # 19 places on four sliders, two methods
+    (copied / STUDY_RRD).unlink()
+    path = write_rrd(copied)
+    np.testing.assert_array_equal(fields(path, "deepgps")[AXIS, 0][0], whole[::3])
+    assert any("Only one in 3 test positions is drawn" in value[0] for value in static(path, "/report/sliders"))
+
+
+@pytest.mark.parametrize(
+    ("lost", "content", "message"),
+    [
+        ("table.parquet", None, "is no finished study: it has no table.parquet (deepgps study writes it)"),
+        ("table.parquet", "half", "table.parquet is damaged: "),
+        ("study.yaml", "sceanrio: x", "sceanrio: there is no such setting"),
+        ("study.yaml", "", "study.yaml is empty"),
+        ("runs/*/error_field.npz", None, "error_field.npz is missing"),
+        ("runs/*/error_field.npz", "half", "error_field.npz is damaged"),
+        ("recordings/*/manifest.json", None, "recording/manifest.json is missing"),
+        ("table.md", None, "is no whole study: table.md is missing"),
+    ],
+)
+def test_a_study_that_is_not_whole_is_one_clear_line(copied, lost, content, message):
+    (copied / STUDY_RRD).unlink()
+    path = next(copied.glob(lost))
+    path.unlink() if content is None else path.write_text(content)
+    with pytest.raises(InputError) as caught:
+        view([copied])
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not list(copied.glob(f"{STUDY_RRD}"))
+
+
+def test_another_table_is_one_clear_line(copied):
+    (copied / STUDY_RRD).unlink()
+    write_table(copied / "table.parquet", [{"name": "something else"}])
+    with pytest.raises(InputError, match=r"table\.parquet is no table of a study"):
+        view([copied])
+
+
+def test_a_study_without_a_run_that_is_done_is_one_clear_line(tmp_path):
+    write_synthetic_study(tmp_path, STUDY, failed=tuple(range(12)))
+    with pytest.raises(InputError, match=r"has no run that is done; its table\.md says why"):
+        view([tmp_path])
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.5, 0.999])
+def test_a_cut_off_recording_is_one_clear_line_and_the_study_repairs_it(copied, keep):
+    path = copied / STUDY_RRD
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    (copied / f"{STUDY_RRD}.sha256").unlink()  # as a version before checksums left it
+    with pytest.raises(InputError, match=r"study.rrd is cut off or no recording") as caught:
+        view([copied])
+    assert "\n" not in str(caught.value)
+    verify(write_rrd(copied))
+
+
+def rows_of(tmp_path: Path, **changes: Any) -> list[dict[str, Any]]:
+    plans = plan_runs(load_study(str(write_study(tmp_path, target={}, **changes)), tiny=False))
+    return gather(plans, {plan.run: "made up" for plan in plans}, tmp_path)
+
+
+def test_an_axis_of_numbers_goes_up_words_stay_in_order_and_the_scenario_is_the_base(tmp_path):
+    axes = {"encoder.ticks_per_rev": [4096, 16, 64], "room.seed": [3, 4], "room.shape": ["two_rooms", "rectangle"]}
+    rows = rows_of(tmp_path, cases=[{}], axes=axes)
+    own = {"room.shape": "rectangle", "encoder.ticks_per_rev": 4096, "room.seed": 0}
+    sliders = find_sliders(rows, list(axes), own)
+    assert [slider.name for slider in sliders] == ["room.shape", "encoder.ticks_per_rev", "room.seed", "run"]
+    assert [step.value for step in sliders[0].steps] == ["two_rooms", "rectangle"]
+    assert [step.value for step in sliders[1].steps] == ["16", "64", "4096"]
+    assert sliders[0].others == "ticks_per_rev 4096, room.seed 3, seed 0"
+    assert {(step.rows[0]["room.shape"], step.rows[0]["room.seed"]) for step in sliders[1].steps} == {("rectangle", 3)}
+    assert [step.rows[0]["run"] for step in sliders[3].steps] == list(dict.fromkeys(row["run"] for row in rows))
+
+
+def test_cases_are_told_apart_by_as_little_as_it_takes(tmp_path):
+    cases = [{"scenario": "landmarks", "drive.samples": 500}, {"drive.samples": 600}]
+    sliders = find_sliders(rows_of(tmp_path, cases=cases), [], {"scenario": "mini"})
+    assert [(slider.name, [step.value for step in slider.steps]) for slider in sliders] == [
+        ("case", ["landmarks", "mini"])
+    ]
+
+
+def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_change(tmp_path):
+    cases = [{}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3, "encoder.gap_noise": 0.1}]
+    rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
+    case, seed, run = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
+    assert [step.value for step in case.steps] == ["no change", "gap_noise 0.1", "gap_noise 0.1, lost 0.3"]
+    assert (case.others, seed.others) == ("seed 0", "")
+    assert [step.value for step in run.steps][::2] == [
+        "seed 0",
+        "gap_noise 0.1, seed 0",
+        "gap_noise 0.1, lost 0.3, seed 0",
+    ]
+    assert run.steps[0].words == "gap_noise 0, lost 0, seed 0"  # the text has all of it
+    elsewhere = find_sliders(rows, [], {"encoder.gap_noise": 0.2, "encoder.lost": 0.0})[0]
+    assert elsewhere.steps[0].value == "gap_noise 0, lost 0"
+
+
+def test_a_setting_that_grows_alone_in_some_of_the_cases_has_a_slider_of_its_own(tmp_path):
+    both = {"encoder.lost": 0.3, "encoder.gap_noise": 0.3}
+    cases = [{}, {"encoder.gap_noise": 0.3}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3}, both]
+    rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
+    sliders = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
+    assert [slider.name for slider in sliders] == ["case", "encoder.gap_noise", "seed", "run"]  # lost has one value
+    noise = sliders[1]
+    assert ([step.value for step in noise.steps], noise.others) == (["0", "0.1", "0.3"], "seed 0")
+    assert [step.rows[0]["encoder.gap_noise"] for step in noise.steps] == [0.0, 0.1, 0.3]
+    assert all(step.rows[0]["encoder.lost"] == 0.0 for step in noise.steps)
+    alone = find_sliders(rows_of(tmp_path, cases=cases[:3]), [], {"encoder.gap_noise": 0.0})
+    assert [slider.name for slider in alone] == ["case"]  # which is the same
+
+
+def test_a_study_of_one_run_has_a_slider_with_one_place(tmp_path):
+    (slider,) = find_sliders(rows_of(tmp_path, cases=[{}]), [], {})
+    assert (slider.name, [step.value for step in slider.steps]) == ("run", ["seed 0"])
+
+
+@pytest.mark.parametrize(
+    ("length", "text"), [(1e-9, "0 mm"), (0.00057, "0.57 mm"), (0.0234, "2.3 cm"), (0.999, "99.9 cm"), (2.5, "2.50 m")]
+)
+def test_lengths_are_written_in_the_unit_that_suits_them(length, text):
+    assert write_length(length) == text
+
+
+@pytest.mark.slow
+def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_path):
+    tiny = {"set": {"drive.samples": 40}}
+    axes = {AXIS: [0.0, 0.3]}
+    study = write_study(tmp_path, cases=[{}], axes=axes, target={}, report="curves", tiny=tiny)
+    out = tmp_path / "out"
+    process = start(study, out, "--tiny")
+    wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate()
+    assert not (out / STUDY_RRD).exists()
+    (out / f"{STUDY_RRD}.1.deepgps-part").write_text("half")
+    view_it = [sys.executable, "-m", "deepgps.cli", "view", str(out)]
+    done = subprocess.run(view_it, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"error: {out} is no finished study: it has no table.parquet (deepgps study writes it)\n",
+    )
+    said = finish(start(study, out, "--tiny"))
+    assert f"look at it: deepgps view {out}, or at a run: deepgps view {out}/runs/" in said
+    assert not list(out.glob("*.deepgps-part"))
+    verify(out / STUDY_RRD)
+    runs = {plan.scenario.encoder.gap_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
+    for index, noise in enumerate((0.0, 0.3)):
+        with np.load(out / "runs" / runs[noise] / "error_field.npz") as arrays:
+            shown = fields(out / STUDY_RRD, "deepgps")[AXIS, index]
+            np.testing.assert_allclose(shown[0], arrays["truth"], atol=1e-6)
+    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name and "WAYLAND" not in name}
+    done = subprocess.run(view_it, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 1
+    assert f"without a display, copy {out / STUDY_RRD} to a machine that has one" in done.stderr

@@ -1,0 +1,130 @@
+"""What the viewer shows: open room, round picture, distances."""
+
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+
+from deepgps.viewer.playback import (
+    draw_floor_plan,
+    encode_jpeg,
+    find_outline,
+    find_starts,
+    make_warp,
+    measure_distances,
+    open_room,
+    warp_round,
+)
+from sim.errors import InputError
+from sim.recording.format import open_recording, open_truth
+from sim.sensors.lens import make_lens, project_polar, project_round
+from sim.settings import CameraSettings
+from tests.helpers.synthetic_run import TICKS_PER_REV, WHEEL_RADIUS_M, make_free_space, write_synthetic_run
+
+CAMERA = CameraSettings(rings=32, sectors=128, k1=0.02)
+SIZE = 129
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.4)
+
+
+def test_the_open_room_lacks_ceiling_and_south_wall_only(run: Path) -> None:
+    glb = open_room(run / "recording" / "scene.glb", make_free_space())
+    before = set(trimesh.load_scene(run / "recording" / "scene.glb").geometry)
+    after = set(trimesh.load_scene(BytesIO(glb), file_type="glb").geometry)
+    assert before - after == {"ceiling", "wall_south"}
+
+
+def test_a_broken_scene_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "scene.glb").write_bytes(b"glTF, but not really")
+    with pytest.raises(InputError, match="cannot be read"):
+        open_room(tmp_path / "scene.glb", make_free_space())
+
+
+def test_the_round_picture_shows_each_direction_where_the_lens_puts_it() -> None:
+    """A mark in the polar image must appear where ``project_round`` says, found here without the warp."""
+    lens = make_lens(CAMERA)
+    for azimuth_deg, theta_deg in [(0, 40), (90, 60), (200, 20), (359, 80)]:
+        azimuth, theta = np.radians(azimuth_deg), np.radians(theta_deg)
+        direction = np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
+        row, column = np.rint(project_polar(lens, direction, 32, 128)).astype(int)
+        polar = np.zeros((32, 128, 3), np.uint8)
+        polar[row, column % 128] = 255
+        picture = warp_round(polar, make_warp(CAMERA, 32, 128, SIZE))[..., 0].astype(float)
+        middle = np.array([(picture.sum(axis=1) @ np.arange(SIZE)), (picture.sum(axis=0) @ np.arange(SIZE))])
+        np.testing.assert_allclose(middle / picture.sum(), project_round(lens, direction, SIZE), atol=2.0)
+
+
+def test_turning_the_robot_turns_the_round_picture() -> None:
+    polar = np.random.default_rng(0).integers(0, 256, (32, 128, 3)).astype(np.uint8)
+    warp = make_warp(CAMERA, 32, 128, SIZE)
+    turned = warp_round(np.roll(polar, -32, axis=1), warp)  # a quarter turn to the left
+    expected = np.rot90(warp_round(polar, warp))
+    difference = np.abs(turned.astype(int) - expected)
+    difference[SIZE // 2, SIZE // 2] = 0  # the zenith has no azimuth
+    assert difference.max() <= 2  # the same weights, rounded
+
+
+def test_outside_the_rim_is_black_and_inside_is_whole() -> None:
+    picture = warp_round(np.full((32, 128, 3), 200, np.uint8), make_warp(CAMERA, 32, 128, SIZE))
+    offset = np.hypot(*(np.indices((SIZE, SIZE)) - (SIZE - 1) / 2)) / (SIZE / 2)
+    assert (picture[offset > 1.001] == 0).all()
+    assert (picture[offset < 0.999] == 200).all()
+
+
+def test_jpeg_keeps_red_red() -> None:
+    image = np.zeros((16, 16, 3), np.uint8)
+    image[..., 0] = 250
+    decoded = np.asarray(cv2.imdecode(np.frombuffer(encode_jpeg(image), np.uint8), cv2.IMREAD_COLOR))
+    blue, _, red = decoded[8, 8]
+    assert red > 240
+    assert blue < 10
+
+
+def test_the_floor_plan_lies_on_the_cells() -> None:
+    space = make_free_space()
+    picture, corner = draw_floor_plan(space)
+    offset = np.rint((corner - space.origin) / space.cell_m + 0.5).astype(int)
+    rows, columns, _ = picture.shape
+    cut = space.reachable[offset[1] : offset[1] + rows, offset[0] : offset[0] + columns]
+    assert cut.sum() == space.reachable.sum()
+    floor = picture[cut]
+    assert (floor == floor[0]).all()
+    assert (picture[~cut] != floor[0]).any(axis=1).all()
+
+
+def test_the_outline_is_closed_and_runs_along_the_reachable_area() -> None:
+    space = make_free_space()
+    lines = find_outline(space)
+    assert len(lines) >= 3  # the walls, and the table and the desk, which stand free
+    for line in lines:
+        np.testing.assert_array_equal(line[0], line[-1])
+    around = np.concatenate(lines)
+    nearby = [
+        space.is_reachable(around + offset) for offset in np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * 0.02
+    ]
+    assert np.any(nearby, axis=0).all()
+
+
+def test_distances_are_those_counted_segment_by_segment(run: Path) -> None:
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
+    encoder, true, difference = measure_distances(recording, truth.pose)
+    total = 0.0
+    for segment in np.unique(recording.reading[:, 0]):
+        rows = np.flatnonzero(recording.reading[:, 0] == segment)
+        first = recording.reading[rows[0]]
+        assert (find_starts(recording.reading[:, 0])[rows] == rows[0]).all()
+        for row in rows:
+            _, observation, left, right = recording.reading[row]
+            ticks = ((left - first[2]) + (right - first[3])) / 2
+            way = 2 * np.pi * WHEEL_RADIUS_M * ticks / TICKS_PER_REV
+            straight = np.hypot(*(truth.pose[observation, :2] - truth.pose[first[1], :2]))
+            assert encoder[row] == pytest.approx(way)
+            assert true[row] == pytest.approx(straight)
+            assert difference[row] == pytest.approx(total + way - straight, abs=1e-12)
+        total += encoder[rows[-1]] - true[rows[-1]]

@@ -1,0 +1,246 @@
+"""The viewer in a browser: served to this machine alone, ended by Ctrl-C, and a real Chromium shows the error field."""
+
+import io
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from http.client import HTTPConnection
+from pathlib import Path
+from urllib.error import URLError
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from deepgps.cli import main
+from deepgps.figures.field_plot import colours_of, read_fields
+from deepgps.viewer.run.recording import RECORDING, write_recording
+from deepgps.viewer.window.connect import HOST, find_free_port
+from deepgps.viewer.window.web import choose_ports
+from sim.errors import InputError
+from tests.helpers.chromium import NAMES, find_chromium, open_page
+from tests.helpers.synthetic_run import write_synthetic_run
+
+PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.16)
+    write_recording(folder)
+    return folder
+
+
+@contextmanager
+def served(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Address and process of ``deepgps view`` with these words; ended when left."""
+    command = [sys.executable, "-m", "deepgps.cli", "view", *words]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout
+            address = re.match(r"open (http://127\.0\.0\.1:\d+/\?url=\S+)\n", process.stdout.readline())
+            assert address, process.stderr.read() if process.stderr else ""
+            yield address[1], process
+        finally:
+            process.send_signal(signal.SIGTERM)
+
+
+def find_pair() -> int:
+    """A free port whose next one is free too."""
+    while True:
+        with suppress(InputError):
+            return choose_ports(find_free_port())[0]
+
+
+def port_of(address: str) -> int:
+    return int(address.removeprefix(f"http://{HOST}:").partition("/")[0])
+
+
+@pytest.mark.parametrize(
+    ("how", "said"), [(signal.SIGINT, "interrupted"), (signal.SIGTERM, "terminated"), (signal.SIGHUP, "hung up")]
+)
+def test_it_is_served_until_it_is_interrupted(run: Path, how: signal.Signals, said: str) -> None:
+    with served(str(run), "--web") as (address, process):
+        with urlopen(address, timeout=30) as page:
+            assert page.status == 200 and b"re_viewer" in page.read()
+        process.send_signal(how)
+        assert process.wait(30) == 128 + how
+        assert process.stderr and process.stderr.read() == f"{said}\n"
+    with pytest.raises(URLError):
+        urlopen(address, timeout=5)
+
+
+def test_a_port_can_be_wanted_and_nothing_else_listens(run: Path) -> None:
+    port = find_pair()
+    with served(str(run), "--web", "--port", str(port)) as (address, _):
+        assert port_of(address) == port and f"%3A{port + 1}%2Frecording.rrd" in address
+        # the second is this machine too, and answers for a server that listens at every address
+        others = {socket.gethostbyname(socket.gethostname()), "127.0.0.2"}
+        for other in others - {HOST}:
+            with pytest.raises(OSError):
+                socket.create_connection((other, port), 2)
+
+
+def ask(port: int, path: str, method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
+    """Status, headers and body of an answer to a request with exactly these headers."""
+    connection = HTTPConnection(HOST, port, timeout=30)
+    with closing(connection):
+        connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
+        for name, value in headers.items():
+            connection.putheader(name.replace("_", "-"), value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
+
+
+@pytest.fixture(scope="module")
+def ports(run: Path) -> Iterator[tuple[int, int]]:
+    """Ports of page and data of a run that is served."""
+    page = find_pair()
+    with served(str(run), "--web", "--port", str(page)):
+        yield page, page + 1
+
+
+def test_page_and_data_are_whole(run: Path, ports: tuple[int, int]) -> None:
+    page, data = ports
+    status, headers, wasm = ask(page, "/re_viewer_bg.wasm", Host=f"localhost:{page}")
+    assert (status, headers["content-type"], wasm[:4]) == (200, "application/wasm", b"\0asm")
+    _, headers, body = ask(data, "/recording.rrd", Host=f"{HOST}:{data}")
+    assert body == (run / RECORDING).read_bytes()
+    status, head, body = ask(data, "/recording.rrd", "HEAD", Host=f"{HOST}:{data}")
+    assert (status, head["content-length"], body) == (200, headers["content-length"], b"")
+
+
+@pytest.mark.parametrize("name", ["evil.example", "evil.example:{}", "127.0.0.1", "127.0.0.1:80", "[::1]:{}", "", None])
+def test_a_foreign_host_gets_neither_page_nor_data(ports: tuple[int, int], name: str | None) -> None:
+    for port, path in zip(ports, ("/", "/recording.rrd"), strict=True):
+        headers = {} if name is None else {"Host": name.format(port)}
+        status, _, body = ask(port, path, **headers)
+        assert status == 421 and len(body) < 1000
+
+
+def test_two_hosts_in_one_request_are_refused(ports: tuple[int, int]) -> None:
+    page, _ = ports
+    with socket.create_connection((HOST, page), 30) as connection:
+        connection.sendall(f"GET / HTTP/1.1\r\nHost: {HOST}:{page}\r\nHost: evil.example\r\n\r\n".encode())
+        assert b" 421 " in connection.recv(100)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/scenario.yaml", "/recording.rrd/..", "/nothing"],
+)
+def test_nothing_else_is_served(ports: tuple[int, int], path: str) -> None:
+    for port in ports:
+        assert ask(port, path, Host=f"{HOST}:{port}")[0] == 404
+
+
+def test_data_is_for_the_page_alone(ports: tuple[int, int]) -> None:
+    page, data = ports
+    for origin, allowed in ((f"http://{HOST}:{page}", True), ("http://evil.example", False), ("null", False)):
+        _, headers, _ = ask(data, "/recording.rrd", "HEAD", Host=f"{HOST}:{data}", Origin=origin)
+        assert (headers.get("access-control-allow-origin") == origin) == allowed
+        assert ("access-control-allow-origin" in headers) == allowed
+
+
+def test_the_page_may_load_nothing_from_elsewhere(ports: tuple[int, int]) -> None:
+    page, data = ports
+    _, headers, _ = ask(page, "/", Host=f"{HOST}:{page}")
+    sources = {word for word in headers["content-security-policy"].replace(";", "").split() if "http" in word}
+    assert sources == {f"http://{HOST}:{data}"}
+
+
+def test_a_reader_that_goes_away_disturbs_nothing(run: Path) -> None:
+    page = find_pair()
+    with served(str(run), "--web", "--port", str(page)) as (_, process):
+        for _ in range(3):
+            with socket.create_connection((HOST, page), 30) as connection:
+                connection.sendall(f"GET /re_viewer_bg.wasm HTTP/1.1\r\nHost: {HOST}:{page}\r\n\r\n".encode())
+                connection.recv(10)
+        assert ask(page, "/", Host=f"{HOST}:{page}")[0] == 200
+        process.terminate()
+        assert process.stderr and process.stderr.read() == "terminated\n"
+
+
+def fail_to_view(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """What the command says on stderr when its input is wrong."""
+    with pytest.raises(SystemExit) as ended:
+        main(["view", *words])
+    assert ended.value.code == 2
+    return capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_is_one_clear_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server((HOST, 0)) as taken:
+        port = taken.getsockname()[1]
+        said = fail_to_view(capsys, str(run), "--web", "--port", str(port))
+    reason = f"port {port} cannot be had (Address already in use); without --port a free one is taken"
+    assert said == f"error: --port {port}: {reason}\n"
+
+
+def test_the_next_port_is_needed_as_well() -> None:
+    with socket.create_server((HOST, 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"--port {port - 1}: port {port} cannot be had"):
+            choose_ports(port - 1)
+
+
+@pytest.mark.parametrize("port", [0, -1, 65535, 70000])
+def test_a_port_out_of_range_is_refused(port: int) -> None:
+    with pytest.raises(InputError, match="must be between 1 and 65534"):
+        choose_ports(port)
+
+
+def test_a_port_alone_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fail_to_view(capsys, str(run), "--port", "9090") == "error: --port needs --web\n"
+
+
+def test_a_folder_that_is_no_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = fail_to_view(capsys, str(tmp_path), "--web")
+    assert said == f"error: {tmp_path} is no run folder: it has no scenario.yaml\n"
+
+
+def test_a_cut_off_recording_is_one_clear_line(run: Path, tmp_path: Path) -> None:
+    cut = Path(shutil.copytree(run, tmp_path / "copy")) / RECORDING
+    cut.write_bytes(cut.read_bytes()[:-1000])
+    cut.with_name(f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
+    command = [sys.executable, "-m", "deepgps.cli", "view", str(cut.parent), "--web"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1 and "recording.rrd is cut off or no recording" in done.stderr
+
+
+def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
+    """The share of colours (n, 3) that the middle of a picture (rows, columns, 3) has, above the scale's strip."""
+    rows, columns, _ = picture.shape
+    middle = picture[rows // 8 : 3 * rows // 4, : 2 * columns // 3].reshape(-1, 3).astype(int)
+    there = {tuple(colour) for colour in np.unique(middle, axis=0) // 4}
+    return float(np.mean([tuple(colour) in there for colour in colours.astype(int) // 4]))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_chromium() is None, reason=f"no Chromium: there is no command {', '.join(NAMES)}")
+def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
+    colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
+    assert len(colours) > 50
+    shown, png, picture = 0.0, b"", np.zeros((1, 1, 3))
+    with served(str(run), "--web") as (address, _), open_page(address, tmp_path / "profile") as take_picture:
+        end = time.monotonic() + PICTURE_TIME_S
+        while shown <= 0.6 and time.monotonic() < end:
+            time.sleep(2)
+            if png := take_picture():
+                picture = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))
+                shown = shown_colours(picture, colours)
+    assert picture.shape == (900, 1600, 3)
+    assert shown > 0.6
+    assert shown_colours(np.zeros_like(picture), colours) == 0.0, "a blank page shows none"
+    if folder := os.environ.get("SCREENSHOTS"):  # to look at, and for the README
+        (Path(folder) / "web.png").write_bytes(png)

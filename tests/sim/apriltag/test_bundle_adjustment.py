@@ -1,0 +1,113 @@
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sim.apriltag.bundle_adjustment import TagMap, chain_tags, find_doubt, reconstruct, solve_views
+from sim.apriltag.detector import CORNERS, Sightings
+from sim.errors import WorkError
+from tests.helpers.synthetic_tags import CAMERA, Scene, make_scene
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return make_scene()
+
+
+@pytest.fixture(scope="module")
+def tags(scene: Scene) -> TagMap:
+    return reconstruct(scene.sightings, CAMERA)
+
+
+def points(pose: np.ndarray) -> np.ndarray:
+    return np.concatenate([CORNERS @ one[:3, :3].T + one[:3, 3] for one in pose])
+
+
+def move(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The rigid motion from source (N, 3) to target (N, 3)."""
+    u, _, vt = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
+    turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
+    return turn, target.mean(axis=0) - turn @ source.mean(axis=0)
+
+
+def test_tags_are_placed_to_millimetres(scene, tags):
+    assert list(tags.tag) == list(range(36))
+    turn, shift = move(points(tags.pose), points(scene.tag))
+    error = np.linalg.norm(points(tags.pose) @ turn.T + shift - points(scene.tag), axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.004
+    assert error.max() < 0.015
+
+
+def test_views_are_solved_to_a_centimetre(scene, tags):
+    turn, shift = move(points(tags.pose), points(scene.tag))
+    view, pose = solve_views(scene.sightings, tags, CAMERA)
+    assert len(view) > 80
+    error = np.linalg.norm(pose[:, :3, 3] @ turn.T + shift - scene.view[view, :3, 3], axis=1)
+    assert np.median(error) < 0.004
+    assert error.max() < 0.06
+
+
+def test_with_hardly_any_noise_everything_is_exact():
+    scene = make_scene(noise_px=1e-3, views=80, seed=3)
+    tags = reconstruct(scene.sightings, CAMERA)
+    turn, shift = move(points(tags.pose), points(scene.tag[tags.tag]))
+    np.testing.assert_allclose(points(tags.pose) @ turn.T + shift, points(scene.tag[tags.tag]), atol=1e-4)
+
+
+def test_which_tag_fixes_the_frame_does_not_matter(scene, tags):
+    """Numbers turned around: another tag is the first, and places differ by a rigid motion only."""
+    seen = scene.sightings
+    other = reconstruct(Sightings(seen.view, 35 - seen.tag, seen.corner), CAMERA)
+    turn, shift = move(points(other.pose[::-1]), points(tags.pose))
+    apart = np.linalg.norm(points(other.pose[::-1]) @ turn.T + shift - points(tags.pose), axis=1)
+    assert apart.max() < 5e-4
+
+
+def test_the_rough_map_takes_the_right_of_two_candidates(scene):
+    rough = chain_tags(scene.sightings, CAMERA)
+    turn, shift = move(points(rough.pose), points(scene.tag[rough.tag]))
+    error = np.linalg.norm(points(rough.pose) @ turn.T + shift - points(scene.tag[rough.tag]), axis=1)
+    assert np.median(error) < 0.3
+
+
+def test_a_tag_that_is_somewhere_else_is_left_out_of_a_view(scene, tags):
+    view = int(np.bincount(scene.sightings.view).argmax())
+    mine = scene.sightings.of(scene.sightings.view == view)
+    wrong = mine.corner.copy()
+    wrong[0] += 40.0
+    before = solve_views(mine, tags, CAMERA)[1][0]
+    after = solve_views(Sightings(mine.view, mine.tag, wrong), tags, CAMERA)[1][0]
+    assert np.linalg.norm(before[:3, 3] - after[:3, 3]) < 0.03
+
+
+def test_a_view_of_one_tag_is_not_solved(scene, tags):
+    one = scene.sightings.of(np.arange(1))
+    assert len(solve_views(one, tags, CAMERA)[0]) == 0
+
+
+def test_tags_never_seen_together_are_refused(scene):
+    seen = scene.sightings
+    alone = seen.of(np.unique(seen.view, return_index=True)[1])
+    with pytest.raises(WorkError, match="no two tags are seen together in 3 views, so none can be placed"):
+        reconstruct(alone, CAMERA)
+
+
+def test_no_tags_at_all_are_refused():
+    with pytest.raises(WorkError, match="no two tags are seen together"):
+        reconstruct(Sightings(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2))), CAMERA)
+
+
+def test_third_tags_speak_against_a_wrong_pair_and_against_no_other():
+    rng = np.random.default_rng(0)
+    pose = np.tile(np.eye(4), (8, 1, 1))
+    pose[:, :3, :3], pose[:, :3, 3] = Rotation.random(8, rng=rng).as_matrix(), rng.uniform(-2, 2, (8, 3))
+    i, j = np.triu_indices(8, 1)
+    step = np.linalg.inv(pose[i]) @ pose[j]
+    assert find_doubt(i, j, step, 8).tolist() == [0.0] * len(i)
+    step[5, :3, :3] = step[5, :3, :3] @ Rotation.from_euler("y", 120, degrees=True).as_matrix()
+    doubt = find_doubt(i, j, step, 8)
+    assert doubt[5] > 0.5
+    assert (np.delete(doubt, 5) < 0.5).all()
+
+
+def test_a_pair_that_no_third_tag_knows_is_half_doubted():
+    assert find_doubt(np.array([0]), np.array([1]), np.eye(4)[None], 2).tolist() == [0.5]

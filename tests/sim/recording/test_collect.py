@@ -1,0 +1,330 @@
+import os
+import re
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.errors import InputError, WorkError
+from sim.recording import collect as collecting
+from sim.recording import renderers, sensing
+from sim.recording.collect import collect
+from sim.recording.format import check_recording, is_whole, open_recording, open_truth, read_manifest
+from sim.recording.renderers import Part
+from sim.recording.sensing import sense_part
+from sim.robot.world import RoomWorld
+from sim.sensors.camera_faults import decode
+from sim.sensors.encoder import ticks_to_distance
+from sim.sensors.fisheye import Fisheye
+from sim.settings import GridSettings, Group, MountSettings, SimSettings, UseSettings
+
+
+def arrays(folder) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.suffix in {".npy", ".npz", ".glb"}
+    }
+
+
+def test_a_recording_is_whole(small_recording, small_settings):
+    recording, truth = open_recording(small_recording), open_truth(small_recording)
+    check_recording(small_recording)
+    assert recording.observation.shape == (300, 8, 32, 3)
+    assert truth.pose.shape == (300, 3)
+    assert recording.test_observation.shape == (*truth.test_pose.shape[:2], 8, 32, 3)
+    assert [path.name for path in small_recording.parent.iterdir()] == ["recording"]
+    assert recording.manifest["settings"] == small_settings.model_dump(mode="json")
+    assert recording.manifest["gl_renderer"]
+    assert set(recording.reading[:, 1]) == set(range(300))
+
+
+def test_readings_run_in_order_and_turning_places_have_two(small_recording):
+    reading, time = open_recording(small_recording).reading, open_recording(small_recording).time
+    assert (np.diff(reading[:, 0]) >= 0).all()
+    assert (np.diff(reading[:, 1]) >= 0).all()
+    assert (np.diff(time) > 0).all()
+    same_place = np.diff(reading[:, 1]) == 0
+    assert same_place.any()
+    assert (np.diff(reading[:, 0])[same_place] == 1).all()
+
+
+def test_encoder_distances_agree_with_the_truth(small_recording):
+    recording, truth = open_recording(small_recording), open_truth(small_recording)
+    odometry = recording.manifest["odometry"]
+    wheels = ticks_to_distance(recording.reading[:, 2:], odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+    way = wheels.mean(axis=1)
+    for segment in np.unique(recording.reading[:, 0]):
+        row = np.flatnonzero(recording.reading[:, 0] == segment)
+        place = truth.pose[recording.reading[row, 1], :2]
+        driven = np.linalg.norm(place - place[0], axis=1)
+        np.testing.assert_allclose(way[row] - way[row[0]], driven, atol=0.004)
+
+
+def test_test_poses_are_reachable_and_on_the_grid(small_recording):
+    truth = open_truth(small_recording)
+    assert truth.free_space.is_reachable(truth.test_pose[..., :2]).all()
+    np.testing.assert_allclose(truth.test_pose[..., :2] / 0.4, np.rint(truth.test_pose[..., :2] / 0.4), atol=1e-9)
+    np.testing.assert_allclose(truth.test_pose[:, :, 2], np.broadcast_to([0.0, np.pi], truth.test_pose.shape[:2]))
+
+
+@pytest.mark.slow
+def test_cut_off_anywhere_it_continues_to_the_same_bytes(small_recording, small_settings, tmp_path, monkeypatch):
+    """Stopped after the first chunk of the drive, then taken up by two workers."""
+    folder = tmp_path / "recording"
+    second_chunk = collecting.drive_chunk
+
+    def stop_at_second(world, settings, rng, before):
+        if before is not None:
+            raise KeyboardInterrupt
+        return second_chunk(world, settings, rng, before)
+
+    monkeypatch.setattr(collecting, "drive_chunk", stop_at_second)
+    with pytest.raises(KeyboardInterrupt):
+        collect(small_settings, 0, folder, lambda *_: None, workers=1)
+    assert (tmp_path / "recording.collecting" / "drive-000000.npz").is_file()
+    assert not (folder / "manifest.json").exists()
+    monkeypatch.undo()
+    collect(small_settings, 0, folder, lambda *_: None, workers=2)
+    assert arrays(folder) == arrays(small_recording)
+
+
+@pytest.mark.slow
+def test_another_seed_drives_elsewhere_and_lost_readings_are_counted(small_settings, small_recording, tmp_path):
+    settings = small_settings.model_copy(
+        update={
+            "drive": small_settings.drive.model_copy(update={"samples": 60, "strategy": "endpoint"}),
+            "encoder": small_settings.encoder.model_copy(update={"lost": 0.3}),
+        }
+    )
+    collect(settings, 1, tmp_path / "other", lambda *_: None, workers=1)
+    other, manifest = open_recording(tmp_path / "other"), read_manifest(tmp_path / "other")
+    truth = open_truth(tmp_path / "other")
+    assert len(other.reading) == manifest["readings"] - manifest["readings_lost"] < len(truth.reading)
+    assert manifest["readings_lost"] > 0
+    assert np.bincount(truth.reading[:, 0]).max() == 2
+    assert not np.allclose(truth.pose[:50], open_truth(small_recording).pose[:50])
+
+
+@pytest.fixture(scope="module")
+def parts(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a recording under way all of whose parts are made."""
+    folder = tmp_path_factory.mktemp("parts")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collecting, "finish_recording", lambda *_: None)
+        patch.setattr(collecting, "_remove_parts", lambda _: None)
+        collect(small_settings, 0, folder / "recording", lambda *_: None)
+    return folder
+
+
+def flip(path: Path, at: float = 0.5) -> None:
+    data = bytearray(path.read_bytes())
+    data[int(at * (len(data) - 1))] ^= 1
+    path.write_bytes(data)
+
+
+def collect_again(settings: SimSettings, folder: Path) -> dict[str, Any]:
+    """Make a recording from what there is of its parts; returns its manifest."""
+    collect(settings, 0, folder / "recording", lambda *_: None)
+    assert not (folder / "recording.collecting").exists()
+    return read_manifest(folder / "recording")
+
+
+@pytest.mark.parametrize("damage", [flip, lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink])
+def test_damaged_parts_are_made_again_to_the_same_bytes(
+    damage, parts, small_settings, small_recording, tmp_path, caplog
+):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    names = ["drive-000000.npz", "image-000001.npz", "test-000000.npz"]
+    for name in names:
+        damage(tmp_path / "recording.collecting" / name)
+    manifest = collect_again(small_settings, tmp_path)
+    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
+    assert manifest["images_drawn_twice"] == read_manifest(small_recording)["images_drawn_twice"] == 3
+    told = [record.message for record in caplog.records]
+    assert len(told) == (0 if damage is Path.unlink else 3)
+    for line, name in zip(told, sorted(names), strict=False):
+        assert line.count("\n") == 0 and "is damaged" in line and "is made again" in line
+        assert any(name in line for line in told)
+
+
+@pytest.mark.parametrize("name", ["image-000000.npz", "test-000000.npz"])
+def test_a_part_that_changes_after_it_was_checked_is_found_when_it_is_assembled(
+    name, parts, small_settings, small_recording, tmp_path, monkeypatch, caplog
+):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    write_drive = collecting.write_drive
+    late = iter([flip])
+
+    def flip_first(*args):
+        for damage in late:
+            damage(tmp_path / "recording.collecting" / name)
+        return write_drive(*args)
+
+    monkeypatch.setattr(collecting, "write_drive", flip_first)
+    manifest = collect_again(small_settings, tmp_path)
+    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
+    assert [name in record.message for record in caplog.records] == [True]
+
+
+def test_a_disk_that_damages_all_it_is_given_is_one_clear_line(parts, small_settings, tmp_path, monkeypatch):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    count = collecting.count_drawn
+
+    def flip_always(paths):
+        flip(paths[0])
+        return count(paths)
+
+    monkeypatch.setattr(collecting, "count_drawn", flip_always)
+    with pytest.raises(WorkError, match=r"image-000000\.npz is damaged: .*, 3 times: what is written here"):
+        collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+
+
+def test_files_of_others_in_its_folders_stay(parts, small_settings, small_recording, tmp_path):
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    theirs = [tmp_path / name for name in ("recording/thesis.npy", "recording.collecting/thesis.npy")]
+    for path in theirs:
+        path.write_text("a user's")
+    collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+    assert [path.read_text() for path in theirs] == ["a user's"] * 2
+    assert is_whole(tmp_path / "recording")
+    assert read_manifest(tmp_path / "recording")["sha256"] == read_manifest(small_recording)["sha256"]
+
+
+def test_what_cannot_fit_is_refused_before_anything_is_driven(parts, small_settings, tmp_path, monkeypatch):
+    def report_free(free: int) -> None:
+        usage = shutil.disk_usage(tmp_path)._replace(free=free)
+        monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    images = 8 * 32 * 3 * (300 + np.prod(np.load(parts / "recording" / "truth" / "test_pose.npy").shape[:2]))
+    monkeypatch.setattr(collecting, "_make_parts", lambda *_: pytest.fail("driven"))
+    report_free(int(1.9 * images))
+    with pytest.raises(WorkError, match=rf"{tmp_path}/x cannot be written: No space left on device; at least .* free"):
+        collect(small_settings, 0, tmp_path / "x", lambda *_: None)
+    monkeypatch.undo()
+    report_free(int(1.3 * images))  # parts that exist need no space
+    shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
+    collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
+
+
+def die_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that crashes once."""
+    once = part.path.with_name("died")
+    if part.path.name == "image-000000.npz" and not once.exists():
+        once.touch()
+        os.abort()
+    sense_part(part, beat)
+
+
+def hang_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that hangs once."""
+    once = part.path.with_name("hung")
+    if part.path.name == "image-000000.npz" and not once.exists():
+        once.touch()
+        os.kill(os.getpid(), signal.SIGSTOP)
+    sense_part(part, beat)
+
+
+def err_first(part: Part, beat: Callable[[], None]) -> None:
+    """Draw as a renderer that changes one image in one process."""
+    once = part.path.with_name("erred")
+    draw = sensing.draw_states
+    if part.path.name == "image-000001.npz" and not once.exists():
+        once.touch()
+
+        def draw_wrong(settings: SimSettings, states: np.ndarray, *others: Any) -> np.ndarray:
+            images = draw(settings, states, *others)
+            if len(states) > 1:
+                images ^= 1
+            return images
+
+        sensing.draw_states = draw_wrong
+    sense_part(part, beat)
+
+
+@pytest.mark.parametrize(
+    ("draw", "line", "deaths", "differed"),
+    [
+        (die_first, "a rendering process died; 1 of 2 workers are replaced", 1, 0),
+        (hang_first, r"a rendering process gave no sign of life for \d+ s; 1 of 2 workers are replaced", 1, 0),
+        (err_first, r"image-000001\.npz: image \d+ of 47 was drawn twice and came out different; .* again", 0, 1),
+    ],
+)
+def test_a_renderer_that_dies_hangs_or_errs_is_replaced_and_the_bytes_are_the_same(
+    draw, line, deaths, differed, small_settings, small_recording, tmp_path, monkeypatch, caplog
+):
+    monkeypatch.setattr(renderers, "FLOOR_S", 4.0)
+    monkeypatch.setattr(renderers, "PATIENCE", 2.0)
+    monkeypatch.setattr(collecting, "sense_part", draw)
+    collect(small_settings, 0, tmp_path / "again", lambda *_: None, workers=2)
+    manifest, sound = read_manifest(tmp_path / "again"), read_manifest(small_recording)
+    assert manifest["sha256"] == sound["sha256"]
+    assert (manifest["renderer_deaths"], manifest["images_that_differed"]) == (deaths, differed)
+    assert (sound["renderer_deaths"], sound["images_that_differed"], sound["images_drawn_twice"]) == (0, 0, 3)
+    assert len(caplog.records) == 1 and re.search(line, caplog.records[0].message)
+
+
+def change(settings: SimSettings, samples: int, **groups: Group) -> SimSettings:
+    drive = settings.drive.model_copy(update={"samples": samples})
+    return settings.model_copy(update={"drive": drive, **groups})
+
+
+def test_without_faults_an_image_is_what_the_camera_draws(small_settings, small_recording):
+    recording = open_recording(small_recording)
+    world = RoomWorld(small_settings)
+    state = np.load(small_recording / "truth" / "state.npy")
+    with Fisheye(world.model, small_settings.camera) as fisheye:
+        for number in (0, 150, 299):
+            world.data.qpos[:] = state[number]
+            mujoco.mj_kinematics(world.model, world.data)
+            np.testing.assert_array_equal(fisheye.polar(world.data), recording.observation[number])
+
+
+def test_a_grid_without_a_position_is_one_clear_line(small_settings):
+    world = RoomWorld(small_settings, drawn=False)
+    low = np.ceil(world.bounds[0] / 0.8) * 0.8
+    world.free_space.reachable[:] = False
+    row, column = np.rint((low + 0.2 - world.free_space.origin) / world.free_space.cell_m).astype(int)[::-1]
+    world.free_space.reachable[row, column] = True  # all that can be reached lies between two positions
+    grid = change(small_settings, 30, grid=GridSettings(spacing_m=0.8))
+    with pytest.raises(InputError, match=r"grid\.spacing_m 0\.8 m must be smaller: it leaves no test position"):
+        collecting.lay_grid(world, grid)
+
+
+@pytest.mark.slow
+def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_settings, tmp_path):
+    plain = change(small_settings, 30, grid=GridSettings(spacing_m=0.1, headings=1))
+    settings = plain.model_copy(update={"use": UseSettings(light=0.5, moved_m=0.5)})
+    for name, group in (("plain", plain), ("used", settings)):
+        collect(group, 0, tmp_path / name, lambda *_: None, workers=1)
+    ours, before = arrays(tmp_path / "used"), arrays(tmp_path / "plain")
+    tests = {"test/observation.npy", "truth/test_pose.npy"}
+    assert {name for name in before if ours[name] != before[name]} == tests
+    truth, old = open_truth(tmp_path / "used"), open_truth(tmp_path / "plain")
+    known = {tuple(pose) for pose in old.test_pose[:, 0]}
+    assert {tuple(pose) for pose in truth.test_pose[:, 0]} < known, "some are blocked by what was moved, none is new"
+    assert RoomWorld(settings).is_free(truth.test_pose[..., :2]).all()
+    now = {tuple(pose) for pose in truth.test_pose[:, 0]}
+    kept = [number for number, pose in enumerate(old.test_pose[:, 0]) if tuple(pose) in now]
+    changed, was = (open_recording(tmp_path / name).test_observation for name in ("used", "plain"))
+    # codes are about a root of light: in a dark room, half of it is a little more than half
+    assert decode(changed).mean() == pytest.approx(decode(was[kept]).mean() / 2, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_mounted_camera_s_faults_are_drawn_the_same_again_and_for_a_shorter_drive(
+    small_settings, small_recording, tmp_path
+):
+    mount = MountSettings(roll_deg=2.0, wobble_deg=1.0, driven_m=0.05)
+    for name, samples in (("one", 30), ("longer", 40)):
+        collect(change(small_settings, samples, mount=mount), 0, tmp_path / name, lambda *_: None, workers=1)
+    one, longer, sound = (open_recording(folder) for folder in (tmp_path / "one", tmp_path / "longer", small_recording))
+    np.testing.assert_array_equal(one.observation, longer.observation[:30])
+    np.testing.assert_array_equal(one.test_observation, longer.test_observation)
+    assert (one.observation != sound.observation[:30]).mean() > 0.5
+    np.testing.assert_array_equal(open_truth(tmp_path / "one").pose, open_truth(small_recording).pose[:30])

@@ -1,0 +1,102 @@
+import numpy as np
+import pytest
+
+from sim.errors import InputError
+from sim.files import read_json, write_array, write_json
+from sim.recording.format import (
+    FreeSpace,
+    check_recording,
+    finish_recording,
+    load_free_space,
+    open_recording,
+    open_truth,
+    save_free_space,
+)
+
+
+@pytest.fixture
+def space() -> FreeSpace:
+    free = np.zeros((4, 6), bool)
+    free[1:3, 1:5] = True
+    reachable = free.copy()
+    reachable[:, 4] = False
+    return FreeSpace(np.array([-1.0, 2.0]), 0.5, free, reachable, np.array([0.0, 2.5]), 1.0)
+
+
+@pytest.fixture
+def folder(tmp_path, space):
+    rng = np.random.default_rng(0)
+    arrays = {
+        "observation.npy": rng.integers(0, 256, (5, 4, 8, 3), np.uint8),
+        "reading.npy": np.arange(28).reshape(7, 4),
+        "time.npy": np.arange(7.0),
+        "test/observation.npy": rng.integers(0, 256, (2, 4, 4, 8, 3), np.uint8),
+        "truth/pose.npy": rng.normal(size=(5, 3)),
+        "truth/reading.npy": np.arange(14).reshape(7, 2),
+        "truth/wheel_angle.npy": rng.normal(size=(7, 2)),
+        "truth/test_pose.npy": rng.normal(size=(2, 4, 3)),
+    }
+    for name, array in arrays.items():
+        write_array(tmp_path / name, array)
+    save_free_space(tmp_path / "truth" / "free_space.npz", space)
+    finish_recording(tmp_path, {"seed": 3})
+    return tmp_path
+
+
+def test_a_recording_comes_back_as_it_was(folder):
+    recording, truth = open_recording(folder), open_truth(folder)
+    assert recording.manifest["seed"] == 3
+    assert recording.reading[6].tolist() == [24, 25, 26, 27]
+    assert isinstance(recording.observation, np.memmap)
+    assert truth.wheel_angle.shape == (7, 2)
+    check_recording(folder)
+
+
+def test_what_is_sensed_does_not_hold_the_truth(folder):
+    fields = vars(open_recording(folder))
+    sensed = {"folder", "manifest", "observation", "reading", "time", "test_observation", "horizontal"}
+    assert set(fields) == sensed
+
+
+def test_free_space_is_looked_up_by_cell(space, tmp_path):
+    save_free_space(tmp_path / "space.npz", space)
+    again = load_free_space(tmp_path / "space.npz")
+    row, column = np.mgrid[0:4, 0:6]
+    points = np.stack([-1.0 + 0.5 * column, 2.0 + 0.5 * row], axis=-1)
+    np.testing.assert_array_equal(again.is_free(points), space.free)
+    np.testing.assert_array_equal(again.is_free(points + 0.24), space.free)
+    np.testing.assert_array_equal(again.is_reachable(points - 0.24), space.reachable)
+    assert not again.is_free(np.array([[-50.0, 2.5], [50.0, 2.5], [0.0, 90.0]])).any()
+
+
+@pytest.mark.parametrize("at", range(0, 1000, 137))
+def test_a_flipped_bit_is_found(folder, at):
+    path = folder / "observation.npy"
+    data = bytearray(path.read_bytes())
+    data[at % len(data)] ^= 4
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"observation\.npy is damaged: it differs from its checksum"):
+        check_recording(folder)
+
+
+def test_what_is_wrong_is_named(folder, tmp_path_factory):
+    with pytest.raises(InputError, match=r"is no finished recording: it has no manifest\.json"):
+        open_recording(tmp_path_factory.mktemp("empty"))
+    (folder / "time.npy").unlink()
+    with pytest.raises(InputError, match=r"time\.npy is missing"):
+        open_recording(folder)
+    write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "schema": 99})
+    with pytest.raises(InputError, match="schema 99, but this version reads schema 1"):
+        open_recording(folder)
+    (folder / "manifest.json").write_text('{"schema"')
+    with pytest.raises(InputError, match="is not JSON"):
+        open_recording(folder)
+
+
+@pytest.mark.parametrize("name", ["test/observation.npy", "time.npy"])
+@pytest.mark.parametrize("left", [0, 100])
+def test_a_cut_array_is_refused(folder, name, left):
+    path = folder / name
+    path.write_bytes(path.read_bytes()[:left])
+    with pytest.raises(InputError, match="is damaged"):
+        open_recording(folder)

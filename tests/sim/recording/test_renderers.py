@@ -1,0 +1,144 @@
+"""Workers that draw: replaced where they die, hang or err, within limits; and none is left behind."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.errors import WorkError
+from sim.recording import renderers
+from sim.recording.renderers import Part, Renderers, UnsteadyError
+
+Beat = Callable[[], None]
+
+
+def write_name(part: Part, beat: Beat) -> None:
+    beat()
+    part.path.write_text(part.path.name)
+
+
+def always_die(part: Part, beat: Beat) -> None:
+    os.abort()
+
+
+def always_hang(part: Part, beat: Beat) -> None:
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def always_differ(part: Part, beat: Beat) -> None:
+    raise UnsteadyError(f"{part.path}: image 0 of 1 was drawn twice and came out different")
+
+
+def fill_disk(part: Part, beat: Beat) -> None:
+    raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(part.path))
+
+
+def take_long(part: Part, beat: Beat) -> None:
+    for _ in range(80):
+        time.sleep(0.2)
+        beat()
+
+
+def draw_all(draw, settings, folder: Path, count: int = 5) -> Renderers:
+    with Renderers(draw, 2, 0.0) as workers:
+        for number in range(count):
+            workers.give(Part(settings, np.zeros((1, 9)), folder / f"{number}"))
+        workers.finish(lambda _: None)
+    return workers
+
+
+def test_every_part_is_drawn_once(small_settings, tmp_path):
+    workers = draw_all(write_name, small_settings, tmp_path, 7)
+    assert (workers.drawn, workers.deaths) == (7, 0)
+    assert sorted(path.read_text() for path in tmp_path.iterdir()) == [str(number) for number in range(7)]
+
+
+@pytest.mark.parametrize(
+    ("draw", "message"),
+    [
+        (always_die, "a rendering process died; deepgps doctor checks the renderer"),
+        (always_hang, "a rendering process gave no sign of life for 4 s; deepgps doctor checks the renderer"),
+        (always_differ, "came out different, 3 times; deepgps doctor checks the renderer"),
+    ],
+)
+def test_renderers_that_never_work_are_given_up(draw, message, small_settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(renderers, "FLOOR_S", 2.0 if draw is always_hang else 20.0)
+    monkeypatch.setattr(renderers, "PATIENCE", 0.0)
+    monkeypatch.setattr(renderers, "DEATHS", 1)
+    with pytest.raises(WorkError, match=message):
+        draw_all(draw, small_settings, tmp_path)
+
+
+def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(renderers, "FLOOR_S", 15.0)
+    monkeypatch.setattr(renderers, "PATIENCE", 0.0)
+    assert draw_all(take_long, small_settings, tmp_path, 1).deaths == 0
+
+
+def test_patience_grows_with_the_scene():
+    assert Renderers(write_name, 1, 30.0).limit_s() > 10 * Renderers(write_name, 1, 0.1).limit_s()
+
+
+def test_an_error_in_a_worker_keeps_its_kind_and_its_path(small_settings, tmp_path):
+    with pytest.raises(OSError, match=str(tmp_path)) as caught:
+        draw_all(fill_disk, small_settings, tmp_path)
+    assert caught.value.errno == errno.EROFS
+
+
+PARENT = """
+import sys, time
+from pathlib import Path
+import numpy as np
+from conftest import SMALL
+from sim.recording.renderers import Part, Renderers
+from test_renderers import always_hang
+if __name__ == "__main__":
+    with Renderers(always_hang, 2, 0.0) as workers:
+        for number in range(2):
+            workers.give(Part(SMALL, np.zeros((1, 9)), Path(str(number))))
+        print(*[worker.process.pid for worker in workers._workers], flush=True)
+        time.sleep(60)
+"""
+
+
+def state(pid: int) -> str:
+    """State of a process, as ``T`` for stopped; nothing where there is none, or only its entry is left."""
+    try:
+        letter = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
+    return letter.replace("Z", "").replace("X", "")
+
+
+def wait_for(states: list[str], pids: list[int], seconds: float) -> bool:
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if [state(pid) for pid in pids] == states:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's own way is Linux's")
+def test_no_worker_outlives_its_parent_not_even_a_stopped_one(tmp_path):
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    command = [sys.executable, str(script)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": paths}
+    ) as parent:
+        assert parent.stdout is not None
+        pids = [int(word) for word in parent.stdout.readline().split()]
+        try:
+            assert len(pids) == 2 and wait_for(["T", "T"], pids, 20.0)
+        finally:
+            parent.kill()
+        assert wait_for(["", ""], pids, 2.0)

@@ -1,0 +1,97 @@
+"""The room as a dm_env environment: dm_env's own conformance test, and the laws it does not know."""
+
+import sys
+import unittest
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+pytest.importorskip("dm_control", reason="dm-control has no wheels for Python 3.13")
+
+from dm_env import StepType, test_utils
+
+from sim.environment import RoomEnvironment
+from sim.errors import InputError, WorkError
+from sim.robot.model import wheel_speeds
+from sim.settings import CameraSettings, EncoderSettings, MountSettings, SimSettings
+
+SETTINGS = SimSettings(camera=CameraSettings(rings=8, sectors=32, face_px=16))
+
+
+class TestConformance(test_utils.EnvironmentTestMixin, unittest.TestCase):
+    """dm_env's own test, over episodes that end."""
+
+    def make_object_under_test(self) -> RoomEnvironment:
+        return RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.4)
+
+
+@pytest.fixture(scope="module")
+def environment() -> Iterator[RoomEnvironment]:
+    made = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8)
+    yield made
+    made.close()
+
+
+def test_an_episode_ends_after_its_time_and_is_cut_off_not_lost(environment: RoomEnvironment) -> None:
+    environment.reset()
+    steps = [environment.step(np.zeros(2)) for _ in range(21)]
+    assert [step.step_type for step in steps] == [StepType.MID] * 19 + [StepType.LAST, StepType.FIRST]
+    assert steps[19].discount == 1.0
+    assert {step.reward for step in steps[:20]} == {0.0}
+
+
+def test_driving_counts_ticks_forward_and_turning_counts_them_apart(environment: RoomEnvironment) -> None:
+    first = environment.reset().observation
+    assert np.all(np.abs(first["ticks"]) <= 1)
+    for _ in range(15):
+        turned = environment.step(wheel_speeds(0.0, 1.5)).observation
+    left, right = turned["ticks"]
+    assert left < -20 < 20 < right
+    assert not np.array_equal(first["polar"], turned["polar"])
+
+
+def test_dm_control_sees_the_same_state(environment: RoomEnvironment) -> None:
+    environment.reset()
+    environment.step(np.array([3.0, 3.0]))
+    assert environment.physics.time() == pytest.approx(SETTINGS.drive.control_period_s)
+    np.testing.assert_array_equal(
+        environment.physics.named.data.xpos["robot/base"], environment.physics.data.ptr.body("robot/base").xpos
+    )
+    assert environment.physics.control().tolist() == [3.0, 3.0]
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    def roll() -> list[bytes]:
+        environment = RoomEnvironment(SETTINGS, np.random.default_rng(5))
+        try:
+            seen = [environment.reset()] + [environment.step(np.array([4.0, 5.0])) for _ in range(5)]
+        finally:
+            environment.close()
+        return [step.observation[name].tobytes() for step in seen for name in ("polar", "ticks", "ranges")]
+
+    assert roll() == roll()
+
+
+@pytest.mark.parametrize("fault", ["slip_per_m", "gap_noise", "lost", "stuck"])
+def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None:
+    settings = SimSettings(encoder=EncoderSettings.model_validate({fault: 0.1}))
+    with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment"):
+        RoomEnvironment(settings, np.random.default_rng(0))
+
+
+def test_faults_of_the_camera_are_refused() -> None:
+    with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
+        RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
+
+
+def test_an_episode_shorter_than_a_step_is_refused() -> None:
+    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least drive\.control_period_s 0\.04 s"):
+        RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
+
+
+def test_without_dm_control_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "dm_env", None)
+    monkeypatch.delitem(sys.modules, "sim.environment")
+    with pytest.raises(WorkError, match=r"needs dm-control, which has no wheels for this Python: use Python 3\.11"):
+        __import__("sim.environment")

@@ -1,0 +1,191 @@
+"""The doctor finds what is missing and names the cure, whatever the libraries do."""
+
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+from sim.tools import doctor
+from sim.tools.doctor import (
+    Finding,
+    check_disk,
+    check_folder,
+    check_packages,
+    check_python,
+    check_renderer,
+    judge_renderer,
+)
+
+ROOT = Path(__file__).parents[3]
+EGL = ("libEGL.so", "libEGL.so.1")
+OSMESA = ("libOSMesa.so", "libOSMesa.so.6", "libOSMesa.so.8")
+OPENGL = (
+    *("libOpenGL.so", "libOpenGL.so.0", "libGL.so", "libGL.so.1"),
+    *("libGLESv2.so", "libGLESv2.so.2", "libGLESv1_CM.so", "libGLESv1_CM.so.1"),
+)
+
+
+@pytest.fixture
+def mask(monkeypatch, tmp_path):
+    """Hide system libraries from child processes: the loader finds an empty file first and refuses it."""
+
+    def hide(*names: str) -> None:
+        for name in names:
+            (tmp_path / name).touch()
+        monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
+        monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+
+    return hide
+
+
+@pytest.fixture
+def site(monkeypatch, tmp_path):
+    """Installed distributions of a test's own making: name, version, requirements."""
+
+    def install(name: str, number: str, *needs: str) -> None:
+        folder = tmp_path / f"{name}-{number}.dist-info"
+        folder.mkdir()
+        lines = ["Metadata-Version: 2.1", f"Name: {name}", f"Version: {number}"]
+        (folder / "METADATA").write_text("\n".join(lines + [f"Requires-Dist: {need}" for need in needs]) + "\n")
+
+    monkeypatch.syspath_prepend(tmp_path)
+    return install
+
+
+def lacks(findings: list[Finding]) -> list[tuple[str, str]]:
+    return [(finding.text, finding.cure) for finding in findings if not finding.ok]
+
+
+def test_all_is_well_where_the_tests_run(tmp_path):
+    findings = doctor.diagnose(tmp_path)
+    assert lacks(findings) == []
+    assert {finding.name for finding in findings} == {"python", "packages", "renderer", "machine", "folder", "disk"}
+    assert all("\n" not in finding.text for finding in findings)
+
+
+def test_versions_are_those_installed():
+    (packages,) = check_packages()
+    for name in ("mujoco", "torch", "rerun-sdk", "numpy"):
+        assert f"{name} {version(name)}" in packages.text
+
+
+def test_missing_and_unfit_packages_are_named_with_their_cure(site):
+    site("wheelbarrow", "1.0", "oldpart>=2,<3", "nopart>=1.5", "numpy>=1; python_version < '3'", "evo; extra == 'dev'")
+    site("oldpart", "1.9")
+    packages, *_ = findings = check_packages("wheelbarrow")
+    assert packages.ok and packages.text == "oldpart 1.9"
+    assert lacks(findings) == [
+        ("oldpart 1.9 does not fit", 'pip install "oldpart<3,>=2"'),
+        ("nopart is missing", 'pip install "nopart>=1.5"'),
+    ]
+
+
+def test_a_checkout_that_is_not_installed_is_told_to_set_up():
+    assert lacks(check_packages("no-such-testbed")) == [("no-such-testbed itself is not installed", "make setup")]
+
+
+@pytest.mark.parametrize(("found", "ok"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
+def test_only_pythons_with_all_wheels_are_fit(found, ok):
+    finding = check_python(found)
+    assert finding.ok == ok
+    assert ("make setup PYTHON=" in finding.cure) == (not ok)
+
+
+def test_renderer_is_named(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+    finding = check_renderer()
+    assert finding.ok and finding.text.startswith("egl, ") and finding.cure == ""
+
+
+@pytest.mark.parametrize("masked", [EGL, OPENGL], ids=["libEGL", "libOpenGL"])
+def test_egl_without_its_libraries_names_the_packages(masked, mask, monkeypatch):
+    mask(*masked)
+    monkeypatch.setenv("MUJOCO_GL", "egl")
+    finding = check_renderer()
+    assert not finding.ok
+    assert finding.cure.startswith("apt-get install libegl1 ")
+    assert "Traceback" not in finding.text + finding.cure
+
+
+def test_osmesa_without_its_library_names_the_package(mask, monkeypatch):
+    mask(*OSMESA)
+    monkeypatch.setenv("MUJOCO_GL", "osmesa")
+    finding = check_renderer()
+    assert not finding.ok
+    assert "OSMesa" in finding.text and "apt-get install libosmesa6" in finding.cure
+
+
+def test_nothing_to_draw_with_names_the_packages(mask, monkeypatch):
+    mask(*EGL, *OSMESA)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    finding = check_renderer()
+    assert not finding.ok and "libegl1" in finding.cure
+
+
+def test_a_wrong_backend_is_an_answer_too(monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", "directx")
+    finding = check_renderer()
+    assert not finding.ok
+    assert finding.text == "MUJOCO_GL=directx" and "egl or osmesa" in finding.cure
+
+
+def test_a_driver_that_kills_the_process_is_an_answer_too(monkeypatch):
+    monkeypatch.setattr(doctor, "_DRAW", "import os; os.kill(os.getpid(), 11)")
+    finding = check_renderer()
+    assert not finding.ok
+    assert "code -11" in finding.text and finding.cure == doctor.EGL_CURE
+
+
+def test_software_beside_a_graphics_card_is_said():
+    software = "llvmpipe (LLVM 15.0.6, 256 bits)"
+    assert "NVIDIA" in judge_renderer("egl", software, nvidia=True).text
+    assert "NVIDIA" not in judge_renderer("egl", software, nvidia=False).text
+    assert "software" not in judge_renderer("egl", "NVIDIA H100/PCIe/SSE2", nvidia=True).text
+
+
+def test_results_folder_need_not_exist_yet(tmp_path):
+    assert check_folder(tmp_path / "a" / "b").ok
+    assert not (tmp_path / "a").exists()
+
+
+def test_results_folder_that_cannot_be_written_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    finding = check_folder(tmp_path / "file")
+    assert not finding.ok
+    assert str(tmp_path / "file") in finding.text and "--out" in finding.cure
+
+
+def test_full_disk_is_told(tmp_path):
+    finding = check_disk(tmp_path, least_gb=1e9)
+    assert not finding.ok and "--out" in finding.cure
+    assert check_disk(tmp_path, least_gb=0.0).ok
+
+
+def test_setup_installs_the_packages_that_the_cure_names():
+    script = (ROOT / ".ci" / "setup").read_text(encoding="utf-8")
+    assert doctor.EGL_CURE.removeprefix("apt-get install ") in script
+
+
+def test_command_tells_the_lack_and_fails(mask, tmp_path):
+    mask(*EGL, *OSMESA)
+    done = run_doctor(tmp_path, MUJOCO_GL="egl")
+    assert done.returncode == 1
+    assert "apt-get install libegl1" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_command_names_the_device(tmp_path):
+    done = run_doctor(tmp_path, MUJOCO_GL="egl")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "device" in done.stdout and "mujoco" in done.stdout
+
+
+def run_doctor(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    command = [Path(sys.executable).with_name("deepgps"), "doctor"]
+    return subprocess.run(
+        command, cwd=folder, env=os.environ | environment, capture_output=True, text=True, check=False
+    )

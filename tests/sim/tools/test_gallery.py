@@ -1,0 +1,34 @@
+import cv2
+import numpy as np
+import pytest
+
+from sim.settings import RoomSettings
+from sim.tools import gallery
+from sim.tools.gallery import draw_gallery, draw_room
+
+
+def test_a_row_shows_the_room_from_a_corner_from_above_and_as_the_camera_sees_it():
+    row = draw_room(RoomSettings(kind="bedroom", shape="l", seed=1))
+    columns = gallery.PERSPECTIVE_PX + gallery.TOP_PX + gallery.ROW_PX + gallery.POLAR_PX + 4 * gallery.MARGIN_PX
+    assert row.shape == (gallery.ROW_PX + gallery.MARGIN_PX + gallery.LABEL_PX, columns, 3)
+    left = gallery.MARGIN_PX
+    for width in (gallery.PERSPECTIVE_PX, gallery.TOP_PX, gallery.ROW_PX, gallery.POLAR_PX):
+        part = row[gallery.LABEL_PX + gallery.MARGIN_PX :, left : left + width]
+        assert part.std() > 25.0
+        assert len(np.unique(part.reshape(-1, 3), axis=0)) > 500
+        left += width + gallery.MARGIN_PX
+    # An L-shaped room leaves a corner of the top view empty, and the start is a red dot in it.
+    start = gallery.PERSPECTIVE_PX + 2 * gallery.MARGIN_PX
+    top = row[gallery.LABEL_PX + gallery.MARGIN_PX :, start : start + gallery.TOP_PX]
+    assert (top == 255).all(axis=-1).mean() > 0.1
+    assert (top == (230, 40, 40)).all(axis=-1).sum() > 50
+
+
+def test_a_sheet_has_a_row_for_each_room_and_is_written_whole(tmp_path):
+    path = tmp_path / "out" / "rooms.png"
+    draw_gallery(["kitchen", "office"], [2], path)
+    image = cv2.imread(str(path))
+    assert image is not None
+    assert image.shape[0] == 2 * (gallery.ROW_PX + gallery.MARGIN_PX + gallery.LABEL_PX)
+    assert [file.name for file in path.parent.iterdir()] == ["rooms.png"]
+    assert image[: image.shape[0] // 2].mean() != pytest.approx(image[image.shape[0] // 2 :].mean(), abs=1e-3)
