@@ -41,8 +41,9 @@ if IS_WORKER:
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive, see, learn, measure, show."""
     from deepgps.figures.run_report import print_report
-    from deepgps.run import list_undriven, run
+    from deepgps.run import run
     from deepgps.run_folder import default_folder, find_place
+    from deepgps.stages import list_undriven
 
     arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
@@ -63,8 +64,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
     def command(words: Sequence[str]) -> None:
         from deepgps.figures.run_report import describe_left_out
-        from deepgps.run import STAGES, ask_for_device, list_undriven
         from deepgps.run_folder import claim, default_folder, find_place
+        from deepgps.stages import STAGES, ask_for_device, list_undriven
 
         arguments, scenario = parse_scenario(stage, words, HELP[stage])
         folder = arguments.out or default_folder(scenario)
@@ -245,6 +246,8 @@ def main(words: Sequence[str] | None = None) -> None:
         print_error(kind, text)
         with suppress(OSError):
             flush_streams()
+        if number is not None:  # every file is whole, and a package stopped in the middle of its work may never end
+            os._exit(code)
     ignore_signals()
     if code:
         sys.exit(code)

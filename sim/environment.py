@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.robot.model import PREFIX, WHEELS
+from sim.robot.model import WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
+from sim.rooms.spec import PREFIX
 from sim.sensors.encoder import count_ticks, scale_wheels
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.gl import choose_backend

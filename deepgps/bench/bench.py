@@ -20,8 +20,10 @@ from deepgps.bench.speed import measure_speed, measure_spread
 from deepgps.evaluation.evaluate import evaluate
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
 from deepgps.progress import Report, ignore
-from deepgps.run import collect, describe_environment, stage_times, train
+from deepgps.provenance import describe_environment
 from deepgps.scenario import Scenario, load_scenario
+from deepgps.stages import collect, train
+from deepgps.timing import stage_times
 from sim.errors import InputError, WorkError
 from sim.files import read_arrays, read_json
 from sim.recording.format import open_recording

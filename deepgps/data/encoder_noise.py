@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepgps.data.segments import Segments, find_runs, travel
+from deepgps.data.dead_reckoning import travel
+from deepgps.data.segments import Segments, find_runs
 from sim.recording.format import Recording
 from sim.sensors.encoder import read_odometry, ticks_to_distance
 from sim.settings import EncoderSettings

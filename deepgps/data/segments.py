@@ -1,16 +1,13 @@
 """Weak constraints from a recording: what lies on one straight segment, and how far along it. Never the truth."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import torch
 
-from deepgps.learning.trainer import Batch
+from deepgps.data.dead_reckoning import travel
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.sensors.encoder import count_from_first, read_odometry, ticks_to_distance
 
 MOST_FITTED = 16_000
 """Observations that features, a first map and the search for folds look at, at most: there everything meets everything,
@@ -111,41 +108,6 @@ def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tu
     kept = segments.take(rows)
     chosen = kept.index[kept.valid].unique()
     return replace(kept, index=torch.searchsorted(chosen, kept.index) * kept.valid), chosen
-
-
-def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
-    """Way of each wheel [m] from its cumulative ticks, both (R, 2); only differences of ways mean anything."""
-    odometry = read_odometry(manifest)
-    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
-
-
-def dead_reckon(recording: Recording) -> np.ndarray:
-    """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
-
-    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
-    between segments the robot backs off what it touched first, and then turns in place.
-    """
-    way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
-    turn = (way[:, 1] - way[:, 0]) / read_odometry(recording.manifest)["track_m"]
-    yaw = np.concatenate([[0.0], np.cumsum(turn)])
-    heading = yaw[:-1] + turn / 2.0
-    between = np.diff(recording.reading[:, 0]) != 0
-    heading = np.where(between, yaw[:-1], heading)
-    step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    place = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-    return np.concatenate([place, yaw[:, None]], axis=1)
-
-
-def draw(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
-    """Draw ``count`` segments, readings as often as they are believed, and up to ``samples`` different ones of each."""
-    often = segments.count.float() if segments.weight is None else segments.count * segments.weight
-    row = torch.multinomial(often, count, replacement=True, generator=generator)
-    valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
-    key = torch.rand(valid.shape, generator=generator, device=valid.device)
-    place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
-    index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
-    variance = None if segments.variance is None else segments.variance[row].gather(1, place)
-    return Batch(index, along, valid.gather(1, place), variance)
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:

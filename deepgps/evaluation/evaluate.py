@@ -4,8 +4,7 @@ Where a recording has labels of its own, every method is measured against these 
 simulator to ask (paper, Sec. IV-C).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +12,15 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.alignment import AlignmentKind, fit_alignment
+from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
-from deepgps.data.segments import dead_reckon
+from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.positioner import load_positioner, read_training
 from deepgps.scenario import MethodName, Scenario
 from sim.errors import InputError, WorkError
-from sim.files import write_arrays
 from sim.recording.format import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
 # Distances cannot tell left from right, so their map may be mirrored; everything else knows.
@@ -38,31 +37,6 @@ ALIGNMENT: dict[MethodName, AlignmentKind] = {
     "explicit_mds": "E2",
 }
 SEEN_WITHIN_M = 0.25
-
-
-@dataclass(frozen=True)
-class ErrorField:
-    """One method's error over the room.
-
-    Attributes:
-        truth: Test positions (C, 2) [m].
-        heading: Test headings (H,) [rad], or of each position its own (C, H).
-        predicted: Aligned predictions (C, H, 2) [m].
-    """
-
-    truth: np.ndarray
-    heading: np.ndarray
-    predicted: np.ndarray
-
-    @property
-    def error(self) -> np.ndarray:
-        """Distance of prediction and truth (C, H) [m]."""
-        return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
-
-    @property
-    def worst(self) -> np.ndarray:
-        """The largest error over the headings of each position (C,) [m], the paper's measure (Sec. IV-B)."""
-        return self.error.max(axis=1)
 
 
 def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
@@ -165,13 +139,6 @@ def measure_field(
     heading = pose[..., 2]
     shared = heading[:1] == heading  # a drive comes to each place with a heading of its own
     return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment.scale
-
-
-def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
-    """Write the error fields of several methods at the same places."""
-    some = next(iter(fields.values()))
-    predictions = {method: field.predicted for method, field in fields.items()}
-    write_arrays(path, {"truth": some.truth, "heading": some.heading, **predictions})
 
 
 def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:

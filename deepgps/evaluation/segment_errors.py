@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from deepgps.alignment import fit_alignment
 from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
+from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.segments import read_segments
-from deepgps.figures.encoder_plots import measure_segments
 from sim.recording.format import Recording, Truth
+from sim.sensors.encoder import count_from_first, ticks_to_distance
 from sim.settings import EncoderSettings
 
 
@@ -31,3 +33,58 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
         "segments_doubted": int(doubted.sum()),
         "wrong_doubted": int((wrong & doubted).sum()),
     }
+
+
+HEADED_BY_M = 3.0
+
+
+def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """True length of each segment, and by how much the encoders tell more, both (S,) [m].
+
+    Args:
+        recording: What was sensed; segments with one reading are left out.
+        pose: True pose at each observation (N, 3).
+    """
+    encoder, true, _ = measure_distances(recording, pose)
+    start = find_starts(recording.reading[:, 0])
+    last = find_lasts(start)
+    last = last[last > start[last]]
+    return true[last], (encoder - true)[last]
+
+
+def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
+    """The dead-reckoned path (R, 2) [m] from where the robot really started, headed as on its first three metres.
+
+    Args:
+        recording: What was sensed.
+        pose: True pose at each observation (N, 3).
+    """
+    from deepgps.data.dead_reckoning import dead_reckon
+
+    path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
+    driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
+    first = 2 + int((driven < HEADED_BY_M).sum())
+    turn = fit_alignment(path[:first], true[:first], "SE2").rotation
+    return (path - path[0]) @ turn.T + true[0]
+
+
+def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance since the start of its segment at each reading, by encoder and true, and their difference so far.
+
+    Args:
+        recording: What was sensed.
+        pose: True pose at each observation (N, 3).
+
+    Returns:
+        Three arrays (R,) [m]; the last adds up over all segments.
+    """
+    odometry = recording.manifest["odometry"]
+    segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
+    counted = count_from_first(ticks)
+    way = ticks_to_distance(counted, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
+    start, place = find_starts(segment), pose[observation, :2]
+    encoder = way - way[start]
+    true = np.linalg.norm(place - place[start], axis=1)
+    last = np.flatnonzero(np.r_[segment[1:] != segment[:-1], True])
+    before = np.r_[0.0, np.cumsum((encoder - true)[last])]
+    return encoder, true, encoder - true + before[np.searchsorted(last, np.arange(len(segment)))]

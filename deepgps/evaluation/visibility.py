@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import ndimage
 
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 RAYS = 180
 

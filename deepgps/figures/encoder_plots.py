@@ -4,45 +4,13 @@ import numpy as np
 from matplotlib import style
 from matplotlib.figure import Figure
 
-from deepgps.alignment import fit_alignment
+from deepgps.evaluation.segment_errors import measure_segments
 from deepgps.figures.style import SCREEN
-from deepgps.viewer.playback import find_lasts, find_starts, measure_distances
 from sim.recording.format import Recording
 from sim.sensors.encoder import ticks_to_distance
 from sim.settings import EncoderSettings, RobotSettings
 
-HEADED_BY_M = 3.0
 ENCODER, TRUE = "#ff9628", "#5aa0ff"
-
-
-def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """True length of each segment, and by how much the encoders tell more, both (S,) [m].
-
-    Args:
-        recording: What was sensed; segments with one reading are left out.
-        pose: True pose at each observation (N, 3).
-    """
-    encoder, true, _ = measure_distances(recording, pose)
-    start = find_starts(recording.reading[:, 0])
-    last = find_lasts(start)
-    last = last[last > start[last]]
-    return true[last], (encoder - true)[last]
-
-
-def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
-    """The dead-reckoned path (R, 2) [m] from where the robot really started, headed as on its first three metres.
-
-    Args:
-        recording: What was sensed.
-        pose: True pose at each observation (N, 3).
-    """
-    from deepgps.data.segments import dead_reckon  # brings torch, which takes seconds
-
-    path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
-    driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
-    first = 2 + int((driven < HEADED_BY_M).sum())
-    turn = fit_alignment(path[:first], true[:first], "SE2").rotation
-    return (path - path[0]) @ turn.T + true[0]
 
 
 def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:

@@ -3,7 +3,6 @@
 Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +12,10 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 
-from deepgps.figures.run_report import MEASURE_AGAIN
+from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.figures.style import PAPER, SCREEN, Floor, count_by_decades
-from sim.errors import DamagedError, InputError
-from sim.files import damaged, read_arrays
-from sim.recording.format import FreeSpace, open_truth
+from sim.occupancy import FreeSpace, limits
+from sim.recording.format import open_truth
 
 # Logarithmic, since errors of one centimetre and of one metre stand in one picture.
 SCALE_M = (0.01, 1.0)
@@ -25,45 +23,6 @@ TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 COLOURS = LinearSegmentedColormap.from_list(
     "error", ["#2b5fd9", "#22a7d6", "#3fd0a5", "#c9e265", "#ffc13b", "#ff7a33", "#e8254f"]
 )
-
-
-@dataclass(frozen=True)
-class WorstField:
-    """One method's error field, of each test position the heading that did worst.
-
-    Attributes:
-        truth: Test positions (C, 2) [m].
-        predicted: Aligned prediction of the heading that did worst at each position (C, 2) [m].
-        error: Its distance from the truth (C,) [m].
-    """
-
-    truth: np.ndarray
-    predicted: np.ndarray
-    error: np.ndarray
-
-
-def read_fields(run: Path) -> dict[str, WorstField]:
-    """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
-    path = run / "error_field.npz"
-    if not path.is_file():
-        raise InputError(f"{run} is no whole run: error_field.npz is missing")
-    try:
-        data = read_arrays(path)
-    except DamagedError as error:
-        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
-    missing = {"truth", "heading"} - set(data)
-    if missing:
-        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
-    methods = (name for name in data if name not in {"truth", "heading"})
-    return {name: worst_heading(data["truth"], data[name]) for name in methods}
-
-
-def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
-    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m]: per position the largest error."""
-    error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
-    worst = error.argmax(axis=1)
-    cells = np.arange(len(truth))
-    return WorstField(truth, predicted[cells, worst], error[cells, worst])
 
 
 def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.ndarray:
@@ -152,11 +111,3 @@ def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = S
     bar.set_label("error of the worst heading [m]", fontsize=10)
     count_by_decades(bar.ax.yaxis)
     bar.ax.yaxis.set_minor_locator(ticker.NullLocator())
-
-
-def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    """South-west and north-east corner (2,) [m] of the reachable area with a margin around it."""
-    row, column = np.nonzero(space.reachable)
-    corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
-    low, high = space.origin + corner * space.cell_m
-    return low - margin_m, high + margin_m

@@ -12,11 +12,13 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.figures.field_plot import WorstField, add_scale, draw_field, draw_room, limits, read_fields
+from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.figures.field_plot import add_scale, draw_field, draw_room
 from deepgps.figures.run_report import method_title, read_metrics
 from deepgps.figures.style import LINES, smooth, to_png
 from sim.files import read_arrays, write_bytes
-from sim.recording.format import FreeSpace, Truth, open_recording, open_truth
+from sim.occupancy import FreeSpace, limits
+from sim.recording.format import Truth, open_recording, open_truth
 
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 

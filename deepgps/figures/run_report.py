@@ -10,10 +10,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from deepgps.data.plausible_readings import describe_readings
+from deepgps.evaluation.error_field import MEASURE_AGAIN
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
 
-MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
 TITLES = {
     "deepgps": "DeepGPS",
     "deepgps_aware": "DeepGPS, noise-aware",

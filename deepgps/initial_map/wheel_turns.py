@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from deepgps.data.segments import Segments, dead_reckon, find_runs
+from deepgps.data.dead_reckoning import dead_reckon
+from deepgps.data.segments import Segments, find_runs
 from deepgps.initial_map.dense import NEIGHBOURS
 from deepgps.initial_map.isomap import find_links
 from deepgps.initial_map.pose_graph import relax

@@ -11,9 +11,9 @@ from torch import nn
 from deepgps.data.features import Features, cached_features, normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.wheel_turns import Turns
+from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
-from deepgps.learning.trainer import Inputs, choose_device, make_generator, use_threads
-from deepgps.methods.positioner import NetworkPositioner
+from deepgps.learning.trainer import choose_device, make_generator, use_threads
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
 
@@ -87,12 +87,3 @@ def new_network(material: Material, settings: LearnSettings, outputs: int, seed:
     """A network for this material with weights of this seed and attempt."""
     generator = make_generator(seed, "weights", attempt)
     return make_network(settings.network, material.features.shape[1], outputs, generator)
-
-
-def as_positioner(
-    material: Material, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
-) -> NetworkPositioner:
-    """The trained network as a positioner on the CPU."""
-    features = material.projection if settings.network.architecture == "spectral" else None
-    network = network.cpu().eval()
-    return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())

@@ -7,7 +7,7 @@ from pathlib import Path
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.learning.trainer import use_threads
-from deepgps.methods.catalog import deepgps, explicit, knn, odometry_labels, pca_knn, posenet
+from deepgps.methods import deepgps, explicit, knn, odometry_labels, pca_knn, posenet
 from deepgps.methods.positioner import Positioner, is_finished
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings

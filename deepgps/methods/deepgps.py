@@ -15,17 +15,25 @@ import torch
 
 from deepgps.data.encoder_noise import expect_errors, find_believed, trust_pairs, trust_places
 from deepgps.data.plausible_readings import count_readings
-from deepgps.data.segments import Segments, draw, spread
+from deepgps.data.segments import Segments, spread
 from deepgps.initial_map.dense import find_first_map
 from deepgps.initial_map.end_points import find_end_map
 from deepgps.initial_map.fold_detector import Signs, find_signs
 from deepgps.initial_map.isomap import has_lines
 from deepgps.initial_map.wheel_turns import find_hand, read_turns, straighten
 from deepgps.learning import losses
+from deepgps.learning.batches import Batch, draw
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.trainer import Batch, Loss, derive_seed, make_generator, predict, train
-from deepgps.learning.training_data import Material, as_positioner, new_network, prepare
-from deepgps.methods.positioner import NetworkPositioner, Positioner, is_finished, load_positioner, save_positioner
+from deepgps.learning.trainer import Loss, derive_seed, make_generator, predict, train
+from deepgps.learning.training_data import Material, new_network, prepare
+from deepgps.methods.positioner import (
+    NetworkPositioner,
+    Positioner,
+    as_positioner,
+    is_finished,
+    load_positioner,
+    save_positioner,
+)
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings, LiftSettings, Start
 from sim.errors import InputError

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepgps.data.segments import dead_reckon
+from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.methods.positioner import Positioner
 from deepgps.methods.supervised import fit_positions
 from deepgps.progress import Report, ignore

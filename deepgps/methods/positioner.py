@@ -14,11 +14,12 @@ from safetensors.torch import load_file, save
 from torch import nn
 
 from deepgps.data.features import Features, check_shape
+from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
-from deepgps.learning.trainer import Inputs
+from deepgps.learning.training_data import Material
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
-from deepgps.settings import NetworkSettings
+from deepgps.settings import LearnSettings, NetworkSettings
 from sim.errors import DamagedError, InputError, one_line
 from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
 
@@ -192,3 +193,12 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
     network.load_state_dict(own)
     return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"])
+
+
+def as_positioner(
+    material: Material, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
+) -> NetworkPositioner:
+    """The trained network as a positioner on the CPU."""
+    features = material.projection if settings.network.architecture == "spectral" else None
+    network = network.cpu().eval()
+    return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())

@@ -6,11 +6,12 @@ import torch
 
 from deepgps.data.plausible_readings import count_readings
 from deepgps.learning import losses
+from deepgps.learning.batches import Batch
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.trainer import Batch, derive_seed, train
-from deepgps.learning.training_data import as_positioner, new_network, prepare
-from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
+from deepgps.learning.trainer import derive_seed, train
+from deepgps.learning.training_data import new_network, prepare
+from deepgps.methods.positioner import Positioner, as_positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording

@@ -7,11 +7,9 @@ import numpy as np
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.figures.field_plot import limits
 from deepgps.figures.style import SCREEN
 from sim.errors import InputError
-from sim.recording.format import FreeSpace, Recording
-from sim.sensors.encoder import count_from_first, ticks_to_distance
+from sim.occupancy import FreeSpace, limits
 from sim.sensors.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings
 
@@ -80,39 +78,6 @@ def encode_jpeg(image: np.ndarray) -> bytes:
     """An RGB image (rows, columns, 3) uint8 as JPEG."""
     bgr = np.ascontiguousarray(image[..., ::-1])
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
-
-
-def find_starts(segment: np.ndarray) -> np.ndarray:
-    """Index of the first reading of each reading's segment (R,), for segments (R,) in the order driven."""
-    first = np.flatnonzero(np.r_[True, segment[1:] != segment[:-1]])
-    return np.repeat(first, np.diff(np.r_[first, len(segment)]))
-
-
-def find_lasts(start: np.ndarray) -> np.ndarray:
-    """Index of the last reading of each segment (S,), from that of the first at each reading (R,)."""
-    return np.flatnonzero(np.r_[start[1:] != start[:-1], True])
-
-
-def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance since the start of its segment at each reading, by encoder and true, and their difference so far.
-
-    Args:
-        recording: What was sensed.
-        pose: True pose at each observation (N, 3).
-
-    Returns:
-        Three arrays (R,) [m]; the last adds up over all segments.
-    """
-    odometry = recording.manifest["odometry"]
-    segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
-    counted = count_from_first(ticks)
-    way = ticks_to_distance(counted, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
-    start, place = find_starts(segment), pose[observation, :2]
-    encoder = way - way[start]
-    true = np.linalg.norm(place - place[start], axis=1)
-    last = np.flatnonzero(np.r_[segment[1:] != segment[:-1], True])
-    before = np.r_[0.0, np.cumsum((encoder - true)[last])]
-    return encoder, true, encoder - true + before[np.searchsorted(last, np.arange(len(segment)))]
 
 
 def colours_of_places(place: np.ndarray) -> np.ndarray:

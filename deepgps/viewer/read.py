@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from deepgps.figures.field_plot import WorstField
+from deepgps.evaluation.error_field import WorstField
 from sim.errors import InputError
 
 ROW_ID = "rerun.controls.RowId"

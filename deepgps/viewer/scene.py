@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.field_plot import SCALE_M, TICKS_M, WorstField, colours_of, limits
+from deepgps.evaluation.error_field import WorstField
+from deepgps.figures.field_plot import SCALE_M, TICKS_M, colours_of
 from deepgps.viewer import playback
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale

@@ -7,7 +7,8 @@ on the ceiling as (along x, along y) [m].
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import Look, ball, box, paint, paper, pole, textures, turned
+from sim.furniture import textures
+from sim.furniture.primitives import Look, ball, box, paint, paper, pole, turned
 
 Cover = tuple[float, float]
 """Extent along x and y on the ceiling [m]."""

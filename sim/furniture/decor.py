@@ -3,7 +3,8 @@
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import Footprint, Look, ball, block, box, paint, paper, pole, textures, turned
+from sim.furniture import textures
+from sim.furniture.primitives import Footprint, Look, ball, block, box, paint, paper, pole, turned
 
 
 def rug(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Footprint:

@@ -7,7 +7,8 @@ draws about x = 0 and returns the rectangle it covers as (width, bottom, top) [m
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import WOODS, Look, block, box, paint, paper, pictures, pole, textures
+from sim.furniture import pictures, textures
+from sim.furniture.primitives import WOODS, Look, block, box, paint, paper, pole
 
 Cover = tuple[float, float, float]
 """Width, bottom and top of what a fitting covers on its wall [m]."""

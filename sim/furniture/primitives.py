@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import pictures, textures
+from sim.furniture import pictures, textures
 from sim.furniture.textures import Colour
 
 VISUAL_GROUP = 2

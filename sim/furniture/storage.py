@@ -5,7 +5,8 @@ import itertools
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import Footprint, Look, block, box, paper, pictures, pole, textures
+from sim.furniture import pictures, textures
+from sim.furniture.primitives import Footprint, Look, block, box, paper, pole
 
 
 def bookshelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.0) -> Footprint:

@@ -3,7 +3,8 @@
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import Footprint, Look, ball, block, box, legs, paper, pictures, pole, textures, turned
+from sim.furniture import pictures, textures
+from sim.furniture.primitives import Footprint, Look, ball, block, box, legs, paper, pole, turned
 
 TABLE_TOP_M = 0.74
 KNEES_M = 0.18

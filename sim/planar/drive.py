@@ -14,7 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from sim.errors import WorkError
-from sim.recording.format import FreeSpace, remove_recording, save_free_space, write_recording
+from sim.occupancy import FreeSpace, save_free_space
+from sim.recording.format import remove_recording, write_recording
 from sim.rng import stream
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import SimSettings

@@ -11,8 +11,8 @@ import numpy as np
 from scipy import ndimage
 
 from sim.errors import InputError
+from sim.occupancy import FreeSpace
 from sim.planar.drive import Report, record, spread_headings
-from sim.recording.format import FreeSpace
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles
 from sim.settings import SimSettings

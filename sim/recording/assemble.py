@@ -12,9 +12,10 @@ from sim.apriltag.detector import Sightings
 from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
 from sim.files import read_arrays, write_array, write_blocks
+from sim.geometry import planar_pose
 from sim.recording.sensing import DIFFERED, HORIZONTAL, IMAGE, RENDERER, SIGHTINGS, TWICE
 from sim.rng import stream
-from sim.robot.model import WHEEL_RADIUS_M, planar_pose
+from sim.robot.model import WHEEL_RADIUS_M
 from sim.sensors.camera_faults import make_develop, spawn_streams
 from sim.sensors.encoder import read_encoders, ticks_to_distance
 from sim.sensors.lidar_scan import measure

@@ -18,6 +18,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import check_space, list_files, remove_files, write_array, write_arrays
+from sim.occupancy import save_free_space
 from sim.processes import usable_cores
 from sim.recording.assemble import (
     Drive,
@@ -29,7 +30,7 @@ from sim.recording.assemble import (
     write_horizontal,
     write_images,
 )
-from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, save_free_space, work_folder
+from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, work_folder
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import sense_part, side_files
 from sim.rng import stream

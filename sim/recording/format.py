@@ -18,14 +18,13 @@ from sim.files import (
     check_sha256,
     damaged,
     list_files,
-    read_arrays,
     read_json,
     remove_files,
     sha256,
     write_array,
-    write_arrays,
     write_json,
 )
+from sim.occupancy import FreeSpace, load_free_space
 
 SCHEMA = 1
 RECORDING = re.compile(
@@ -74,41 +73,6 @@ class Labels:
 
     pose: np.ndarray
     test_pose: np.ndarray
-
-
-@dataclass(frozen=True)
-class FreeSpace:
-    """Where the robot fits, on a grid of cells.
-
-    Attributes:
-        origin: World position of the middle of cell ``[0, 0]`` (2,) [m].
-        cell_m: Side of a cell [m].
-        free: (rows, columns) bool; rows run along y, columns along x. True where the robot's middle may be.
-        reachable: The part of ``free`` that is connected to the start.
-        start: Where the robot starts (2,) [m].
-        shorter_side_m: Shorter side of the bounding box of the enclosed free space, wall to wall [m].
-    """
-
-    origin: np.ndarray
-    cell_m: float
-    free: np.ndarray
-    reachable: np.ndarray
-    start: np.ndarray
-    shorter_side_m: float
-
-    def is_free(self, points: np.ndarray) -> np.ndarray:
-        """Whether the robot fits with its middle at ``points`` (..., 2) [m]."""
-        return self._look_up(self.free, points)
-
-    def is_reachable(self, points: np.ndarray) -> np.ndarray:
-        """Whether the robot can get from its start to ``points`` (..., 2) [m]."""
-        return self._look_up(self.reachable, points)
-
-    def _look_up(self, mask: np.ndarray, points: np.ndarray) -> np.ndarray:
-        cell = np.rint((np.asarray(points) - self.origin) / self.cell_m).astype(int)
-        column, row = cell[..., 0], cell[..., 1]
-        inside = (row >= 0) & (row < mask.shape[0]) & (column >= 0) & (column < mask.shape[1])
-        return inside & mask[np.where(inside, row, 0), np.where(inside, column, 0)]
 
 
 @dataclass(frozen=True)
@@ -200,37 +164,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not isinstance(sums, dict) or not all(RECORDING.fullmatch(name) for name in sums):
         raise InputError(f"{path}: sha256 must be a mapping from names of a recording's files")
     return manifest
-
-
-def save_free_space(path: Path, space: FreeSpace) -> None:
-    """Write the free space as one ``.npz`` file."""
-    write_arrays(
-        path,
-        {
-            "origin": np.asarray(space.origin, float),
-            "cell_m": np.array(space.cell_m),
-            "free": space.free,
-            "reachable": space.reachable,
-            "start": np.asarray(space.start, float),
-            "shorter_side_m": np.array(space.shorter_side_m),
-        },
-    )
-
-
-def load_free_space(path: Path) -> FreeSpace:
-    """Read the free space; raises DamagedError."""
-    data = read_arrays(path)
-    try:
-        return FreeSpace(
-            origin=data["origin"],
-            cell_m=float(data["cell_m"]),
-            free=data["free"],
-            reachable=data["reachable"],
-            start=data["start"],
-            shorter_side_m=float(data["shorter_side_m"]),
-        )
-    except KeyError as error:
-        raise damaged(path, f"it has no array {error}") from None
 
 
 def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:

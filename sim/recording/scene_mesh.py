@@ -17,7 +17,7 @@ from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
 from sim.files import write_bytes
-from sim.robot.model import PREFIX
+from sim.rooms.spec import PREFIX
 
 DRAWN_GROUPS = (0, 1, 2)
 _JPEG_QUALITY = 85

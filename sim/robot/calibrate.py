@@ -3,8 +3,8 @@
 import numpy as np
 
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, wheel_speeds
-from sim.robot.scene import empty_room
 from sim.robot.world import RoomWorld
+from sim.rooms.spec import empty_room
 from sim.settings import SimSettings
 
 RAMP_S = 0.5

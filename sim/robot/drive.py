@@ -15,7 +15,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from sim.errors import WorkError
-from sim.robot.model import RADIUS_M, planar_pose, wheel_speeds
+from sim.geometry import planar_pose
+from sim.robot.model import RADIUS_M, wheel_speeds
 from sim.robot.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, look, ramp, stand, turn, way
 from sim.robot.openings import Openings
 from sim.robot.range_finder import REACH_M

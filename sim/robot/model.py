@@ -6,8 +6,6 @@ import numpy as np
 from sim.paths import ROBOT
 from sim.settings import CameraSettings, HorizontalSettings, RobotSettings
 
-PREFIX = "robot/"
-"""Everything of the robot has this before its name once it is attached to a room."""
 BASE = "base"
 WHEELS = ("left_wheel", "right_wheel")
 BUMPER = "bumper"
@@ -65,12 +63,6 @@ def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
     """Wheel speeds (2,) left, right [rad/s] for a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
     half = turn_rate_rps * TRACK_M / 2
     return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
-
-
-def planar_pose(qpos: np.ndarray) -> np.ndarray:
-    """Planar pose (..., 3) x, y [m], yaw [rad] of full positions (..., nq): the robot's free joint comes first."""
-    x, y, _, w, i, j, k = np.moveaxis(np.asarray(qpos, float)[..., :7], -1, 0)
-    return np.stack([x, y, np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))], axis=-1)
 
 
 def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sim.robot.model import RADIUS_M
-from sim.robot.scene import compile_solid
+from sim.rooms.spec import compile_solid
 
 REACH_M = 3.5
 """Longest distance measured [m] (LDS-01: 3.5 m); nothing nearer reads as this."""

@@ -1,12 +1,11 @@
 """The scene: a room with the robot in it, its physics and its picture quality the same whatever the room says."""
 
-from typing import Any
-
 import mujoco
 
 from sim.errors import InputError, one_line
-from sim.robot.model import PREFIX, load_robot, mount_horizontal
+from sim.robot.model import load_robot, mount_horizontal
 from sim.rooms.deployment import dim
+from sim.rooms.spec import PREFIX, freeze
 from sim.settings import SimSettings, UseSettings
 
 AMBIENT = 0.4
@@ -44,57 +43,6 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
         return spec.compile()
     except ValueError as error:
         raise InputError(f"room: MuJoCo cannot put the robot into it: {one_line(error)}") from None
-
-
-def empty_room() -> mujoco.MjSpec:
-    """Nothing but an endless floor."""
-    spec = mujoco.MjSpec()
-    spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 0.05))
-    return spec
-
-
-def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy a room without all that moves, drives or measures, and what would alter contacts with the robot."""
-    spec = room.copy()
-    for element in list_active(spec):
-        spec.delete(element)
-    for body in spec.bodies:
-        body.mocap = False
-    for geom in spec.geoms:
-        # The robot's geoms have priority 2: their friction and stiffness count. Margins would add up.
-        geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
-    # What the compiler would do to every mass of the model.
-    spec.compiler.settotalmass = -1.0
-    spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
-    spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
-    return spec
-
-
-def list_active(spec: mujoco.MjSpec) -> list[Any]:
-    """Elements that move, drive, measure, or alter contacts."""
-    groups = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
-    return [element for group in (*groups, spec.joints) for element in group]
-
-
-def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy a room without the geoms that nothing can touch."""
-    spec = room.copy()
-    for geom in list(spec.geoms):
-        if not (geom.contype | geom.conaffinity) & 1:
-            spec.delete(geom)
-    return spec
-
-
-def compile_solid(room: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile what rays can meet of a room, which is what collides, and its state."""
-    spec = bare(freeze(room))
-    for geom in spec.geoms:
-        # Rays pass through what is wholly transparent, and collision geoms are often drawn so.
-        geom.rgba[3], geom.material = 1.0, ""
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    return model, data
 
 
 def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:

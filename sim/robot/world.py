@@ -7,13 +7,14 @@ import mujoco
 import numpy as np
 
 from sim.errors import WorkError
-from sim.recording.format import FreeSpace
-from sim.robot.model import BASE, BUMPER, PREFIX, RADIUS_M, WHEELS, robot_height
+from sim.occupancy import FreeSpace
+from sim.robot.model import BASE, BUMPER, RADIUS_M, WHEELS, robot_height
 from sim.robot.range_finder import REACH_M, RangeFinder
-from sim.robot.scene import bare, compile_scene, empty_room, freeze
+from sim.robot.scene import compile_scene
 from sim.rooms.build import build_room
 from sim.rooms.deployment import move_furniture
 from sim.rooms.free_space import find_free_space
+from sim.rooms.spec import PREFIX, bare, empty_room, freeze
 from sim.settings import SimSettings
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION

@@ -6,7 +6,8 @@ from typing import get_args
 import mujoco
 import numpy as np
 
-from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, textures, turned
+from sim.furniture import textures
+from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
 from sim.rooms.layout import Layout
 from sim.rooms.outline import DOORWAY_M, outline, slabs
 from sim.rooms.placement import Finish, Room, surface

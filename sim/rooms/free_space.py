@@ -5,7 +5,7 @@ import numpy as np
 from scipy import ndimage
 
 from sim.errors import InputError
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 CLEARANCE_M = 0.005
 """What is lower than this the wheels climb over: the floor itself, rugs, thresholds."""

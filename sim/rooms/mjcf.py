@@ -6,10 +6,9 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, one_line
-from sim.robot.model import PREFIX
-from sim.robot.scene import list_active
 from sim.rooms.mjcf_files import Files
 from sim.rooms.mjcf_limits import FARTHEST, MOST, refuse_excess
+from sim.rooms.spec import PREFIX, list_active
 from sim.user_input import quote, shorten
 
 FLOOR = "floor"

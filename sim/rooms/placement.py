@@ -7,8 +7,9 @@ from typing import Literal
 import mujoco
 import numpy as np
 
+from sim.furniture import textures
 from sim.furniture.decor import rug
-from sim.furniture.primitives import Footprint, Look, paper, textures, turned
+from sim.furniture.primitives import Footprint, Look, paper, turned
 from sim.rooms.layout import CELL_M, Cost, Layout, Pose
 from sim.rooms.outline import Wall
 

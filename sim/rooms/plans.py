@@ -4,8 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from sim.furniture.primitives import Footprint, ceiling, decor, seating, storage, tables
-from sim.furniture.primitives import fittings as wall
+from sim.furniture import ceiling, decor, seating, storage, tables
+from sim.furniture import fittings as wall
+from sim.furniture.primitives import Footprint
 from sim.rooms.lab import hang_tags, place_posts
 from sim.rooms.layout import Cost, Pose
 from sim.rooms.placement import (

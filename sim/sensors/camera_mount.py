@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.robot.model import planar_pose
+from sim.geometry import planar_pose
 from sim.settings import MountSettings
 
 FRAMES = 5

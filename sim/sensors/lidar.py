@@ -6,7 +6,7 @@ The room without the robot is its model, so that it cannot see the robot itself.
 import mujoco
 import numpy as np
 
-from sim.robot.scene import compile_solid
+from sim.rooms.spec import compile_solid
 from sim.sensors.lidar_scan import arrange, ray_angles
 from sim.settings import LidarSettings
 

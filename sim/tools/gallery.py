@@ -12,7 +12,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from sim.files import write_bytes
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.sensors import gl

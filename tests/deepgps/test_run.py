@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 
-from deepgps import run as running
+from deepgps import stages
 from deepgps.owned_folder import MARK
 from deepgps.progress import ignore
-from deepgps.run import run, stage_times, timed
+from deepgps.run import run
 from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
+from deepgps.timing import stage_times, timed
 from sim.errors import InputError
 from sim.files import read_json, write_json
 from sim.recording.format import work_folder
@@ -84,7 +85,7 @@ def on_device(name: str) -> Scenario:
 
 def test_a_device_that_is_not_here_is_told_before_anything_is_driven(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    monkeypatch.setattr(running, "make_recording", lambda *_: pytest.fail("it drove"))
+    monkeypatch.setattr(stages, "make_recording", lambda *_: pytest.fail("it drove"))
     with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
         run(on_device("cuda"), tmp_path / "run", False, ignore)
     assert list(tmp_path.iterdir()) == []
@@ -93,7 +94,7 @@ def test_a_device_that_is_not_here_is_told_before_anything_is_driven(tmp_path: P
 def test_what_stands_needs_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     record(tmp_path)
-    running.ask_for_device(on_device("cuda"), tmp_path)
+    stages.ask_for_device(on_device("cuda"), tmp_path)
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from deepgps import owned_folder
 from deepgps.cli import main
 from deepgps.owned_folder import FRESH, MARK
-from deepgps.run import STAGES
 from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
+from deepgps.stages import STAGES
 from sim.errors import DamagedError, InputError
 from sim.files import write_json
 
@@ -229,7 +229,7 @@ def test_every_byte_of_a_user_s_survives_every_command(
         words += ["--out", rng.choice(places)]
     words += [word for more in rng.sample(MORE, rng.randint(0, 2)) for word in more.split()]
     # Whatever gets as far as to work is stopped there: this is about what happens before, and on the way out.
-    monkeypatch.setattr("deepgps.run.collect", stop)
+    monkeypatch.setattr("deepgps.stages.collect", stop)
     monkeypatch.setitem(STAGES, "collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
     monkeypatch.setattr("sim.tools.gallery.draw_gallery", stop)

@@ -7,7 +7,8 @@ import trimesh
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from sim.files import write_arrays, write_json, write_text
-from sim.recording.format import FreeSpace, save_free_space, write_recording
+from sim.occupancy import FreeSpace, save_free_space
+from sim.recording.format import write_recording
 
 WIDTH_M, DEPTH_M, RADIUS_M = 7.0, 4.3, 0.105
 WHEEL_RADIUS_M, TRACK_M, TICKS_PER_REV = 0.033, 0.16, 4096

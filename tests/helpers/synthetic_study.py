@@ -8,7 +8,8 @@ from deepgps.scenario import write_out as write_scenario
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Plan, Study, plan_runs, write_out
 from sim.files import write_arrays, write_json, write_text
-from sim.recording.format import FreeSpace, save_free_space, write_recording
+from sim.occupancy import FreeSpace, save_free_space
+from sim.recording.format import write_recording
 from tests.helpers.synthetic_run import make_free_space, make_grid, make_metrics, make_predictions
 
 NOISES = (0.0, 0.1, 0.3)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.recording.format import FreeSpace, Recording, open_recording, save_free_space, write_recording
+from sim.occupancy import FreeSpace, save_free_space
+from sim.recording.format import Recording, open_recording, write_recording
 
 SIZE_M = (3.0, 2.0)
 SPACING_M = 0.08

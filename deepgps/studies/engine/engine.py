@@ -13,11 +13,11 @@ from typing import Literal
 
 from deepgps.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.progress import Report
-from deepgps.run import read_measured
 from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.scenario import Scenario
-from deepgps.studies.engine.engine import local as engine_local
-from deepgps.studies.engine.engine import ray_cluster
+from deepgps.stages import read_measured
+from deepgps.studies.engine import local as engine_local
+from deepgps.studies.engine import ray_cluster
 from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan, Study, write_out

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from deepgps.progress import Look, Report
-from deepgps.run import make_recording
 from deepgps.scenario import Scenario, digest_recording
+from deepgps.stages import make_recording
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line

@@ -15,9 +15,9 @@ from pathlib import Path
 from deepgps.data.features import check_features, has_features
 from deepgps.learning.training_data import FEATURES, digest_features
 from deepgps.methods.positioner import is_finished, load_positioner, read_training
-from deepgps.run import training_seed
 from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
 from deepgps.scenario import Scenario
+from deepgps.stages import training_seed
 from sim.errors import InputError
 from sim.files import PART, link_file, list_files, remove_files
 from sim.recording.derive import NOT_LEARNED

@@ -6,9 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from deepgps.progress import Report
-from deepgps.run import evaluate, show, train
+from deepgps.run import show
 from deepgps.run_folder import claim
 from deepgps.scenario import Scenario
+from deepgps.stages import evaluate, train
 from sim.errors import InputError, WorkError, one_line
 from sim.files import write_text
 

@@ -9,6 +9,7 @@ from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import method_title
 from deepgps.figures.style import LINES, count_by_decades
+from deepgps.studies.grouping import choices, describe, group_rows, shorten
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
 
@@ -18,7 +19,6 @@ NOTE = (
     "Folded: maps that turn over more than a tenth of the neighbourhoods; said: those that the detector, without the "
     "truth, calls folded."
 )
-Groups = Mapping[tuple[str, ...], Sequence[Row]]
 
 
 def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] | None = None) -> list[str]:
@@ -93,40 +93,6 @@ def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
         axes.set_axis_off()
     add_scale(picture, panels)
     return picture
-
-
-def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """Names that vary by choice: seeds vary only to repeat, and what follows from names before it is no choice."""
-    found: list[str] = []
-    for name in varied:
-        before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (found, [*found, name]))
-        if not is_seed(name) and after > before:
-            found.append(name)
-    return found
-
-
-def group_rows(rows: Sequence[Row], names: Sequence[str]) -> Groups:
-    """Rows by the values of these names, and the method at the end."""
-    groups: dict[tuple[str, ...], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((*(str(row[name]) for name in names), row["method"]), []).append(row)
-    return groups
-
-
-def describe(key: tuple[str, ...], names: Sequence[str]) -> str:
-    """A group in words; numbers and flags are told with their names."""
-    pairs = zip(shorten(names), key, strict=False)
-    words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
-    return ", ".join([*words, method_title(key[-1])])
-
-
-def shorten(names: Sequence[str]) -> list[str]:
-    """Dotted names without their groups, but for the last group where two would be the same."""
-    last = [name.rpartition(".")[2] for name in names]
-    return [
-        short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
-        for name, short in zip(names, last, strict=True)
-    ]
 
 
 def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:

@@ -8,13 +8,14 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Picture
 
+from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.visibility import measure_visible
-from deepgps.figures.field_plot import add_scale, print_error_field, read_fields
+from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import method_title
 from deepgps.figures.style import LINES, count_by_decades
 from deepgps.figures.targets import Figure, write
-from deepgps.studies.reports.compare import group_rows
+from deepgps.studies.grouping import group_rows
 from deepgps.studies.reports.compare import report as compare_choices
 from deepgps.studies.table import Row, find_methods
 from sim.recording.format import open_truth

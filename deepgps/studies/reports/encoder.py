@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.figures.field_plot import read_fields
+from deepgps.evaluation.error_field import read_fields
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import method_title, read_metrics
 from deepgps.figures.targets import Figure

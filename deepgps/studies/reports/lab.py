@@ -7,7 +7,8 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.field_plot import print_floor, read_fields
+from deepgps.evaluation.error_field import read_fields
+from deepgps.figures.field_plot import print_floor
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import method_title, read_metrics
 from deepgps.figures.style import LINES

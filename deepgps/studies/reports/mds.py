@@ -22,11 +22,13 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure
 from deepgps.initial_map.isomap import find_axes
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
-from deepgps.studies.reports.compare import choices, describe, group_rows, mean
+from deepgps.studies.grouping import choices, describe, group_rows
+from deepgps.studies.reports.compare import mean
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import Row
 from sim.errors import InputError
-from sim.recording.format import FreeSpace, open_recording, open_truth
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_recording, open_truth
 
 POSITIONS = 1500
 """Positions of the grid that are scaled, at most."""

@@ -8,6 +8,7 @@ import numpy as np
 from deepgps.evaluation.evaluate import measure_heading_spread
 from deepgps.figures.targets import Figure
 from deepgps.methods.positioner import Positioner, load_positioner
+from deepgps.studies import grouping
 from deepgps.studies.reports import compare
 from deepgps.studies.table import Row, mean
 from sim.recording.format import open_recording
@@ -27,7 +28,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """RMS of each network as the paper trains it, with shifted images; and what the padding is worth."""
-    groups = {key[0]: group for key, group in compare.group_rows(rows, [NETWORK]).items()}
+    groups = {key[0]: group for key, group in grouping.group_rows(rows, [NETWORK]).items()}
     shifted = {name: [row for row in group if row.get(SHIFT, True)] for name, group in groups.items()}
     figures = {}
     for name, group in shifted.items():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from deepgps.data import runs
 from deepgps.viewer import playback
 from deepgps.viewer.run.drive import ROBOT, ROUND_PX, turn_up
 from deepgps.viewer.scene import LAYER_M, lift
@@ -66,8 +67,8 @@ class LiveDrive:
             _log_robot(self.stream)
         place = np.concatenate([self.last, pose[:, :2]])
         index = observation - (self.observations - len(self.last))
-        start = playback.find_starts(segment)
-        end = playback.find_lasts(start)
+        start = runs.find_starts(segment)
+        end = runs.find_lasts(start)
         ends = [lift(place[index[rows]], LAYER_M) for rows in (start[end], end)]
         self.stream.send_columns(
             "world/drive/path", at(len(end)), rr.LineStrips3D.columns(strips=np.stack(ends, axis=1))

@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from deepgps.figures.run_report import method_title
 from deepgps.viewer.run.layout import CAMERAS, aim_eye
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 RUN_TIME = "run_time"
 EYE = rrb.EyeControls3D(

@@ -12,14 +12,15 @@ import numpy as np
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.figures.run_figures import field_plot
+from deepgps.figures import field_plot
 from deepgps.figures.run_report import OVERVIEW, markdown_table, method_title, read_metrics
 from deepgps.scenario import Scenario
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
 from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint
 from deepgps.viewer.live.training import LiveTraining
 from deepgps.viewer.scene import log_field, log_room, log_scale
-from sim.recording.format import FreeSpace, open_recording, open_truth
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_recording, open_truth
 
 
 class LiveView:

@@ -10,12 +10,14 @@ from matplotlib import style, ticker
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from deepgps.figures.field_plot import SCALE_M, WorstField, read_fields
+from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.figures.field_plot import SCALE_M
 from deepgps.figures.run_report import COLUMNS, Column, method_title, read_metrics
 from deepgps.figures.style import SCREEN, colour_on_dark
 from deepgps.run_folder import open_run
 from sim.errors import InputError
-from sim.recording.format import FreeSpace, open_truth
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_truth
 
 SAME_M = SCALE_M[0]
 """Errors that differ by less count as the same [m]."""

@@ -9,7 +9,6 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.field_plot import limits
 from deepgps.figures.run_report import method_title
 from deepgps.figures.style import to_png
 from deepgps.run_folder import open_run
@@ -27,7 +26,7 @@ from deepgps.viewer.run.layout import aim_eye
 from deepgps.viewer.run.recording import hash_run
 from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import LAYER_M, STRIP, find_thinness, lift, log_field, log_room, log_scale, log_strip
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace, limits
 
 PAIRS = "pairs"
 LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}

@@ -3,6 +3,8 @@
 import numpy as np
 import rerun as rr
 
+from deepgps.data import runs
+from deepgps.evaluation import segment_errors
 from deepgps.viewer import playback
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import drive_index, send_series
@@ -48,8 +50,8 @@ def log_path(
         recording: What was sensed.
     """
     segment, place = recording.reading[:, 0], lift(place, LAYER_M)
-    start = playback.find_starts(segment)
-    end = playback.find_lasts(start)
+    start = runs.find_starts(segment)
+    end = runs.find_lasts(start)
     stream.log(f"{root}/path", rr.LineStrips3D.from_fields(radii=0.006, colors=[*colours[0], 150]), static=True)
     stream.send_columns(
         f"{root}/path",
@@ -88,7 +90,7 @@ def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> N
 
 
 def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
-    encoder, true, difference = playback.measure_distances(recording, truth.pose)
+    encoder, true, difference = segment_errors.measure_distances(recording, truth.pose)
     ticks = recording.reading[:, 2:]
     series = {
         "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),

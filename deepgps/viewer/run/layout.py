@@ -6,10 +6,10 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.run_figures import field_plot
+from deepgps.figures import field_plot
 from deepgps.figures.run_report import method_title
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 CAMERAS = {
     "fisheye": "Fisheye",

@@ -13,8 +13,8 @@ from typing import Any
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.figures.field_plot import WorstField
-from deepgps.figures.run_figures import field_plot, run_figures, style
+from deepgps.evaluation.error_field import WorstField
+from deepgps.figures import field_plot, run_figures, style
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.run.drive import find_cameras, log_drive
@@ -24,7 +24,8 @@ from deepgps.viewer.run.training import Data, log_training
 from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from sim.files import is_intact, sha256
-from sim.recording.format import FreeSpace, open_recording, open_truth
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_recording, open_truth
 
 RECORDING = "recording.rrd"
 

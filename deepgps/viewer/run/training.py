@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from deepgps.alignment import fit_alignment
-from deepgps.figures.run_figures import field_plot, style
+from deepgps.figures import field_plot, style
 from deepgps.viewer import playback
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import send_series, step_index

@@ -9,14 +9,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import ValidationError
 
-from deepgps.figures.field_plot import WorstField, read_fields
+from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_setting
 from deepgps.viewer.study.sliders import Step
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, check_sum, read_arrays, sha256
-from sim.recording.format import FreeSpace, open_truth
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_truth
 
 
 def is_study(folder: Path) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.run_figures import field_plot
+from deepgps.figures import field_plot
 from deepgps.figures.run_report import method_title
 from deepgps.figures.style import colour_on_dark
 from deepgps.studies.table import Row, find_methods, mean
@@ -13,7 +13,7 @@ from deepgps.viewer.scene import Places, lift, log_floor, put
 from deepgps.viewer.study.layout import CURVES, Frame
 from deepgps.viewer.study.sliders import Slider, Step
 from deepgps.viewer.study.text import describe_field
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in; text beside it wants this much
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from deepgps.studies.reports.compare import shorten
+from deepgps.studies.grouping import shorten
 from deepgps.studies.table import Row, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.field_plot import WorstField
+from deepgps.evaluation.error_field import WorstField
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, varied_in
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import Places, log_field, log_scale_below, put
+from deepgps.viewer.study import text as study_text
 from deepgps.viewer.study.layout import make_blueprint
 from deepgps.viewer.study.read import count_arrows, hash_study, open_space, own_values, read_step, read_study
 from deepgps.viewer.study.scene import find_frame, log_curves, log_heading, log_rooms
 from deepgps.viewer.study.sliders import Slider, find_sliders
-from deepgps.viewer.study.study import text as study_text
 from sim.files import is_intact
 
 STUDY = "study.rrd"

@@ -12,9 +12,9 @@ import pytest
 import torch
 from rich.console import Console
 
-from deepgps.bench.bench import bench as benching
-from deepgps.bench.bench import from_studies
-from deepgps.bench.bench import rows as bench_rows
+from deepgps.bench import bench as benching
+from deepgps.bench import from_studies
+from deepgps.bench import rows as bench_rows
 from deepgps.bench.memory import Training, measure_peak, read_anonymous, repeat_recording
 from deepgps.bench.rows import Row, find_before, list_notes, read_bench, tabulate, write_bench, write_value
 from deepgps.bench.speed import locate_naively, measure_speed, measure_spread

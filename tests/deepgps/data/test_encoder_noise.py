@@ -18,8 +18,9 @@ from deepgps.data.encoder_noise import (
     trust_pairs,
     trust_places,
 )
-from deepgps.data.segments import draw, read_segments
+from deepgps.data.segments import read_segments
 from deepgps.learning import losses
+from deepgps.learning.batches import draw
 from sim.recording.format import Recording
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.plausible_readings import (
     CheckedReadings,
     check_readings,
@@ -12,7 +13,7 @@ from deepgps.data.plausible_readings import (
     describe_readings,
     keep_plausible,
 )
-from deepgps.data.segments import Segments, dead_reckon, read_segments
+from deepgps.data.segments import Segments, read_segments
 from sim.errors import InputError
 from sim.recording.format import Recording, open_recording
 from sim.sensors.encoder import describe_odometry, read_encoders

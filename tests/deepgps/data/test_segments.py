@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.data.segments import dead_reckon, draw, find_owners, read_segments, spread, travel
+from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.segments import find_owners, read_segments, spread
+from deepgps.learning.batches import draw
 from sim.errors import InputError
 from sim.recording.format import Recording
 from tests.helpers.toy import ODOMETRY, SPACING_M, make_toy

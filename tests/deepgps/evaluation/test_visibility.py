@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.visibility import measure_visible
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 
 CELL = 0.02
 

@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from deepgps.figures.field_plot import SCALE_M, colours_of, limits, read_fields, worst_heading
+from deepgps.evaluation.error_field import read_fields, worst_heading
+from deepgps.figures.field_plot import SCALE_M, colours_of
 from deepgps.figures.run_figures import draw_error_field, draw_figures, make_figures
 from deepgps.figures.style import smooth, to_png
 from sim.errors import InputError
+from sim.occupancy import limits
 from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run
 
 POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))

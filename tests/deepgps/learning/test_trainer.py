@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from deepgps.learning import losses
+from deepgps.learning.batches import Batch, Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import (
-    Batch,
-    Inputs,
     Loss,
     choose_device,
     derive_seed,

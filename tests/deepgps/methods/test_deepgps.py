@@ -8,7 +8,7 @@ import torch
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.segments import Segments, read_segments, spread
-from deepgps.learning.trainer import Batch
+from deepgps.learning.batches import Batch
 from deepgps.methods.deepgps import SLACK_M, choose_start, find_plane, fit, flatten_later, imitate_first
 from deepgps.methods.positioner import Positioner
 from deepgps.progress import ignore

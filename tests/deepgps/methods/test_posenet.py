@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepgps.methods.catalog import posenet
+from deepgps.methods import posenet
 from deepgps.methods.posenet import fit, fit_noisy
 from deepgps.settings import LearnSettings
 from sim.recording.format import open_truth

@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from deepgps.viewer.playback import (
-    draw_floor_plan,
-    encode_jpeg,
-    find_outline,
-    find_starts,
-    make_warp,
-    measure_distances,
-    open_room,
-    warp_round,
-)
+from deepgps.data.runs import find_starts
+from deepgps.evaluation.segment_errors import measure_distances
+from deepgps.viewer.playback import draw_floor_plan, encode_jpeg, find_outline, make_warp, open_room, warp_round
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.lens import make_lens, project_polar, project_round

@@ -4,7 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.furniture.primitives import COLLISION_GROUP, ceiling, decor, fittings, make_look, seating, storage, tables
+from sim.furniture import ceiling, decor, fittings, seating, storage, tables
+from sim.furniture.primitives import COLLISION_GROUP, make_look
 from sim.rooms.free_space import find_free_space
 
 STANDING = {

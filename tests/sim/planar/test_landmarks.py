@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment
-from deepgps.data.segments import dead_reckon, read_segments
+from deepgps.data.dead_reckoning import dead_reckon
+from deepgps.data.segments import read_segments
 from sim.errors import WorkError
 from sim.planar.drive import choose_heading, count_drive, drive_segments
 from sim.planar.landmarks import LandmarkWorld, collect, lay_free_space, lay_grid

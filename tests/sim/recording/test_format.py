@@ -3,15 +3,8 @@ import pytest
 
 from sim.errors import InputError
 from sim.files import read_json, write_array, write_json
-from sim.recording.format import (
-    FreeSpace,
-    check_recording,
-    finish_recording,
-    load_free_space,
-    open_recording,
-    open_truth,
-    save_free_space,
-)
+from sim.occupancy import FreeSpace, load_free_space, save_free_space
+from sim.recording.format import check_recording, finish_recording, open_recording, open_truth
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ from sim.errors import WorkError
 from sim.robot.drive import DOUBT_M, TOUCHED, Course, Segment, _go_straight, drive, next_segment
 from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE
-from sim.robot.scene import empty_room
 from sim.robot.world import RoomWorld
+from sim.rooms.spec import empty_room
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 

@@ -6,19 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim.geometry import planar_pose
 from sim.paths import ROBOT
 from sim.robot.calibrate import calibrate, run
-from sim.robot.model import (
-    RADIUS_M,
-    TRACK_M,
-    WHEEL_RADIUS_M,
-    load_robot,
-    planar_pose,
-    robot_height,
-    wheel_speeds,
-)
-from sim.robot.scene import compile_scene, empty_room
+from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, load_robot, robot_height, wheel_speeds
+from sim.robot.scene import compile_scene
 from sim.robot.world import RoomWorld
+from sim.rooms.spec import empty_room
 from sim.settings import CameraSettings, RobotSettings, SimSettings
 
 SPEED_MPS = 0.22

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 from sim.rooms.build import SIZE_M, build_room
 from sim.rooms.free_space import find_free_space
 from sim.settings import RoomKind, RoomSettings, RoomShape

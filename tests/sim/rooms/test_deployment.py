@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError
-from sim.robot.scene import freeze
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.deployment import GAMMA, MOVABLE, move_furniture
 from sim.rooms.free_space import collides
+from sim.rooms.spec import freeze
 from sim.sensors.camera_faults import decode
 from sim.sensors.fisheye import Fisheye
 from sim.settings import CameraSettings, RoomSettings, SimSettings, UseSettings

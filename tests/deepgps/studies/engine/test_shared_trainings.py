@@ -8,8 +8,8 @@ from deepgps.data.features import TABLE
 from deepgps.learning.training_data import FEATURES
 from deepgps.methods.catalog import METHODS
 from deepgps.progress import ignore
-from deepgps.run import training_seed
 from deepgps.run_folder import open_run
+from deepgps.stages import training_seed
 from sim.recording.format import open_recording
 from tests.helpers.small_study import finish, start, write_study
 

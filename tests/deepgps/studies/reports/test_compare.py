@@ -10,6 +10,7 @@ from deepgps.learning.networks import make_network
 from deepgps.methods.positioner import NetworkPositioner
 from deepgps.progress import ignore
 from deepgps.settings import Architecture, NetworkSettings
+from deepgps.studies import grouping
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.local import run_all
 from deepgps.studies.reports import compare, networks, strategies
@@ -64,8 +65,8 @@ def test_rooms_and_seeds_repeat_and_all_else_is_compared():
 
 
 def test_what_follows_from_another_choice_is_not_named():
-    assert compare.choices(STRATEGIES, VARIED) == ["drive.strategy", "drive.samples"]
-    assert compare.choices(STRATEGIES, ["learn.start", *VARIED]) == ["learn.start", "drive.samples"]
+    assert grouping.choices(STRATEGIES, VARIED) == ["drive.strategy", "drive.samples"]
+    assert grouping.choices(STRATEGIES, ["learn.start", *VARIED]) == ["learn.start", "drive.samples"]
 
 
 def test_what_follows_is_told_below_the_table():
@@ -75,7 +76,7 @@ def test_what_follows_is_told_below_the_table():
 
 
 def test_names_are_short_but_never_the_same():
-    assert compare.shorten(["drive.samples", "learn.train.samples", "learn.start"]) == [
+    assert grouping.shorten(["drive.samples", "learn.train.samples", "learn.start"]) == [
         *("drive.samples", "train.samples", "start")
     ]
 

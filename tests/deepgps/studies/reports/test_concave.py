@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.visibility import measure_visible
-from deepgps.figures.field_plot import read_fields
 from deepgps.progress import ignore
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.local import run_all

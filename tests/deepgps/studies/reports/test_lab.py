@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from deepgps.progress import ignore
-from deepgps.run import evaluate, make_recording, show, train
+from deepgps.run import show
 from deepgps.scenario import load_scenario
+from deepgps.stages import evaluate, make_recording, train
 from deepgps.studies.reports.lab import PAPER, add, draw_places, measure, report
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from deepgps.viewer.read import open_rrd

@@ -14,7 +14,7 @@ from deepgps.settings import LearnSettings
 from deepgps.studies.reports.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_all
 from deepgps.studies.study import FIGURES, load_study, plan_runs
 from sim.errors import InputError
-from sim.recording.format import FreeSpace
+from sim.occupancy import FreeSpace
 from tests.helpers.toy import QUICK, make_toy
 
 VARIED = ["learn.start"]

@@ -18,7 +18,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.figures.field_plot import read_fields
+from deepgps.evaluation.error_field import read_fields
 from deepgps.progress import Look, ignore
 from deepgps.scenario import Scenario
 from deepgps.viewer.live.drive import LiveDrive

@@ -13,7 +13,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
-from deepgps.figures.field_plot import read_fields
+from deepgps.evaluation.error_field import read_fields
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
 from deepgps.viewer.run.drive import ROBOT

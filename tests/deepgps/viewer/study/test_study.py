@@ -15,14 +15,14 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.figures.run_figures import field_plot
+from deepgps.figures import field_plot
 from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
+from deepgps.viewer.study import study as viewer
 from deepgps.viewer.study.sliders import find_sliders
 from deepgps.viewer.study.study import STUDY as STUDY_RRD
 from deepgps.viewer.study.study import find_study
-from deepgps.viewer.study.study import study as viewer
 from deepgps.viewer.study.study import write_study as write_rrd
 from deepgps.viewer.study.text import write_length
 from deepgps.viewer.window.connect import find_viewer

@@ -21,7 +21,8 @@ import pytest
 from PIL import Image
 
 from deepgps.cli import main
-from deepgps.figures.field_plot import colours_of, read_fields
+from deepgps.evaluation.error_field import read_fields
+from deepgps.figures.field_plot import colours_of
 from deepgps.viewer.run.recording import RECORDING, write_recording
 from deepgps.viewer.window.connect import HOST, find_free_port
 from deepgps.viewer.window.web import choose_ports

@@ -1,0 +1,32 @@
+"""Path by encoders alone."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from sim.recording.format import Recording
+from sim.sensors.encoder import count_from_first, read_odometry, ticks_to_distance
+
+
+def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
+    """Way of each wheel [m] from its cumulative ticks, both (R, 2); only differences of ways mean anything."""
+    odometry = read_odometry(manifest)
+    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
+
+
+def dead_reckon(recording: Recording) -> np.ndarray:
+    """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
+
+    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
+    between segments the robot backs off what it touched first, and then turns in place.
+    """
+    way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
+    turn = (way[:, 1] - way[:, 0]) / read_odometry(recording.manifest)["track_m"]
+    yaw = np.concatenate([[0.0], np.cumsum(turn)])
+    heading = yaw[:-1] + turn / 2.0
+    between = np.diff(recording.reading[:, 0]) != 0
+    heading = np.where(between, yaw[:-1], heading)
+    step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+    return np.concatenate([place, yaw[:, None]], axis=1)

@@ -1,0 +1,84 @@
+"""The error field: predictions at each test position and heading, beside the truth."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sim.errors import DamagedError, InputError
+from sim.files import damaged, read_arrays, write_arrays
+
+
+@dataclass(frozen=True)
+class ErrorField:
+    """One method's error over the room.
+
+    Attributes:
+        truth: Test positions (C, 2) [m].
+        heading: Test headings (H,) [rad], or of each position its own (C, H).
+        predicted: Aligned predictions (C, H, 2) [m].
+    """
+
+    truth: np.ndarray
+    heading: np.ndarray
+    predicted: np.ndarray
+
+    @property
+    def error(self) -> np.ndarray:
+        """Distance of prediction and truth (C, H) [m]."""
+        return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
+
+    @property
+    def worst(self) -> np.ndarray:
+        """The largest error over the headings of each position (C,) [m], the paper's measure (Sec. IV-B)."""
+        return self.error.max(axis=1)
+
+
+def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
+    """Write the error fields of several methods at the same places."""
+    some = next(iter(fields.values()))
+    predictions = {method: field.predicted for method, field in fields.items()}
+    write_arrays(path, {"truth": some.truth, "heading": some.heading, **predictions})
+
+
+@dataclass(frozen=True)
+class WorstField:
+    """One method's error field, of each test position the heading that did worst.
+
+    Attributes:
+        truth: Test positions (C, 2) [m].
+        predicted: Aligned prediction of the heading that did worst at each position (C, 2) [m].
+        error: Its distance from the truth (C,) [m].
+    """
+
+    truth: np.ndarray
+    predicted: np.ndarray
+    error: np.ndarray
+
+
+def read_fields(run: Path) -> dict[str, WorstField]:
+    """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
+    path = run / "error_field.npz"
+    if not path.is_file():
+        raise InputError(f"{run} is no whole run: error_field.npz is missing")
+    try:
+        data = read_arrays(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+    missing = {"truth", "heading"} - set(data)
+    if missing:
+        raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
+    methods = (name for name in data if name not in {"truth", "heading"})
+    return {name: worst_heading(data["truth"], data[name]) for name in methods}
+
+
+def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
+    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m]: per position the largest error."""
+    error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
+    worst = error.argmax(axis=1)
+    cells = np.arange(len(truth))
+    return WorstField(truth, predicted[cells, worst], error[cells, worst])
+
+
+MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"

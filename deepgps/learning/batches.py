@@ -1,0 +1,79 @@
+"""What a training step learns from: observations and targets, or segments and distances."""
+
+from dataclasses import dataclass
+
+import torch
+
+from deepgps.data.segments import Segments
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one step learns from.
+
+    Attributes:
+        index: Observations (B,) or, segment by segment, (S, m).
+        target: Positions (B, 2) [m], or distances along the segment (S, m) [m].
+        valid: Which of them there are, of the shape of ``index``.
+        variance: Of distances, the expected squared error that grows with the way [m^2]; None: not asked.
+    """
+
+    index: torch.Tensor
+    target: torch.Tensor
+    valid: torch.Tensor
+    variance: torch.Tensor | None = None
+
+
+class Inputs:
+    """Observations as the network takes them, on one device.
+
+    Features (N, K) stay as they are, or get noise when a generator is given. Features at several headings (N, H, K) are
+    those at the first, or, when a generator is given, at one drawn by chance, with noise. Polar images (N, rings,
+    sectors, 3) uint8 become (N, 3, rings, sectors) float32, each shifted in a circle by a random number of sectors when
+    a generator is given (paper section III-B2).
+
+    Args:
+        table: Features or images.
+        noise: Standard deviation of the noise on features, whose own root mean square is 1.
+        shift: Whether images are shifted.
+    """
+
+    def __init__(self, table: torch.Tensor, noise: float = 0.0, shift: bool = True) -> None:
+        self.table = table
+        self.noise = noise
+        self.shift = shift
+
+    def take(self, index: torch.Tensor | slice, generator: torch.Generator | None = None) -> torch.Tensor:
+        """Network input of observations (B,)."""
+        chosen = self.table[index]
+        if chosen.ndim == 3:
+            rows, heading = torch.arange(len(chosen), device=chosen.device), 0
+            if generator is not None:
+                heading = torch.randint(chosen.shape[1], rows.shape, generator=generator, device=chosen.device)
+            chosen = chosen[rows, heading]
+        if chosen.ndim == 2:
+            if generator is None or self.noise == 0.0:
+                return chosen
+            return chosen + self.noise * torch.randn(chosen.shape, generator=generator, device=chosen.device)
+        if generator is not None and self.shift:
+            sectors = chosen.shape[2]
+            shift = torch.randint(sectors, (len(chosen), 1), generator=generator, device=chosen.device)
+            column = (torch.arange(sectors, device=chosen.device) + shift) % sectors
+            column = column[:, None, :, None].expand(-1, chosen.shape[1], -1, chosen.shape[3])
+            chosen = chosen.gather(2, column)
+        return chosen.permute(0, 3, 1, 2).float() / 255.0
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+
+def draw(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
+    """Draw ``count`` segments, readings as often as they are believed, and up to ``samples`` different ones of each."""
+    often = segments.count.float() if segments.weight is None else segments.count * segments.weight
+    row = torch.multinomial(often, count, replacement=True, generator=generator)
+    valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
+    key = torch.rand(valid.shape, generator=generator, device=valid.device)
+    place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
+    index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
+    variance = None if segments.variance is None else segments.variance[row].gather(1, place)
+    return Batch(index, along, valid.gather(1, place), variance)

@@ -1,0 +1,123 @@
+"""The stages of a run, each of which continues where it stopped: collect, train, evaluate."""
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from deepgps.progress import Report
+from deepgps.provenance import describe_environment
+from deepgps.run_folder import find_place
+from deepgps.scenario import Scenario
+from deepgps.timing import stage_times, timed
+from sim.errors import DamagedError
+from sim.files import read_arrays, read_json, write_json
+from sim.recording.format import is_whole
+from sim.settings import WorldName
+
+log = logging.getLogger(__name__)
+
+
+def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
+    """The scenario, if a run of it must still drive and look; what is recorded needs neither MuJoCo nor a renderer."""
+    return [] if is_whole(find_place(folder, fresh) / "recording") else [scenario]
+
+
+def ask_for_device(scenario: Scenario, folder: Path) -> None:
+    """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
+    if scenario.learn.train.device.startswith("cuda") and not is_whole(folder / "recording"):
+        from deepgps.learning.trainer import choose_device
+
+        choose_device(scenario.learn.train.device)
+
+
+def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Drive and look: write the recording, if it does not stand yet."""
+    if not is_whole(folder / "recording"):
+        with timed(folder, "collect"):
+            make_recording(scenario, folder / "recording", progress)
+
+
+def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Drive and look: write the recording ``folder``, or what is missing of it."""
+    RECORD[scenario.world](scenario, folder, progress)
+
+
+def train(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Train each method that does not stand yet."""
+    from deepgps.methods.catalog import METHODS
+    from deepgps.methods.positioner import is_finished
+    from sim.recording.format import open_recording
+
+    recording = open_recording(folder / "recording")
+    seed = training_seed(scenario)
+    for method in scenario.methods:
+        with timed(folder, f"train {method}", done=is_finished(folder / method)):
+            METHODS[method](recording, scenario.learn, seed, folder / method, progress)
+
+
+def training_seed(scenario: Scenario) -> int:
+    """The seed of weights and shuffling: the scenario's, unless learning has one of its own."""
+    return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
+
+
+def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
+    """Measure all methods; write ``metrics.json`` and ``error_field.npz``."""
+    from deepgps.evaluation.evaluate import evaluate as measure
+
+    if metrics := read_measured(folder):
+        return metrics
+    with timed(folder, "evaluate"):
+        progress("evaluate", 0, 1)
+        measured = measure(folder, scenario)
+        progress("evaluate", 1, 1)
+    head = {"scenario": scenario.name, "seed": scenario.seed}
+    tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
+    write_json(folder / "metrics.json", {**head, **measured, **tail})
+    return read_json(folder / "metrics.json")
+
+
+def read_measured(folder: Path) -> dict[str, Any] | None:
+    """The contents of a run's ``metrics.json``; none: it, or an error field, is missing or damaged."""
+    if not (folder / "metrics.json").is_file():
+        return None
+    try:
+        metrics = read_json(folder / "metrics.json")
+        for name in ("error_field.npz", "label_field.npz")[: 2 if "labels" in metrics else 1]:
+            read_arrays(folder / name)
+    except DamagedError as error:
+        log.warning("%s; the methods are measured again", error)
+        return None
+    return metrics
+
+
+def _record_room(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.recording.collect import collect as collect_room
+
+    collect_room(scenario.sim, scenario.seed, folder, progress)
+
+
+def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.planar.landmarks import collect as collect_landmarks
+
+    collect_landmarks(scenario.sim, scenario.seed, folder, progress)
+
+
+def _record_lidar(scenario: Scenario, folder: Path, progress: Report) -> None:
+    from sim.planar.obstacles import collect as collect_lidar
+
+    collect_lidar(scenario.sim, scenario.seed, folder, progress)
+
+
+RECORD: dict[WorldName, Callable[[Scenario, Path, Report], None]] = {
+    "room": _record_room,
+    "landmarks": _record_landmarks,
+    "lidar": _record_lidar,
+}
+
+
+STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
+    "collect": collect,
+    "train": train,
+    "evaluate": evaluate,
+}
