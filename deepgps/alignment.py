@@ -1,11 +1,10 @@
 """Alignment of a method's frame with the world's: the rigid transform that no distance can tell."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-AlignmentKind = Literal["SE2", "E2"]
+from deepgps.methods.catalog import AlignmentKind
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,15 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import get_args
 
+from deepgps.methods.catalog import METHODS
 from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
-from deepgps.scenario import MethodName, Scenario, check_scenario, digest, read_yaml, write_out
+from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
-_METHODS = "|".join(get_args(MethodName))
+_METHODS = "|".join(METHODS)
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"
 FEATURE_FILES = r"features\.(safetensors|key)"
 RUN = Kind(

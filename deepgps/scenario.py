@@ -5,12 +5,13 @@ import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from os.path import exists, isfile
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Annotated, Any, cast, get_args
 
 import yaml
-from pydantic import Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
 
+from deepgps.methods.catalog import METHODS, Observation
 from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
@@ -19,18 +20,21 @@ from sim.recording.format import SCHEMA
 from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 
-MethodName = Literal[
-    "deepgps",
-    "deepgps_aware",
-    "deepgps_turns",
-    "posenet",
-    "posenet_noisy",
-    "odometry",
-    "knn",
-    "explicit",
-    "explicit_mds",
-    "pca_knn",
-]
+
+def _check_method(name: str) -> str:
+    if name not in METHODS:
+        allowed = [repr(method) for method in METHODS]
+        names = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
+        raise PydanticCustomError("literal_error", "Input should be {names}", {"names": names})
+    return name
+
+
+MethodName = Annotated[str, AfterValidator(_check_method)]
+GIVEN_BY: dict[Observation, str] = {
+    "polar_image": "images, which world room with sensor fisheye gives",
+    "scan": "scans, which world lidar or, in a room, sensor lidar gives",
+    "vector": "distances to landmarks, which world landmarks alone gives",
+}
 MOST_VALUES = 1000
 """Keys and values in a scenario's file; all settings there are make 250."""
 DEEPEST = 8
@@ -59,13 +63,11 @@ class Scenario(SimSettings):
 
     @model_validator(mode="after")
     def _methods_suit_the_world(self) -> "Scenario":
-        explicit = [name for name in self.methods if name.startswith("explicit")]
-        if self.world != "landmarks" and explicit:
-            raise ValueError(f"methods: {explicit[0]} needs distances to landmarks, which world landmarks alone gives")
-        scans = self.world == "lidar" or (self.world == "room" and self.sensor == "lidar")
-        if not scans and "pca_knn" in self.methods:
-            raise ValueError("methods: pca_knn needs scans, which world lidar or, in a room, sensor lidar gives")
-        if (scans or self.world == "landmarks") and self.learn.network.architecture != "spectral":
+        for name in self.methods:
+            observes = METHODS[name].observes
+            if observes and observes != self.observation:
+                raise ValueError(f"methods: {name} needs {GIVEN_BY[observes]}")
+        if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
             by = "sensor lidar" if self.world == "room" else f"world {self.world}"
             raise ValueError(
                 f"learn.network.architecture {self.learn.network.architecture!r} needs images, which {by} "
@@ -81,6 +83,13 @@ class Scenario(SimSettings):
                 f"multiple of 32, and is {self.camera.sectors}"
             )
         return self
+
+    @property
+    def observation(self) -> Observation:
+        """What an observation of the scenario's sensor is."""
+        if self.world == "room" and self.sensor == "fisheye":
+            return "polar_image"
+        return "vector" if self.world == "landmarks" else "scan"
 
     @property
     def sim(self) -> SimSettings:

@@ -45,7 +45,7 @@ def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Train each method that does not stand yet."""
-    from deepgps.methods.catalog import METHODS
+    from deepgps.methods.fit import fit_method
     from deepgps.methods.positioner import is_finished
     from sim.recording.format import open_recording
 
@@ -53,7 +53,7 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     seed = training_seed(scenario)
     for method in scenario.methods:
         with timed(folder, f"train {method}", done=is_finished(folder / method)):
-            METHODS[method](recording, scenario.learn, seed, folder / method, progress)
+            fit_method(method, recording, scenario.learn, seed, folder / method, progress)
 
 
 def training_seed(scenario: Scenario) -> int:

@@ -24,6 +24,7 @@ ORDER = (
     ("sim.robot", "sim.sensors"),
     ("sim.recording",),
     ("sim.planar", "sim.tools", "sim.environment"),
+    ("deepgps.methods.catalog",),
     ("deepgps",),
     ("deepgps.command",),
     ("deepgps.data",),

@@ -9,7 +9,7 @@ import numpy as np
 
 from deepgps.bench.rows import Row
 from deepgps.data.features import describe
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
@@ -118,7 +118,7 @@ def measure_peak(training: Training) -> int:
 
 def train_once(training: Training) -> None:
     """Train in the way of the method, from the recording on."""
-    METHODS["deepgps"](open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
+    fit_method("deepgps", open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
 
 
 def read_anonymous(process: int | None) -> int:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from deepgps.bench.rows import Row
 from deepgps.evaluation.evaluate import measure_part
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.progress import Report
 from deepgps.scenario import Scenario
 from sim.files import read_json
@@ -26,7 +26,7 @@ def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, prog
     """
     train = scenario.learn.train.model_copy(update={"steps": steps, "snapshots": 2, "device": "cpu"})
     settings = scenario.learn.model_copy(update={"train": train})
-    METHODS["deepgps"](open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
+    fit_method("deepgps", open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
     took_s = read_json(folder / "deepgps" / "training.json")["train_s"]
     ours = read_json(demo / "metrics.json")["methods"]["deepgps"]
     found = measure_part(demo, folder / "deepgps", "deepgps", EVERY)

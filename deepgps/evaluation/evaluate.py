@@ -11,31 +11,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.alignment import AlignmentKind, fit_alignment
+from deepgps.alignment import fit_alignment
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.learning.trainer import use_threads
+from deepgps.methods.catalog import METHODS
 from deepgps.methods.positioner import load_positioner, read_training
-from deepgps.scenario import MethodName, Scenario
+from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
 from sim.recording.format import Labels, Recording, Truth, open_labels, open_recording, open_truth
 
-# Distances cannot tell left from right, so their map may be mirrored; everything else knows.
-ALIGNMENT: dict[MethodName, AlignmentKind] = {
-    "deepgps": "E2",
-    "deepgps_aware": "E2",
-    "deepgps_turns": "SE2",
-    "posenet": "SE2",
-    "posenet_noisy": "SE2",
-    "odometry": "SE2",
-    "knn": "SE2",
-    "pca_knn": "SE2",
-    "explicit": "E2",
-    "explicit_mds": "E2",
-}
 SEEN_WITHIN_M = 0.25
 
 
@@ -67,7 +55,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": scale,
             **measure_grid(fields[method], scenario),
-            "alignment": ALIGNMENT[method],
+            "alignment": METHODS[method].alignment,
             **read_training(run / method),
         }
         if labels is not None:
@@ -123,16 +111,14 @@ def _find_labels(folder: Path) -> Labels | None:
     return labels if np.isfinite(labels.test_pose).all(axis=(1, 2)).any() else None
 
 
-def measure_field(
-    maps: tuple[np.ndarray, np.ndarray], method: MethodName, truth: Truth | Labels
-) -> tuple[ErrorField, float]:
+def measure_field(maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth | Labels) -> tuple[ErrorField, float]:
     """Error field of a method's predictions, aligned by a transform fitted on the training samples, and its scale.
 
     Against labels, what has none is left out, of the training as of the test samples.
     """
     training, test = maps
     known = np.isfinite(truth.pose).all(axis=1)
-    alignment = fit_alignment(training[known], truth.pose[known, :2], ALIGNMENT[method])
+    alignment = fit_alignment(training[known], truth.pose[known, :2], METHODS[method].alignment)
     predicted = alignment.apply(test.reshape(-1, 2)).reshape(test.shape)
     known = np.isfinite(truth.test_pose).all(axis=(1, 2))
     pose, predicted = truth.test_pose[known], predicted[known]
@@ -170,7 +156,7 @@ def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
     }
 
 
-def measure_part(run: Path, folder: Path, method: MethodName, every: int) -> dict[str, float]:
+def measure_part(run: Path, folder: Path, method: str, every: int) -> dict[str, float]:
     """Figures of a method trained in ``folder`` on a run's recording, by every so many-th position and sample."""
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     thin = replace(

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.figures.field_plot import add_scale, draw_field, draw_room
-from deepgps.figures.run_report import method_title, read_metrics
-from deepgps.figures.style import LINES, smooth, to_png
+from deepgps.figures.run_report import read_metrics
+from deepgps.figures.style import smooth, to_png
+from deepgps.methods.catalog import METHODS, colour_of, title_of
 from sim.files import read_arrays, write_bytes
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
@@ -57,7 +58,7 @@ def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
     draw_field(axes, space, field)
-    axes.set_title(f"{method_title(name)}: {_summary(field)}", fontsize=13)
+    axes.set_title(f"{title_of(name)}: {_summary(field)}", fontsize=13)
     add_scale(figure, [axes])
     return figure
 
@@ -71,7 +72,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (name, field) in zip(grid.flat, fields.items(), strict=False):
         draw_field(axes, space, field)
-        axes.set_title(method_title(name), fontsize=13, fontweight="bold", loc="left")
+        axes.set_title(title_of(name), fontsize=13, fontweight="bold", loc="left")
         axes.set_title(_summary(field), fontsize=10.5, loc="right", color="#444444")
         axes.label_outer()
     for axes in list(grid.flat)[len(fields) :]:
@@ -157,7 +158,7 @@ def _summary(field: WorstField) -> str:
 
 
 def _line(name: str) -> dict[str, Any]:
-    return {"color": LINES.get(name, "#555555"), "label": method_title(name), "linewidth": 1.8}
+    return {"color": colour_of(name), "label": title_of(name), "linewidth": 1.8}
 
 
 def _finish_plot(axes: Axes) -> None:
@@ -167,5 +168,5 @@ def _finish_plot(axes: Axes) -> None:
 
 
 def _rank(name: str) -> tuple[int, str]:
-    names = list(LINES)
+    names = list(METHODS)
     return (names.index(name) if name in names else len(names), name)

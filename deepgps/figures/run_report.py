@@ -11,21 +11,9 @@ from rich.table import Table
 
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
+from deepgps.methods.catalog import title_of
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
-
-TITLES = {
-    "deepgps": "DeepGPS",
-    "deepgps_aware": "DeepGPS, noise-aware",
-    "deepgps_turns": "DeepGPS, with turns",
-    "posenet": "PoseNet",
-    "posenet_noisy": "PoseNet, noisy labels",
-    "explicit": "Explicit positioning",
-    "explicit_mds": "Explicit, from MDS",
-    "knn": "Nearest neighbour",
-    "pca_knn": "PCA + nearest neighbour",
-    "odometry": "Odometry labels",
-}
 
 Row = tuple[str, ...]
 
@@ -62,11 +50,6 @@ def read_metrics(run: Path) -> dict[str, Any]:
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} holds no methods: it is no run's metrics.json")
     return metrics
-
-
-def method_title(name: str) -> str:
-    """A method's name as people write it."""
-    return TITLES.get(name, name)
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
@@ -186,7 +169,7 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
         # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
         table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
     for row in rows:
-        table.add_row(*row, style="bold" if row[0] == TITLES["deepgps"] else None)
+        table.add_row(*row, style="bold" if row[0] == title_of("deepgps") else None)
     console.print(table)
     console.print()
     for sentence in describe(metrics, read_times(run, metrics)):
@@ -201,7 +184,7 @@ def _is_held_out(metrics: Mapping[str, Any]) -> bool:
 
 def _row(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> Row:
     figures = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
-    return (method_title(name), *figures)
+    return (title_of(name), *figures)
 
 
 def _plain(value: Any) -> str:

@@ -11,18 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-LINES = {
-    "deepgps": "#0b62d6",
-    "deepgps_aware": "#00a3b4",
-    "deepgps_turns": "#7048e8",
-    "posenet": "#e07b00",
-    "posenet_noisy": "#b8860b",
-    "explicit": "#7a4fbf",
-    "explicit_mds": "#4b5563",
-    "knn": "#1a936f",
-    "pca_knn": "#6b8e23",
-    "odometry": "#c2255c",
-}
+from deepgps.methods.catalog import colour_of
+
 # Where the robot can reach, where it would fit but cannot come to, where it does not fit.
 Floor = tuple[str, str, str]
 SCREEN: Floor = ("#161a22", "#2c323e", "#4a5261")
@@ -32,7 +22,7 @@ DOTS_PER_INCH = 130
 
 def colour_on_dark(method: str) -> tuple[int, int, int]:
     """A method's colour, paler than on paper: red, green and blue, up to 255."""
-    red, green, blue = (int(255 * (0.3 + 0.7 * part)) for part in to_rgb(LINES.get(method, "#555555")))
+    red, green, blue = (int(255 * (0.3 + 0.7 * part)) for part in to_rgb(colour_of(method)))
     return red, green, blue
 
 

@@ -1,46 +1,69 @@
-"""The methods by name. Each learns only from readings that can be, and gives the same bytes on any number of cores."""
+"""The methods by name: one record each. It imports nothing heavy, so that settings and reports can read it."""
 
-from collections.abc import Callable
-from functools import wraps
-from pathlib import Path
+from dataclasses import dataclass
+from typing import Literal
 
-from deepgps.data.features import check_observations
-from deepgps.data.plausible_readings import keep_plausible
-from deepgps.learning.trainer import use_threads
-from deepgps.methods import deepgps, explicit, knn, odometry_labels, pca_knn, posenet
-from deepgps.methods.positioner import Positioner, is_finished
-from deepgps.progress import Report, ignore
-from deepgps.settings import LearnSettings
-from sim.recording.format import Recording
-
-Fit = Callable[[Recording, LearnSettings, int, Path, Report], Positioner]
+AlignmentKind = Literal["E2", "SE2"]
+Observation = Literal["polar_image", "scan", "vector"]
 
 
-def guard(fit: Fit) -> Fit:
-    """The same method with its threads fixed, and what it learns from checked."""
+@dataclass(frozen=True)
+class Method:
+    """What the project knows of a method.
 
-    @wraps(fit)
-    def fit_guarded(
-        recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
-    ) -> Positioner:
-        with use_threads(settings.train.threads):
-            if not is_finished(folder):
-                recording = keep_plausible(recording)
-                check_observations(recording.observation)
-            return fit(recording, settings, seed, folder, progress)
+    Attributes:
+        title: Its name in reports.
+        colour: Of its lines in figures, "#rrggbb".
+        alignment: Transformation that evaluation fits: E2 where distances alone cannot tell left from right, else SE2.
+        fit: Where it is trained, "module:function"; the function takes a recording, settings, a seed, the method's
+            folder and a progress callback, and returns a positioner.
+        observes: The only kind of observation it takes; None: any.
+        in_steps: Whether it trains step by step and reports them.
+        reads_ticks: Whether it learns from the encoders.
+    """
 
-    return fit_guarded
+    title: str
+    colour: str
+    alignment: AlignmentKind
+    fit: str
+    observes: Observation | None = None
+    in_steps: bool = True
+    reads_ticks: bool = True
 
 
-METHODS: dict[str, Fit] = {
-    "deepgps": guard(deepgps.fit),
-    "deepgps_aware": guard(deepgps.fit_aware),
-    "deepgps_turns": guard(deepgps.fit_turns),
-    "posenet": guard(posenet.fit),
-    "posenet_noisy": guard(posenet.fit_noisy),
-    "odometry": guard(odometry_labels.fit),
-    "knn": guard(knn.fit),
-    "pca_knn": guard(pca_knn.fit),
-    "explicit": guard(explicit.fit),
-    "explicit_mds": guard(explicit.fit_from_mds),
+METHODS: dict[str, Method] = {
+    "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
+    "deepgps_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps:fit_aware"),
+    "deepgps_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps:fit_turns"),
+    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.posenet:fit", reads_ticks=False),
+    "posenet_noisy": Method(
+        "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.posenet:fit_noisy", reads_ticks=False
+    ),
+    "explicit": Method(
+        "Explicit positioning", "#7a4fbf", "E2", "deepgps.methods.explicit:fit", observes="vector", in_steps=False
+    ),
+    "explicit_mds": Method(
+        "Explicit, from MDS",
+        "#4b5563",
+        "E2",
+        "deepgps.methods.explicit:fit_from_mds",
+        observes="vector",
+        in_steps=False,
+    ),
+    "knn": Method("Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.knn:fit", in_steps=False),
+    "pca_knn": Method(
+        "PCA + nearest neighbour", "#6b8e23", "SE2", "deepgps.methods.pca_knn:fit", observes="scan", in_steps=False
+    ),
+    "odometry": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.odometry_labels:fit"),
 }
+"""In the order of figures. A method that is added here can be named by scenarios and studies at once."""
+
+
+def title_of(name: str) -> str:
+    """A method's name in reports."""
+    return METHODS[name].title if name in METHODS else name
+
+
+def colour_of(name: str) -> str:
+    """A method's colour in figures, grey where it is not known."""
+    return METHODS[name].colour if name in METHODS else "#555555"

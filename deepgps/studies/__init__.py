@@ -1,1 +1,4 @@
-"""Studies: one scenario and what varies in it, run as many runs, gathered into one table and its report."""
+"""Studies: many runs from one YAML file, planned here and collected in one table.
+
+How runs are carried out is in ``engine``, what is said about them in ``reports``.
+"""

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from deepgps.figures.run_report import method_title
+from deepgps.methods.catalog import title_of
 from deepgps.studies.table import Row, is_seed
 
 Groups = Mapping[tuple[str, ...], Sequence[Row]]
@@ -30,7 +30,7 @@ def describe(key: tuple[str, ...], names: Sequence[str]) -> str:
     """A group in words; numbers and flags are told with their names."""
     pairs = zip(shorten(names), key, strict=False)
     words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
-    return ", ".join([*words, method_title(key[-1])])
+    return ", ".join([*words, title_of(key[-1])])
 
 
 def shorten(names: Sequence[str]) -> list[str]:

@@ -1,1 +1,4 @@
-"""Runs and studies in the Rerun viewer; only this package imports rerun."""
+"""Recordings for the Rerun viewer: of a run, of a pair of runs, of a study, and of work in progress.
+
+This is the only package that imports Rerun; it reads what others wrote and computes no results.
+"""

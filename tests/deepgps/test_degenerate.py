@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.evaluate import evaluate
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
@@ -114,7 +114,7 @@ def learn(run: Path, world: str, method: str) -> str:
     """Train and measure; what went wrong in words, or nothing."""
     scenario = Scenario.model_validate({"world": world, "methods": [method], "learn": LEARN})
     try:
-        METHODS[method](open_recording(run / "recording"), scenario.learn, 0, run / method, ignore)
+        fit_method(method, open_recording(run / "recording"), scenario.learn, 0, run / method, ignore)
         metrics = evaluate(run, scenario)
     except (InputError, WorkError) as error:
         return str(error)

@@ -104,11 +104,11 @@ def _attack_read_only(run: Run) -> Callable[[Case], Verdict]:
 
 
 def _attack_length(run: Run, stage: str) -> Callable[[Case], Verdict]:
-    """As by ``ulimit -f``."""
+    """As by ``ulimit -f``; what the command prints goes to a file too, which has room for it."""
 
     def attempt(case: Case) -> Verdict:
         (case.folder / "disk").mkdir()
-        folder, most = _put(run, stage, case.folder / "disk" / "run"), round(10 ** case.rng.uniform(1.0, 6.0))
+        folder, most = _put(run, stage, case.folder / "disk" / "run"), round(10 ** case.rng.uniform(3.5, 6.0))
         ended = _give(run, STAGES[stage], case.folder, before=["prlimit", f"--fsize={most}"])
         if fault := judge_line(ended, case.folder, sizes=False):
             return Verdict(fault, False, f"files of {most} bytes at most: {ended.show()}")

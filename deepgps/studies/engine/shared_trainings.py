@@ -14,6 +14,7 @@ from pathlib import Path
 
 from deepgps.data.features import check_features, has_features
 from deepgps.learning.training_data import FEATURES, digest_features
+from deepgps.methods.catalog import METHODS
 from deepgps.methods.positioner import is_finished, load_positioner, read_training
 from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
 from deepgps.scenario import Scenario
@@ -24,7 +25,6 @@ from sim.recording.derive import NOT_LEARNED
 from sim.recording.format import Recording, open_recording
 
 log = logging.getLogger(__name__)
-WITHOUT_TICKS = ("posenet", "posenet_noisy")
 TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")
 """Names of the files of a training, or of features."""
 
@@ -55,7 +55,7 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
 def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
     home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
     features = digest_features(recording, scenario.learn, training_seed(scenario))[:8]
-    shared = [method for method in scenario.methods if method in WITHOUT_TICKS]
+    shared = [method for method in scenario.methods if not METHODS[method].reads_ticks]
     return [
         (FEATURES, home / features),
         *((method, home / digest_training(scenario, method, recording)) for method in shared),

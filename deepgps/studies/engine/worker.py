@@ -5,6 +5,7 @@ import traceback
 from contextlib import suppress
 from pathlib import Path
 
+from deepgps.methods.catalog import METHODS
 from deepgps.progress import Report
 from deepgps.run import show
 from deepgps.run_folder import claim
@@ -14,7 +15,6 @@ from sim.errors import InputError, WorkError, one_line
 from sim.files import write_text
 
 FAILURE = "failure.txt"
-TRAINED = ("deepgps", "deepgps_aware", "deepgps_turns", "posenet", "posenet_noisy", "odometry")  # step by step
 Failures = dict[str, str]  # reasons by the hash of the run
 
 
@@ -59,4 +59,4 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
 
 def count_steps(scenario: Scenario) -> int:
     """Training steps of a run without restarts; one at least, so that every run counts."""
-    return max(1, scenario.learn.train.steps * sum(method in TRAINED for method in scenario.methods))
+    return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in scenario.methods))

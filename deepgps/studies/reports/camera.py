@@ -8,9 +8,9 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.scenario import Scenario
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
@@ -57,7 +57,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
             clean = [row for row in faults.get(Fault(CLEAN, False), ()) if row["method"] == method]
             errors = [_write(name, ours, clean) for name in ERRORS]
             said = "-" if ours[0]["fold_found"] is None else str(sum(row["fold_found"] for row in ours))
-            head = [fault.title, WHEN[fault.in_use], method_title(method), str(len(ours))]
+            head = [fault.title, WHEN[fault.in_use], title_of(method), str(len(ours))]
             cells.append([*head, *errors, count_folded(ours), said])
     return [tabulate(["fault", "in", "method", "runs", *ERRORS.values(), "folded", "said"], cells), NOTE]
 
@@ -93,14 +93,14 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         for number, method in enumerate(methods):
             ours = [row for row in group if row["method"] == method]
             at = place + 0.5 * ((number + 0.5) / len(methods) - 0.5)
-            colour = LINES.get(method, "#555555")
+            colour = colour_of(method)
             for name, inside in (("rms_m", colour), ("median_m", "white")) if ours else ():
                 values = [100 * row[name] for row in ours]
                 axes.plot(values, [at] * len(ours), ".", color=colour, alpha=0.35, ms=4, mew=0)
                 axes.plot(100 * mean(ours, name), at, "o", color=colour, mfc=inside, ms=5, zorder=3)
     for row_method, clean in split_by(faults.get(Fault(CLEAN, False), ()), "method").items():
         for name, style in (("rms_m", "-"), ("median_m", (0, (3, 3)))):
-            colour = LINES.get(row_method, "#555555")
+            colour = colour_of(row_method)
             axes.axvline(100 * mean(clean, name), color=colour, linestyle=style, lw=1.0, alpha=0.55, zorder=1)
     changed = [place for place, fault in enumerate(faults) if fault.in_use]
     if changed:
@@ -117,8 +117,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes.grid(alpha=0.2, which="major", axis="x")
     axes.tick_params(axis="y", length=0)
     axes.spines[["top", "right", "left"]].set_visible(False)
-    marks = [Line2D([], [], color=LINES.get(name, "#555555"), marker="o", ls="") for name in methods]
-    picture.legend(marks, map(method_title, methods), loc="outside upper right", ncols=len(methods), frameon=False)
+    marks = [Line2D([], [], color=colour_of(name), marker="o", ls="") for name in methods]
+    picture.legend(marks, map(title_of, methods), loc="outside upper right", ncols=len(methods), frameon=False)
     return picture
 
 

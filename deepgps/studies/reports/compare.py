@@ -7,8 +7,8 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.style import count_by_decades
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.grouping import choices, describe, group_rows, shorten
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
@@ -53,7 +53,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         folded = [count_folded(group), str(sum(row["fold_found"] for row in group) if finder else "-")]
         driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
         figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
-        cells.append([*kind, method_title(method), str(len(group)), *figures])
+        cells.append([*kind, title_of(method), str(len(group)), *figures])
     follow = [name for name in varied if names and name not in names and not is_seed(name)]
     told = [f"What goes with these: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
     return [tabulate([*kinds, "method", *ours], cells), *told, NOTE]
@@ -66,7 +66,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
     axes = picture.add_subplot()
     for place, (key, group) in enumerate(groups.items()):
-        colour = LINES.get(key[-1], "#555555")
+        colour = colour_of(key[-1])
         for name, inside in (("rms_m", colour), ("median_m", "none")):
             axes.plot([100 * row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
     axes.set_yticks(range(len(groups)), [describe(key, names) for key in groups])

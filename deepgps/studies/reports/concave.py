@@ -12,9 +12,9 @@ from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.visibility import measure_visible
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure, write
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.grouping import group_rows
 from deepgps.studies.reports.compare import report as compare_choices
 from deepgps.studies.table import Row, find_methods
@@ -35,8 +35,8 @@ NOTE = (
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each shape and method, then a line for each share of the floor that is reached."""
     methods = find_methods(rows)
-    headings = ["reach", "positions", *(f"{method_title(name)}, RMS [cm]" for name in methods)]
-    headings += [f"{method_title(name)}, median [cm]" for name in methods]
+    headings = ["reach", "positions", *(f"{title_of(name)}, RMS [cm]" for name in methods)]
+    headings += [f"{title_of(name)}, median [cm]" for name in methods]
     cells = []
     for part, (low, high) in enumerate(pairwise(EDGES)):
         errors = [pool([row for row in rows if row["method"] == name], [part]) for name in methods]
@@ -53,12 +53,12 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     for (method,), group in group_rows(rows, []).items():
         little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, len(EDGES) - 1))
-        title = f"{method_title(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
+        title = f"{title_of(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
         ratio = _rms(little) / _rms(rest) if len(little) and len(rest) else None
         figures[f"{method}_little"] = Figure(title, ratio, "")
         shapes = {key[0]: _rms(pool(some, range(len(EDGES) - 1))) for key, some in group_rows(group, [SHAPE]).items()}
         if {"two_rooms", "rectangle"} <= set(shapes):
-            title = f"{method_title(method)}, RMS in two rooms / in a rectangle"
+            title = f"{title_of(method)}, RMS in two rooms / in a rectangle"
             figures[f"{method}_two_rooms"] = Figure(title, shapes["two_rooms"] / shapes["rectangle"], "")
     return figures
 
@@ -83,7 +83,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     for (method,), group in group_rows(rows, []).items():
         errors = {middle: pool(group, [part]) for part, middle in enumerate(middles)}
         there = {middle: error for middle, error in errors.items() if len(error)}
-        colour, title = LINES.get(method, "#555555"), method_title(method)
+        colour, title = colour_of(method), title_of(method)
         rms, median = ([100 * take(error) for error in there.values()] for take in (_rms, np.median))
         axes.plot(list(there), rms, "o-", color=colour, label=f"{title}, RMS")
         axes.plot(list(there), median, "o--", color=colour, mfc="none", label=f"{title}, median")

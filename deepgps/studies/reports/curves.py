@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades, draw_band
+from deepgps.figures.style import count_by_decades, draw_band
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
 
 TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
@@ -40,7 +40,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
                 worst = _centimetres(max(row["rms_m"] for row in group))
                 tail = [worst, f"{100 * mean(group, 'relative_rms'):.2f} %", f"{mean(group, 'train_s'):.0f}"]
                 theirs = [_write_paper(axis, value, group[0])] if paper else []
-                cells.append([*title, method_title(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
+                cells.append([*title, title_of(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
     knees = [
         f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the least from which on the RMS of "
         f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
@@ -117,7 +117,7 @@ def _our_lines(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
 
 def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
     groups = dict(sorted(split_by(line, axis).items()))
-    values, colour, title = list(groups), LINES.get(method, "#555555"), method_title(method)
+    values, colour, title = list(groups), colour_of(method), title_of(method)
     seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
     draw_band(axes, values, seeds, colour, f"{title}, RMS", marker=4)
     medians = [100 * mean(group, "median_m") for group in groups.values()]

@@ -7,8 +7,9 @@ import numpy as np
 
 from deepgps.evaluation.error_field import read_fields
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title, read_metrics
+from deepgps.figures.run_report import read_metrics
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import title_of
 from deepgps.studies.reports.encoder_sweeps import (
     FEWER_IS_WORSE,
     PERFECT,
@@ -70,7 +71,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """RMS at w = 0.10, and at 16 and 4 ticks relative to a perfect encoder, of both ways to learn."""
     figures = {}
     for method, prefix in (("deepgps", ""), ("deepgps_aware", "aware_")):
-        title = method_title(method)
+        title = title_of(method)
         for sweep in find_sweeps(rows):
             found = sweep.by_value(method)
             if sweep.names == ("gap_noise",) and 0.1 in found:
@@ -103,7 +104,7 @@ def choose_encoders(
     for sweep in sweeps:
         found = [_strongest(sweep.by_value(method), sweep.names[0], name_part(near_m)) for method in methods]
         lines.append([sweep.title, *found])
-    return ["fault", *(method_title(method) for method in methods)], lines
+    return ["fault", *(title_of(method) for method in methods)], lines
 
 
 def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], list[list[str]]]:
@@ -114,8 +115,8 @@ def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], lis
         errors = [_write_errors(sweep.by_value(method)[value]) for method in methods]
         doubted = " / ".join(f"{mean(group, name):.0f}" for name in ("wrong_doubted", "segments_wrong"))
         lines.append([f"{value:g}", *segment, *errors, f"{mean(group, 'scale'):.4f}", doubted])
-    heads = [f"{method_title(method)} (of seeds), near" for method in methods]
-    scale = f"scale of {method_title(methods[0])}"
+    heads = [f"{title_of(method)} (of seeds), near" for method in methods]
+    scale = f"scale of {title_of(methods[0])}"
     return [sweep.names[0], "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
 
 
@@ -131,7 +132,7 @@ def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[li
     for values, group in split_by_values(rows, pair).items():
         found = split_by(group, "method")
         lines.append([*(f"{value:g}" for value in values), *(_write_errors(found[method]) for method in methods)])
-    return [*pair, *(f"{method_title(method)} (of seeds), near" for method in methods)], lines
+    return [*pair, *(f"{title_of(method)} (of seeds), near" for method in methods)], lines
 
 
 def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> str:

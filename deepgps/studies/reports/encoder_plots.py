@@ -6,8 +6,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades, draw_band
+from deepgps.figures.style import count_by_decades, draw_band
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.reports.encoder import NEAR_M, PART, name_part
 from deepgps.studies.reports.encoder_sweeps import Sweep, find_sweeps
 from deepgps.studies.table import Row, find_methods, mean
@@ -64,9 +64,9 @@ def _draw_near(axes: Axes, sweep: Sweep) -> None:
 def _draw_methods(axes: Axes, sweep: Sweep, name: str) -> None:
     """Means over the seeds, a hundred times as large, and bands from the least to the most."""
     for method in find_methods(sweep.rows):
-        groups, colour = sweep.by_value(method), LINES.get(method, "#555555")
+        groups, colour = sweep.by_value(method), colour_of(method)
         seeds = [[100 * row[name] for row in group] for group in groups.values()]
         place = range(len(groups))
-        draw_band(axes, place, seeds, colour, method_title(method), marker=3)
+        draw_band(axes, place, seeds, colour, title_of(method), marker=3)
         # what is measured stands side by side: values grow by factors in some faults and by steps in others
         axes.set_xticks(place, [f"{value:g}" for value in groups], fontsize=8)

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure as Picture
 from deepgps.evaluation.error_field import read_fields
 from deepgps.figures.field_plot import print_floor
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title, read_metrics
-from deepgps.figures.style import LINES
+from deepgps.figures.run_report import read_metrics
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, split_by
 
 # What an error is measured against: the name of its columns begins with the key.
@@ -51,7 +51,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     cells = [
         [
             str(row["seed"]),
-            method_title(row["method"]),
+            title_of(row["method"]),
             *(_centimetres(row[prefix + name]) for prefix in AGAINST for name in PAPERS_ERRORS),
             f"{row['unlabelled']} + {row['test_unlabelled']}",
             _centimetres(row["labels_rms_m"]),
@@ -62,10 +62,10 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     for method, group in split_by(rows, "method").items():
         spread = [_spread(group, prefix + name) for prefix in AGAINST for name in PAPERS_ERRORS]
         rest = [_spread(group, "labels_rms_m"), f"{np.mean([row['train_s'] for row in group]):.0f}"]
-        cells.append(["mean ± std", method_title(method), *spread, "-", *rest])
+        cells.append(["mean ± std", title_of(method), *spread, "-", *rest])
     for method, figures in PAPER.items():
         theirs = [f"{100 * mean:.1f} ± {100 * std:.1f}" for mean, std in figures]
-        cells.append(["paper", method_title(method), *theirs, *["-"] * 6])
+        cells.append(["paper", title_of(method), *theirs, *["-"] * 6])
     return [tabulate(headings, cells), NOTE]
 
 
@@ -76,7 +76,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         for prefix, kind in AGAINST.items():
             for name, title in PAPERS_ERRORS.items():
                 values = [row[prefix + name] for row in group]
-                heading = f"{method_title(method)}, {title}, against {kind}"
+                heading = f"{title_of(method)}, {title}, against {kind}"
                 figures[f"{method}_{prefix}{name}"] = Figure(heading, float(np.mean(values)), "cm", worst=max(values))
     errors = [row["labels_rms_m"] for row in rows]
     figures["labels_rms_m"] = Figure("labels' own RMS", float(np.mean(errors)), "cm", worst=max(errors))
@@ -89,14 +89,14 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     seeds = list(dict.fromkeys(row["seed"] for row in rows))
     for axes, (place, (name, title)) in zip(picture.subplots(1, 3), enumerate(PAPERS_ERRORS.items()), strict=True):
         for side, (method, group) in enumerate(split_by(rows, "method").items()):
-            colour = LINES.get(method, "#555555")
+            colour = colour_of(method)
             x = np.array([seeds.index(row["seed"]) for row in group]) + 0.2 * side - 0.1
             values = {prefix: [100 * row[prefix + name] for row in group] for prefix in AGAINST}
-            axes.plot(x, values["label_"], "o", color=colour, label=f"{method_title(method)}, against labels")
-            axes.plot(x, values[""], "o", color=colour, mfc="none", label=f"{method_title(method)}, against truth")
+            axes.plot(x, values["label_"], "o", color=colour, label=f"{title_of(method)}, against labels")
+            axes.plot(x, values[""], "o", color=colour, mfc="none", label=f"{title_of(method)}, against truth")
             if method in PAPER:
                 paper = 100 * PAPER[method][place][0]
-                axes.axhline(paper, color=colour, linestyle=":", label=f"{method_title(method)}, paper's mean")
+                axes.axhline(paper, color=colour, linestyle=":", label=f"{title_of(method)}, paper's mean")
         axes.set(title=title, xlabel="data set", yscale="log")
         axes.set_xticks(range(len(seeds)), [str(seed) for seed in seeds])
         for axis_ticks in (axes.yaxis.set_major_formatter, axes.yaxis.set_minor_formatter):
@@ -129,9 +129,7 @@ def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
         axes.scatter(*field.truth.T, s=9, color="#ff7f0e", label="truth", zorder=2)
         axes.scatter(*field.predicted.T, s=9, color="#1f77b4", label="predicted", zorder=3)
         rms = np.sqrt(np.mean(field.error**2))
-        axes.set_title(
-            f"{method_title(method)}: RMS {100 * rms:.1f} cm, max {100 * field.error.max():.0f} cm", fontsize=11
-        )
+        axes.set_title(f"{title_of(method)}: RMS {100 * rms:.1f} cm, max {100 * field.error.max():.0f} cm", fontsize=11)
         axes.legend(loc="upper right", fontsize=8)
     picture.suptitle(f"Data set {row['seed']}, {len(field.error)} test samples", fontsize=12)
     return picture

@@ -8,9 +8,8 @@ from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row
 
 REACH = "landmarks.reach_m"
@@ -42,7 +41,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         worst = _millimetres(max(row["rms_m"] for row in group))
         seconds = f"{np.mean([row['train_s'] for row in group]):.0f}"
         theirs = [_millimetres(value) for value in PAPER[kind, method]] if (kind, method) in PAPER else ["-"] * 3
-        cells.append([kind, method_title(method), str(len(group)), *means, worst, seconds, *theirs])
+        cells.append([kind, title_of(method), str(len(group)), *means, worst, seconds, *theirs])
     return [tabulate(headings, cells), NOTE]
 
 
@@ -51,7 +50,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     for (kind, method), group in _group(rows).items():
         values = [row["rms_m"] for row in group]
-        title = f"RMS, {kind}, {method_title(method)}"
+        title = f"RMS, {kind}, {title_of(method)}"
         figures[f"{method}_{kind}"] = Figure(title, float(np.mean(values)), "mm", worst=max(values))
     seconds = [row["train_s"] for row in rows]
     figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
@@ -67,12 +66,12 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     for kind, axes in zip(kinds, panels, strict=True):
         for place, method in enumerate(methods):
             group = groups.get((kind, method), [])
-            colour = LINES.get(method, "#555555")
+            colour = colour_of(method)
             for name, inside in (("rms_m", colour), ("median_m", "none")):
                 axes.plot([row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
             if (kind, method) in PAPER:
                 axes.plot(PAPER[kind, method][0], place, "D", color="black", mfc="none")
-        axes.set_yticks(range(len(methods)), [method_title(method) for method in methods])
+        axes.set_yticks(range(len(methods)), [title_of(method) for method in methods])
         axes.set(xscale="log", title=f"{kind} observations", ylim=(len(methods) - 0.5, -0.5))
         axes.set_xlabel("error [m]; filled: RMS, open: median, diamond: the paper's RMS", fontsize=8)
         axes.xaxis.set_major_locator(ticker.LogLocator(numticks=12))

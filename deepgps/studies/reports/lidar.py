@@ -9,8 +9,8 @@ from safetensors import safe_open
 
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 from sim.files import read_arrays
 
@@ -51,7 +51,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
             ours = [_write(row[name]) for name in (*PAPERS_ERRORS, *EACH)]
             theirs = [_write(value) for value in _paper(row["method"], number)] or ["-"] * 3
             stored = f"{row['stored'] / 1e6:.2f}"
-            title = [str(number + 1), method_title(row["method"])]
+            title = [str(number + 1), title_of(row["method"])]
             cells.append([*title, *ours, stored, f"{row['train_s']:.0f}", *theirs])
     return [tabulate(headings, cells), NOTE]
 
@@ -91,7 +91,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
             axes = panels[methods.index(row["method"]), column]
             print_error_field(axes, folder / "runs" / row["run"], row["method"], SCALE_M)
             figures = f"RMS {_write(row['rms_m'])} m, median {_write(row['median_m'])} m"
-            axes.set_title(f"map {column + 1}, {method_title(row['method'])}\n{figures}", fontsize=10, loc="left")
+            axes.set_title(f"map {column + 1}, {title_of(row['method'])}\n{figures}", fontsize=10, loc="left")
             axes.label_outer()
     add_scale(picture, list(panels.flat), SCALE_M)
     return picture

@@ -8,9 +8,9 @@ from typing import NamedTuple
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
 from deepgps.figures.style import to_png
 from deepgps.figures.targets import Figure, tabulate_targets
+from deepgps.methods.catalog import title_of
 from deepgps.studies.reports import (
     camera,
     compare,
@@ -57,7 +57,7 @@ class Kind(NamedTuple):
 
 def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """Every run and method as it is."""
-    cells = [[*(str(row[name]) for name in varied), method_title(row["method"]), *write_errors(row)] for row in rows]
+    cells = [[*(str(row[name]) for name in varied), title_of(row["method"]), *write_errors(row)] for row in rows]
     return [tabulate([*varied, "method", *ERRORS.values()], cells)]
 
 

@@ -8,9 +8,9 @@ from matplotlib.figure import Figure as Picture
 from scipy.stats import binomtest
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
-from deepgps.figures.style import LINES, count_by_decades
+from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure, write
+from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_errors
 
 SHARES = ("relative_rms", "seen", "flipped")
@@ -30,14 +30,14 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     for row in rows:
         known = row["method"] != "posenet" and row["recording"] in rival
         ratio = row["rms_m"] / rival[row["recording"]] if known else None
-        cells.append([_room(row, varied), method_title(row["method"]), *_write(row), write(ratio, "")])
+        cells.append([_room(row, varied), title_of(row["method"]), *_write(row), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
         for method, group in split_by(rows, "method").items():
             columns = {name: [row[name] for row in group] for name in (*ERRORS, *SHARES, "train_s")}
             whole = {name: None if None in values else float(choose(values)) for name, values in columns.items()}
             if title == "worst":
                 whole["seen"] = min(row["seen"] for row in group)
-            cells.append([title, method_title(method), *_write(whole), "-"])
+            cells.append([title, title_of(method), *_write(whole), "-"])
     return [tabulate(headings, cells), NOTE, *_count_wins(rows)]
 
 
@@ -58,7 +58,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     seconds = [row["train_s"] for row in ours]
     figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
     for method, group in methods.items():
-        title = f"{method_title(method)}, "
+        title = f"{title_of(method)}, "
         figures |= {f"{method}_{name}": figure for name, figure in _measure_errors(group, title).items()}
     return figures
 
@@ -70,7 +70,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes = picture.add_subplot()
     for method, group in split_by(rows, "method").items():
         place = [rooms.index(_room(row, varied)) for row in group]
-        colour, title = LINES.get(method, "#555555"), method_title(method)
+        colour, title = colour_of(method), title_of(method)
         axes.plot([100 * row["rms_m"] for row in group], place, "o", color=colour, label=f"{title}, RMS")
         axes.plot(
             [100 * row["median_m"] for row in group], place, "o", color=colour, mfc="none", label=f"{title}, median"
@@ -102,7 +102,7 @@ def _count_wins(rows: Sequence[Row]) -> list[str]:
             _count(word, [mine[name] - other[name] for mine, other in pairs]) for name, word in PAPERS_ERRORS.items()
         ]
         sentences.append(
-            f"Of {len(pairs)} rooms, DeepGPS has lower errors than {method_title(method)} in {', '.join(wins)}."
+            f"Of {len(pairs)} rooms, DeepGPS has lower errors than {title_of(method)} in {', '.join(wins)}."
         )
     return [*sentences, SIGN_TEST] if sentences else []
 

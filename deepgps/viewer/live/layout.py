@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.run_report import method_title
+from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.layout import CAMERAS, aim_eye
 from sim.occupancy import FreeSpace
 
@@ -66,7 +66,7 @@ def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
 def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.Vertical:
     maps = [
         rrb.Spatial3DView(
-            name=f"{method_title(name)}: where it puts the training images",
+            name=f"{title_of(name)}: where it puts the training images",
             origin="world",
             contents=["world/floor_plan", "world/outline", f"world/training/{name}"],
             eye_controls=aim_eye(space, reach=0.9),
@@ -87,7 +87,7 @@ def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.V
 def _error_fields(space: FreeSpace, measured: Sequence[str]) -> rrb.Horizontal:
     fields = [
         rrb.Spatial3DView(
-            name=f"Error field of {method_title(name)}",
+            name=f"Error field of {title_of(name)}",
             origin="world",
             contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{name}/**"],
             eye_controls=aim_eye(space, tilt=0.45, reach=1.08),

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.run_report import method_title
 from deepgps.figures.style import colour_on_dark
+from deepgps.methods.catalog import title_of
 from deepgps.viewer import playback
 from deepgps.viewer.live.drive import Spread
 from deepgps.viewer.run.training import lay_upon, take_log
@@ -63,6 +63,6 @@ class LiveTraining:
         self.sent[label] = (points + len(loss), snapshots + len(maps))
 
     def _log_styles(self, method: str) -> None:
-        style = rr.SeriesLines(colors=[colour_on_dark(method)], names=method_title(method), widths=1.5)
+        style = rr.SeriesLines(colors=[colour_on_dark(method)], names=title_of(method), widths=1.5)
         self.stream.log(f"training/{method}/loss", style, static=True)
         self.stream.log(f"world/training/{method}", rr.Points3D.from_fields(radii=0.025), static=True)

@@ -13,7 +13,8 @@ import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.figures import field_plot
-from deepgps.figures.run_report import OVERVIEW, markdown_table, method_title, read_metrics
+from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
+from deepgps.methods.catalog import title_of
 from deepgps.scenario import Scenario
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
 from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint
@@ -92,9 +93,7 @@ class LiveView:
         return list(fields)
 
     def _send_steps(self) -> None:
-        rows = [
-            f"| {method_title(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()
-        ]
+        rows = [f"| {title_of(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()]
         text = "\n".join(["| what | done | of |", "|---|---|---|", *rows])
         if text == self._text:
             return

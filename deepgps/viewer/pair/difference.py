@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.figures.field_plot import SCALE_M
-from deepgps.figures.run_report import COLUMNS, Column, method_title, read_metrics
+from deepgps.figures.run_report import COLUMNS, Column, read_metrics
 from deepgps.figures.style import SCREEN, colour_on_dark
+from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
@@ -134,7 +135,7 @@ def draw_distributions(pair: Pair) -> Figure:
             for letter, side, line in (("A", pair.a, "--"), ("B", pair.b, "-")):
                 error = np.sort(side.fields[name].error)
                 share = 100 * np.arange(1, len(error) + 1) / len(error)
-                label = f"{method_title(name)}, {letter}"
+                label = f"{title_of(name)}, {letter}"
                 axes.step(error, share, line, where="post", color=colour, label=label, linewidth=1.8)
         axes.set_xscale("log")
         axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
@@ -162,7 +163,7 @@ def _list_places(pair: Pair) -> list[str]:
     for name in pair.methods:
         change = measure_change(pair, name)
         better, worse = int((change < -SAME_M).sum()), int((change > SAME_M).sum())
-        rows.append(f"| {method_title(name)} | {better} | {len(change) - better - worse} | {worse} |")
+        rows.append(f"| {title_of(name)} | {better} | {len(change) - better - worse} | {worse} |")
     return [
         f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:",
         "",
@@ -177,7 +178,7 @@ def _list_figures(pair: Pair, names: Sequence[str]) -> list[str]:
     columns = [column for column in COLUMNS if column[1] in names]
     heads = " | ".join(f"{heading.split(' [')[0]} A | B | B / A" for heading, _, _ in columns)
     rows = (
-        f"| {method_title(method)} | {' | '.join(_compare(pair, method, column) for column in columns)} |"
+        f"| {title_of(method)} | {' | '.join(_compare(pair, method, column) for column in columns)} |"
         for method in pair.methods
     )
     return [f"| method | {heads} |", "|---|" + "---:|" * 3 * len(columns), *rows]

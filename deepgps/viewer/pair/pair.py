@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.run_report import method_title
 from deepgps.figures.style import to_png
+from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
 from deepgps.viewer.pair.difference import (
     Pair,
@@ -112,7 +112,7 @@ def _log_change_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
 def _change(pair: Pair) -> rrb.Horizontal:
     first, *others = pair.methods
     room = rrb.Spatial3DView(
-        name=f"Where the error of {method_title(first)} changed from A to B",
+        name=f"Where the error of {title_of(first)} changed from A to B",
         origin="change",
         contents=["change/room", "change/floor_plan", "change/scale/**", f"change/field/{first}"],
         eye_controls=aim_eye(pair.a.space, tilt=0.45, reach=1.08),
@@ -120,7 +120,7 @@ def _change(pair: Pair) -> rrb.Horizontal:
     )
     plans = [
         rrb.Spatial3DView(
-            name=f"{method_title(name)}: A to B",
+            name=f"{title_of(name)}: A to B",
             origin="change",
             contents=["change/floor_plan", f"change/field/{name}"],
             eye_controls=aim_eye(pair.a.space, reach=0.85, before=0.0),
@@ -137,7 +137,7 @@ def _sides(pair: Pair) -> rrb.Horizontal:
         rrb.Vertical(
             *(
                 rrb.Spatial3DView(
-                    name=f"{letter}: error field of {method_title(name)}",
+                    name=f"{letter}: error field of {title_of(name)}",
                     origin=root,
                     contents=[
                         f"{root}/room",
@@ -150,7 +150,7 @@ def _sides(pair: Pair) -> rrb.Horizontal:
                 )
                 for letter, root, side in (("A", "a", pair.a), ("B", "b", pair.b))
             ),
-            name=method_title(name),
+            name=title_of(name),
         )
         for name in pair.methods
     ]

@@ -7,7 +7,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.figures import field_plot
-from deepgps.figures.run_report import method_title
+from deepgps.methods.catalog import title_of
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
 from sim.occupancy import FreeSpace
 
@@ -56,7 +56,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | 
     """The first method's field in the furnished room, the figures of all, and the others' fields as plans."""
     first, *others = methods
     room = rrb.Spatial3DView(
-        name=f"Error field of {method_title(first)}",
+        name=f"Error field of {title_of(first)}",
         origin="world",
         contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{first}/**"],
         eye_controls=aim_eye(space, tilt=0.45, reach=1.08),
@@ -64,7 +64,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | 
     )
     plans = [
         rrb.Spatial3DView(
-            name=method_title(method),
+            name=title_of(method),
             origin="world",
             contents=["world/floor_plan", f"world/error_field/{method}/**"],
             eye_controls=aim_eye(space, reach=0.85, before=0.0),
@@ -148,7 +148,7 @@ def _ticks(drive_s: float) -> rrb.TimeSeriesView:
 def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
     maps = [
         rrb.Spatial3DView(
-            name=f"{method_title(name)}: its map of the training images",
+            name=f"{title_of(name)}: its map of the training images",
             origin="world",
             contents=["world/outline", f"world/training/{name}"],
             eye_controls=aim_eye(space, reach=0.85, before=0.0),
@@ -158,7 +158,7 @@ def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
     ]
     errors = [
         rrb.Spatial3DView(
-            name=f"{method_title(name)}: its errors on them",
+            name=f"{title_of(name)}: its errors on them",
             origin="world",
             contents=["world/outline", "world/scale/**", f"world/training_error/{name}/**"],
             eye_controls=aim_eye(space),

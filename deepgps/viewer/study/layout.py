@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import rerun.blueprint as rrb
 
-from deepgps.figures.run_report import method_title
+from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.layout import whole_axis
 
 Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corner of where every room is drawn (2,) [m]
@@ -40,7 +40,7 @@ def make_blueprint(slider: str, methods: Sequence[str], figures: Sequence[str], 
 def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
     fields = (
         rrb.Spatial3DView(
-            name=method_title(method),
+            name=title_of(method),
             origin="/",
             contents=[
                 *("world/floor_plan", "world/outline", "world/metre/**", "scale/**"),

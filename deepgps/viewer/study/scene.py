@@ -6,8 +6,8 @@ import numpy as np
 import rerun as rr
 
 from deepgps.figures import field_plot
-from deepgps.figures.run_report import method_title
 from deepgps.figures.style import colour_on_dark
+from deepgps.methods.catalog import title_of
 from deepgps.studies.table import Row, find_methods, mean
 from deepgps.viewer.scene import Places, lift, log_floor, put
 from deepgps.viewer.study.layout import CURVES, Frame
@@ -77,7 +77,7 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
             index: [row for at, row in rows if at == index and row["method"] == method]
             for index in dict.fromkeys(at for at, row in rows if row["method"] == method)
         }
-        title, colour, pale = method_title(method), colour_on_dark(method), (*colour_on_dark(method), 110)
+        title, colour, pale = title_of(method), colour_on_dark(method), (*colour_on_dark(method), 110)
         curves: dict[str, tuple[Take, str, Sequence[int]]] = {"": (mean, title, colour)}
         if max(map(len, groups.values())) > 1:
             curves |= {"/best": (_least, f"{title}, best seed", pale), "/worst": (_most, f"{title}, worst seed", pale)}

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import method_title
+from deepgps.methods.catalog import title_of
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, split_by
 from deepgps.viewer.study.sliders import RUN, Slider, Step
@@ -17,7 +17,7 @@ def describe_field(method: str, slider: Slider, step: Step) -> str:
     where = step.value if slider.name == RUN else f"{slider.name} {step.value}"
     row = next((row for row in step.rows if row["method"] == method), None)
     if row is None:
-        return f"{where}\nno {method_title(method)}"
+        return f"{where}\nno {title_of(method)}"
     if row["failure"] is not None:
         return f"{where}\nfailed"
     return f"{where}\nRMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
@@ -30,12 +30,12 @@ def describe_step(slider: Slider, step: Step) -> str:
     if row["failure"] is not None:
         return "\n\n".join([*blocks, f"This run failed: {row['failure']}"])
     blocks.append(f"Run `{row['run']}`: {step.words}.")
-    cells = [[method_title(one["method"]), *(write_length(one[name]) for name in SHOWN)] for one in step.rows]
+    cells = [[title_of(one["method"]), *(write_length(one[name]) for name in SHOWN)] for one in step.rows]
     blocks.append(tabulate(["method", *SHOWN.values()], cells))
     seeds = len({one["run"] for one in step.repeats})
     if seeds > 1:
         ranges = [
-            f"{method_title(name)} {_range([one['rms_m'] for one in group])}"
+            f"{title_of(name)} {_range([one['rms_m'] for one in group])}"
             for name, group in split_by(step.repeats, "method").items()
         ]
         blocks.append(f"RMS of all {seeds} seeds: {'; '.join(ranges)}.")

@@ -123,7 +123,8 @@ def test_a_signal_that_is_swallowed_is_repeated(swallow: str) -> None:
 WAITING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
-from deepgps import begin, signals
+from deepgps import begin
+from deepgps.command import signals
 
 signals.LIMIT_S = 0.5
 signals.stop_at_signals()

@@ -20,7 +20,7 @@ if sys.argv[3] == "one":
 from pathlib import Path
 import numpy as np
 from deepgps import deepgps
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import open_recording
 
@@ -49,7 +49,7 @@ for name in sys.argv[4:]:
     folder, stopped = Path(sys.argv[2]) / name.strip("!"), name.endswith("!")
     folder.mkdir(exist_ok=True)
     try:
-        METHODS["deepgps"](recording, settings, 0, folder, stop if stopped else lambda *_: None)
+        fit_method("deepgps", recording, settings, 0, folder, stop if stopped else lambda *_: None)
     except Cut:
         pass
 """

@@ -6,7 +6,7 @@ import pytest
 
 from deepgps.data.features import TABLE
 from deepgps.learning.training_data import FEATURES
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.run_folder import open_run
 from deepgps.stages import training_seed
@@ -67,6 +67,6 @@ def test_a_method_that_reads_ticks_is_trained_for_each(runs):
 @pytest.mark.parametrize("kind", ["ticks", "lost"])
 def test_what_is_shared_is_what_the_run_would_have_learned_alone(kind, runs, tmp_path):
     scenario, recording = open_run(runs[kind]), open_recording(runs[kind] / "recording")
-    METHODS["posenet"](recording, scenario.learn, training_seed(scenario), tmp_path / "posenet", ignore)
+    fit_method("posenet", recording, scenario.learn, training_seed(scenario), tmp_path / "posenet", ignore)
     for name in (weights(Path(), "posenet"), Path(FEATURES) / TABLE):
         assert (tmp_path / name).read_bytes() == (runs[kind] / name).read_bytes()

@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from deepgps.alignment import fit_alignment
 from deepgps.figures.style import to_png
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from deepgps.studies.reports.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_all
@@ -55,8 +55,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, way in ways.items():
         recording = make_toy(folder / "runs" / name / "recording")
         settings = LearnSettings.model_validate({**QUICK, **way, "fold": {"restarts": 0}})
-        METHODS["deepgps"](recording, settings, 0, folder / "runs" / name / "deepgps", ignore)
-    METHODS["knn"](recording, LearnSettings.model_validate(QUICK), 0, folder / "runs" / "lifting" / "knn", ignore)
+        fit_method("deepgps", recording, settings, 0, folder / "runs" / name / "deepgps", ignore)
+    fit_method("knn", recording, LearnSettings.model_validate(QUICK), 0, folder / "runs" / "lifting" / "knn", ignore)
     return folder
 
 
