@@ -13,7 +13,8 @@ from sim.robot.model import WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
-from sim.sensors.encoder import count_ticks, scale_wheels
+from sim.sensors.encoder import count_ticks
+from sim.sensors.encoder_faults import scale_wheels
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.gl import choose_backend
 from sim.settings import NO_FAULTS, SimSettings

@@ -54,7 +54,7 @@ NOT_IN_SIM = {"torch", "rerun", "tyro"}
 WITHOUT_MUJOCO = {
     *("sim", "sim.settings", "sim.files", "sim.user_input", "sim.errors", "sim.paths", "sim.rng", "sim.processes"),
     *("sim.geometry", "sim.occupancy", "sim.recording.format", "sim.recording.derive"),
-    *("sim.sensors.lens", "sim.sensors.encoder", "sim.sensors.camera_faults"),
+    *("sim.sensors.lens", "sim.sensors.encoder", "sim.sensors.encoder_faults", "sim.sensors.camera_faults"),
 }
 ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl")

@@ -17,6 +17,7 @@ from deepgps.data.dead_reckoning import travel
 from deepgps.data.segments import Segments, find_runs
 from sim.recording.format import Recording
 from sim.sensors.encoder import read_odometry, ticks_to_distance
+from sim.sensors.encoder_faults import expect_bias, expect_variance
 from sim.settings import EncoderSettings
 
 DOUBTED = 4.0
@@ -34,7 +35,7 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     odometry = read_odometry(recording.manifest)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
     made_of = segments.index.diff(dim=1).clamp_min(1)
-    grown = (odometry.get("gap_noise", 0.0) * gap).square() / made_of + odometry.get("slip_per_m", 0.0) ** 2 * gap / 2.0
+    grown = expect_variance(odometry, gap, made_of)
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
     tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
     doubt = torch.from_numpy(measure_doubt(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
@@ -45,16 +46,12 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
 def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     """RMS error that distances of whole segments should have with these faults [m]; ``segments`` with expected errors.
 
-    Beside the noise: a wheel's radius, wrong by e, makes all ways longer by e / 2, and an encoder that sticks takes
-    half of the way from that part of the segments.
+    Noise and what no data sheet tells: radii that are wrong and an encoder that sticks (``encoder_faults``).
     """
     last = (segments.count - 1)[:, None]
     way = segments.distance.gather(1, last).double()
     noise = _variance(segments).gather(1, last).double() + segments.rounding_m2
-    steady = (encoder.radius_error_left + encoder.radius_error_right) / 2.0 * way
-    # Ways are as measured: those of a stuck encoder are halved already.
-    halved = encoder.stuck / (1.0 - 0.75 * encoder.stuck) * (way / 2.0).square()
-    return float((noise + steady.square() + halved).mean().sqrt())
+    return float((noise + expect_bias(encoder, way)).mean().sqrt())
 
 
 def find_believed(segments: Segments) -> Segments:

@@ -11,7 +11,7 @@ from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, mak
 from sim.rooms.layout import Layout
 from sim.rooms.outline import DOORWAY_M, outline, slabs
 from sim.rooms.placement import Finish, Room, surface
-from sim.rooms.plans import FURNISH, finish_ceiling
+from sim.rooms.plans import PLANS, RoomPlan
 from sim.settings import RoomKind, RoomSettings, RoomShape
 
 FLOOR = "floor"
@@ -19,26 +19,6 @@ WALL_M = 0.15
 CORNER_GAP_M = 0.002
 DOORWAY_HEIGHT_M = 2.05
 
-SIZE_M: dict[RoomKind, tuple[float, float, float]] = {
-    "living_room": (7.0, 4.3, 2.65),
-    "bedroom": (5.2, 4.4, 2.5),
-    "office": (7.2, 5.0, 2.8),
-    "kitchen": (6.0, 4.6, 2.6),
-    "studio": (7.4, 5.2, 2.8),
-    "workshop": (8.0, 5.6, 3.1),
-    "lab": (6.0, 5.0, 2.8),
-}
-"""Width, depth and height of each kind of room [m]."""
-
-FINISHES: dict[RoomKind, tuple[Finish, ...]] = {
-    "living_room": ("plaster", "wallpaper", "plaster", "brick"),
-    "bedroom": ("wallpaper", "plaster", "boards", "plaster"),
-    "office": ("plaster", "plaster", "boards", "plaster"),
-    "kitchen": ("tile", "plaster", "plaster", "wallpaper"),
-    "studio": ("brick", "plaster", "plaster", "wallpaper"),
-    "workshop": ("brick", "plaster", "boards", "brick"),
-    "lab": ("plaster", "brick", "plaster", "boards"),
-}
 PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
 
 
@@ -58,7 +38,8 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     rng = np.random.default_rng(
         [settings.seed, get_args(RoomKind).index(settings.kind), get_args(RoomShape).index(settings.shape)]
     )
-    width, depth, height = SIZE_M[settings.kind]
+    plan = PLANS[settings.kind]
+    width, depth, height = plan.size_m
     width = width if settings.width_m is None else settings.width_m
     depth = depth if settings.depth_m is None else settings.depth_m
     spec = mujoco.MjSpec()
@@ -66,41 +47,33 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     layout = Layout(outline(settings.shape, width, depth, rng))
     look = make_look(spec, rng)
     room = Room(spec, rng, look, layout, height + float(rng.uniform(-0.08, 0.12)), [])
-    _lay_floor(room, settings.kind)
-    _raise_walls(room, settings.kind)
-    _close_ceiling(room, settings.kind)
+    _lay_floor(room, plan)
+    _raise_walls(room, plan)
+    _close_ceiling(room, plan)
     if settings.shape == "pillar":
         _raise_pillars(room)
     elif settings.shape == "two_rooms":
-        _lay_lintel(room, settings.kind)
-    FURNISH[settings.kind](room)
-    finish_ceiling(room, settings.kind)
+        _lay_lintel(room, plan)
+    plan.furnish(room)
+    plan.finish_ceiling(room)
     _light(spec)
     return spec
 
 
-def _lay_floor(room: Room, kind: RoomKind) -> None:
+def _lay_floor(room: Room, plan: RoomPlan) -> None:
     world, rng = room.spec.worldbody, room.rng
     width, depth = np.ptp(room.layout.corners, axis=0)
     world.add_geom(
         name=FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(width / 2 + 1, depth / 2 + 1, 1), group=COLLISION_GROUP
     )
-    if kind == "kitchen":
-        image = textures.tile(rng, (256, 320), (0.75, 0.7, 0.62), textures.muted(rng), (12, 16))
-    elif kind == "workshop":
-        image = textures.plaster(rng, (256, 320), (0.55, 0.55, 0.53), stains=14, cracks=6)
-    elif kind in ("office", "lab"):
-        image = textures.fabric(rng, (256, 320), (0.42, 0.45, 0.5), (0.36, 0.4, 0.47))
-    else:
-        image = textures.wood(rng, (256, 320), np.multiply((0.66, 0.47, 0.3), rng.uniform(0.75, 1.1)), 22)
-    material = paper(room.spec, image)
+    material = paper(room.spec, plan.floor(rng))
     for left, right, bottom, top in slabs(room.layout.corners):
         middle = ((left + right) / 2, (bottom + top) / 2, -0.05)
         box(world, middle, (right - left, top - bottom, 0.1), material)
 
 
-def _raise_walls(room: Room, kind: RoomKind) -> None:
-    finishes = FINISHES[kind]
+def _raise_walls(room: Room, plan: RoomPlan) -> None:
+    finishes = plan.finishes
     shift, first_hue = int(room.rng.integers(len(finishes))), float(room.rng.random())
     walls = room.layout.walls
     for number, wall in enumerate(walls):
@@ -124,11 +97,11 @@ def _overlap(wall, following) -> float:
     return WALL_M if ax * by > ay * bx else -CORNER_GAP_M
 
 
-def _close_ceiling(room: Room, kind: RoomKind) -> None:
+def _close_ceiling(room: Room, plan: RoomPlan) -> None:
     rng, corners = room.rng, room.layout.corners
     width, depth = np.ptp(corners, axis=0) + 2 * WALL_M
     shape = (int(np.clip(72 * depth, 128, 512)), int(np.clip(72 * width, 128, 640)))
-    if kind in ("studio", "bedroom") and rng.random() < 0.5:
+    if plan.wooden_ceiling and rng.random() < 0.5:
         image = textures.wood(rng, shape, (0.8, 0.68, 0.52), int(rng.integers(14, 24)))
     else:
         colour, second = 0.4 + 0.55 * textures.muted(rng), 0.35 + 0.6 * textures.muted(rng)
@@ -156,12 +129,12 @@ def _raise_pillars(room: Room) -> None:
         block(body, (0, 0, room.height_m / 2), (side, side, room.height_m))
 
 
-def _lay_lintel(room: Room, kind: RoomKind) -> None:
+def _lay_lintel(room: Room, plan: RoomPlan) -> None:
     """The wall above the doorway between two rooms."""
     low, high = room.layout.corners[2], room.layout.corners[8]  # where the doorway begins and ends
     size = (*(high - low), room.height_m - DOORWAY_HEIGHT_M)
     colour = textures.muted(room.rng) * 0.7 + 0.25
-    material = surface(room.look, room.rng, FINISHES[kind][0], (DOORWAY_M, size[2]), colour)
+    material = surface(room.look, room.rng, plan.finishes[0], (DOORWAY_M, size[2]), colour)
     body = room.spec.worldbody.add_body(name="lintel", pos=(*(low + high) / 2, DOORWAY_HEIGHT_M + size[2] / 2))
     box(body, (0, 0, 0), size, material)
 

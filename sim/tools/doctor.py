@@ -20,7 +20,8 @@ LEAST_FREE_GB = 1.0  # the demo leaves some 0.3 GB behind
 
 _DRAW = """
 import sys
-from sim import errors, gl
+from sim import errors
+from sim.sensors import gl
 try:
     print(*gl.describe(), sep="\\n")
 except (errors.InputError, errors.WorkError) as error:

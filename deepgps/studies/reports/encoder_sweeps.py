@@ -4,19 +4,15 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from deepgps.studies.table import Row, split_by, varied_in
+from sim.sensors.encoder_faults import FAULTS
 from sim.settings import EncoderSettings
 
 PERFECT = EncoderSettings()
 Names = tuple[str, ...]
 TITLES: dict[Names, str] = {
     ("ticks_per_rev",): "ticks per revolution",
-    ("gap_noise",): "noise w of each gap",
-    ("slip_per_m",): "slip after a metre [m]",
     ("radius_error_left",): "error of one wheel's radius",
-    ("radius_error_left", "radius_error_right"): "error of both wheels' radius",
-    ("track_error",): "error of the track width",
-    ("lost",): "part of the readings lost",
-    ("stuck",): "part of the drive that one encoder sticks",
+    **{fault.settings: fault.title for fault in FAULTS},
 }
 FEWER_IS_WORSE = "ticks_per_rev"
 

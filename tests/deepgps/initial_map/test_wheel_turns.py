@@ -14,7 +14,7 @@ from deepgps.initial_map.wheel_turns import find_hand, read_turns, straighten
 from deepgps.methods.deepgps import fit, fit_turns
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, open_truth
-from sim.sensors.encoder import slip_wheels
+from sim.sensors.encoder_faults import slip_wheels
 from tests.helpers.toy import M_PER_TICK, ODOMETRY, QUICK, make_toy
 
 SETTINGS = LearnSettings.model_validate(QUICK)

@@ -19,7 +19,7 @@ if sys.argv[3] == "one":
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 from pathlib import Path
 import numpy as np
-from deepgps import deepgps
+from deepgps.methods import deepgps
 from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import open_recording

@@ -98,7 +98,7 @@ from pathlib import Path
 import numpy as np
 from conftest import SMALL
 from sim.recording.renderers import Part, Renderers
-from test_renderers import always_hang
+from tests.sim.recording.test_renderers import always_hang
 if __name__ == "__main__":
     with Renderers(always_hang, 2, 0.0) as workers:
         for number in range(2):
@@ -130,7 +130,7 @@ def wait_for(states: list[str], pids: list[int], seconds: float) -> bool:
 def test_no_worker_outlives_its_parent_not_even_a_stopped_one(tmp_path):
     script = tmp_path / "parent.py"
     script.write_text(PARENT)
-    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    paths = os.pathsep.join([str(Path(__file__).parents[3]), *sys.path])
     command = [sys.executable, str(script)]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": paths}

@@ -159,7 +159,7 @@ import os, signal, sys
 from pathlib import Path
 from deepgps.progress import ignore
 from deepgps.scenario import Scenario
-from deepgps.viewer import live
+from deepgps.viewer.live import live
 
 live.STALL_S, live.PATIENCE_S = 1.0, 5.0
 with live.show_live(sys.argv[1], Scenario(), Path(sys.argv[2]), ignore, print) as report:
