@@ -8,28 +8,19 @@ from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
 import yaml
-from pydantic import AfterValidator, Field, ValidationError, field_validator, model_validator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_core import ErrorDetails
 
 from deepgps.methods.catalog import METHODS, Observation
 from deepgps.plain_yaml import read_yaml
-from deepgps.settings import LearnSettings
+from deepgps.settings import LearnSettings, one_of
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.recording.format import SCHEMA
 from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 
-
-def _check_method(name: str) -> str:
-    if name not in METHODS:
-        allowed = [repr(method) for method in METHODS]
-        names = f"{', '.join(allowed[:-1])} or {allowed[-1]}"
-        raise PydanticCustomError("literal_error", "Input should be {names}", {"names": names})
-    return name
-
-
-MethodName = Annotated[str, AfterValidator(_check_method)]
+MethodName = Annotated[str, one_of(METHODS)]
 GIVEN_BY: dict[Observation, str] = {
     "polar_image": "images, which world room with sensor fisheye gives",
     "scan": "scans, which world lidar or, in a room, sensor lidar gives",

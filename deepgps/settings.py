@@ -1,14 +1,29 @@
 """Settings of learning: frozen groups, each checked once, when it is made."""
 
+from collections.abc import Collection
 from typing import Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
 
 from sim.settings import Group
 
 Architecture = Literal["spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"]
 PairLoss = Literal["absolute", "normalised"]
 Start = Literal["auto", "paths", "ends", "lifting", "random"]
+
+
+def one_of(names: Collection[str]) -> AfterValidator:
+    """A check that a value is one of these names, with the message that a Literal of them would give."""
+
+    def check(value: str) -> str:
+        if value not in names:
+            *most, last = map(repr, names)
+            allowed = f"{', '.join(most)} or {last}"
+            raise PydanticCustomError("literal_error", "Input should be {allowed}", {"allowed": allowed})
+        return value
+
+    return AfterValidator(check)
 
 
 class FeatureSettings(Group):

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 
 from deepgps.bench.rows import Row
 from deepgps.figures.targets import FORMS
-from deepgps.studies.reports.report import KINDS
+from deepgps.studies.reports.report import measure_targets
 from deepgps.studies.study import load_study
 from sim.files import read_json
 
@@ -29,7 +29,7 @@ def _read_study(name: str) -> list[Row]:
         note = f"deepgps study {name}"
         return [Row(f"{name}.{key}", f"{name}: {key}", None, "", note=note) for key in study.target]
     rows = [row for row in pq.read_table(found).to_pylist() if row["failure"] is None]
-    figures = KINDS[study.report].measure(rows) if rows else {}
+    figures = measure_targets(study.report, rows) if rows else {}
     note = f"{len(rows)} trainings, {_origin(found, [row['run'] for row in rows])}"
     made = []
     for key, target in study.target.items():

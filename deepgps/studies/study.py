@@ -7,7 +7,7 @@ from functools import cache, lru_cache
 from itertools import product
 from os.path import isfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any
 
 import yaml
 from pydantic import Field, ValidationError, model_validator
@@ -27,58 +27,14 @@ from deepgps.scenario import (
     override_scenario,
     read_room,
 )
+from deepgps.settings import one_of
+from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError
 from sim.paths import SCENARIOS, STUDIES
 from sim.settings import Group
 from sim.user_input import quote, shorten
 
-ReportName = Literal[
-    "plain",
-    "rooms",
-    "seeds",
-    "landmarks",
-    "lidar",
-    "lab",
-    "compare",
-    "networks",
-    "strategies",
-    "mds",
-    "concave",
-    "curves",
-    "encoder",
-    "camera",
-]
-# The figures of each report that a target or the paper's own can stand beside.
-FIGURES: dict[ReportName, tuple[str, ...]] = {
-    "plain": (),
-    "rooms": (
-        *("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins", "train_s"),
-        *("posenet_rms_m", "posenet_median_m", "posenet_max_m"),
-    ),
-    "seeds": ("unfolded", "found", "false_alarms"),
-    "landmarks": (
-        *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
-        *("explicit_complete", "explicit_incomplete", "explicit_mds_complete", "explicit_mds_incomplete", "train_s"),
-    ),
-    "compare": (),
-    "networks": (
-        *("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"),
-        *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
-    ),
-    "strategies": ("travel_ratio", "samples_ratio", "way_ratio"),
-    "mds": ("apart", "not_joined_ratio", "planar", "mds_ratio"),
-    "concave": ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
-    "curves": ("rms_m", "relative_rms", "relative_median", "knee"),
-    "encoder": tuple(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
-    "camera": ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "use_rms_ratio", "use_median_ratio"),
-    "lidar": ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
-    "lab": (
-        *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
-        *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
-        *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
-        *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
-    ),
-}
+ReportName = Annotated[str, one_of(REPORTS)]
 MOST_RUNS = 10_000
 MOST_WRONG = 500
 """Wrong runs after which no more are planned."""
@@ -125,8 +81,8 @@ class Study(Variation):
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
     report: ReportName = "plain"
-    """How the table is reported; a file of this name in deepgps/studies says what each shows. plain: rows as they are;
-    rooms: means and who wins; compare: means over seeds of all else that varies; curves: errors along the last axis."""
+    """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means and who wins;
+    compare: means over seeds of all else that varies; curves: errors along the last axis."""
     record: bool = False
     """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
     target: dict[str, float] = Field(default_factory=dict)
@@ -150,7 +106,7 @@ class Study(Variation):
 
     @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
-        known = FIGURES[self.report]
+        known = REPORTS[self.report].targets
         for name in (*self.target, *self.paper):
             if name not in known:
                 has = f"has {', '.join(known)}" if known else "has none"

@@ -15,11 +15,6 @@ from deepgps.studies.study import Plan
 from sim.files import drop_sum, write_bytes, write_sum
 
 Row = dict[str, Any]
-FIGURE_NAMES = (
-    *("camera", "concave", "curves", "encoder", "error_fields", "errors", "lab", "lab_places", "landmarks", "lidar"),
-    *("mds", "near", "rooms", "seeds"),
-)
-"""Names of all figures that reports of studies draw."""
 # of a method, as they stand in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),

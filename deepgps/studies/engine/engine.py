@@ -16,12 +16,12 @@ from deepgps.progress import Report
 from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.scenario import Scenario
 from deepgps.stages import read_measured
+from deepgps.studies.catalog import PICTURES
 from deepgps.studies.engine import local as engine_local
 from deepgps.studies.engine import ray_cluster
 from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan, Study, write_out
-from deepgps.studies.table import FIGURE_NAMES
 from sim.errors import InputError
 from sim.files import is_intact, sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING
@@ -31,7 +31,7 @@ STUDY = Kind(
     "study",
     "study.yaml",
     re.compile(
-        rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(FIGURE_NAMES)})\.png"
+        rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(PICTURES)})\.png"
         rf"|runs/{_HASH}/({RUN.files.pattern}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"
         rf"|recordings/{_HASH}/({RECORDING.pattern})|recordings/{_HASH}\.collecting/({COLLECTING.pattern})"
     ),

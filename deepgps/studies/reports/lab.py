@@ -1,6 +1,6 @@
 """The report of the laboratory: errors against labels, as in the paper's Table III, and against the truth."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -133,12 +133,6 @@ def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
         axes.legend(loc="upper right", fontsize=8)
     picture.suptitle(f"Data set {row['seed']}, {len(field.error)} test samples", fontsize=12)
     return picture
-
-
-FIGURES: Mapping[str, Callable[[Sequence[Row], Sequence[str], Path], Picture]] = {
-    "lab": draw_errors,
-    "lab_places": draw_places,
-}
 
 
 def _spread(rows: Sequence[Row], name: str) -> str:

@@ -2,89 +2,33 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
-
-from matplotlib.figure import Figure as Picture
+from typing import Any
 
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.style import to_png
 from deepgps.figures.targets import Figure, tabulate_targets
-from deepgps.methods.catalog import title_of
-from deepgps.studies.reports import (
-    camera,
-    compare,
-    concave,
-    curves,
-    encoder,
-    encoder_plots,
-    lab,
-    landmarks,
-    lidar,
-    mds,
-    networks,
-    rooms,
-    seeds,
-    strategies,
-)
-from deepgps.studies.study import Plan, ReportName, Study
-from deepgps.studies.table import ERRORS, FIGURE_NAMES, Row, gather, write_errors, write_table
+from deepgps.studies.catalog import PICTURES, REPORTS
+from deepgps.studies.study import Plan, Study
+from deepgps.studies.table import Row, gather, write_table
 from sim.errors import InputError
 from sim.files import sha256, write_bytes, write_text
 
 SUMS = "SHA256SUMS"
 """List of what was published, as sha256sum writes it."""
 
-# (rows measured, names that vary, the study's folder, where each run lies in runs/<row["run"]>)
-Draw = Callable[[Sequence[Row], Sequence[str], Path], Picture]
+
+def load(name: str) -> Callable[..., Any]:
+    """The function called "module:function" in a module of this package."""
+    module, _, function = name.partition(":")
+    return getattr(import_module(f"deepgps.studies.reports.{module}"), function)
 
 
-class Kind(NamedTuple):
-    """One kind of report.
-
-    Attributes:
-        report: (rows measured, names that vary) -> blocks of Markdown.
-        measure: Rows measured -> figures that a target can stand beside.
-        figures: Pictures by the name of their file.
-        add: (run folder, row) -> columns of its own, which stand in the table beside the others.
-    """
-
-    report: Callable[[Sequence[Row], Sequence[str]], list[str]]
-    measure: Callable[[Sequence[Row]], dict[str, Figure]]
-    figures: Mapping[str, Draw]
-    add: Callable[[Path, Row], Row] | None = None
-
-
-def report_plain(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """Every run and method as it is."""
-    cells = [[*(str(row[name]) for name in varied), title_of(row["method"]), *write_errors(row)] for row in rows]
-    return [tabulate([*varied, "method", *ERRORS.values()], cells)]
-
-
-PICTURES: Mapping[str, Draw] = {"errors": compare.draw, "error_fields": compare.draw_fields}
-KINDS: dict[ReportName, Kind] = {
-    "plain": Kind(report_plain, lambda rows: {}, {}),
-    "rooms": Kind(rooms.report, rooms.measure, {"rooms": rooms.draw}),
-    "seeds": Kind(seeds.report, seeds.measure, {"seeds": seeds.draw}),
-    "landmarks": Kind(landmarks.report, landmarks.measure, {"landmarks": landmarks.draw}),
-    "compare": Kind(compare.report, lambda rows: {}, PICTURES),
-    "networks": Kind(networks.report, networks.measure, PICTURES, networks.add_turn_spread),
-    "strategies": Kind(compare.report, strategies.measure, PICTURES),
-    "mds": Kind(mds.report, mds.measure, {"mds": mds.draw}, mds.add_distances),
-    "concave": Kind(
-        concave.report, concave.measure, {"concave": concave.draw, "rooms": concave.draw_rooms}, concave.add_reach
-    ),
-    "camera": Kind(camera.report, camera.measure, {"camera": camera.draw}),
-    "curves": Kind(curves.report, curves.measure, {"curves": curves.draw}),
-    "encoder": Kind(
-        encoder.report,
-        encoder.measure,
-        {"encoder": encoder_plots.draw, "near": encoder_plots.draw_near},
-        encoder.add_errors,
-    ),
-    "lidar": Kind(lidar.report, lidar.measure, {"lidar": lidar.draw}, lidar.add),
-    "lab": Kind(lab.report, lab.measure, lab.FIGURES, lab.add),
-}
+def measure_targets(report: str, rows: Sequence[Row]) -> dict[str, Figure]:
+    """Figures of a report that targets can be set for."""
+    measure = REPORTS[report].measure
+    return load(measure)(rows) if measure else {}
 
 
 def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
@@ -96,15 +40,15 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         failures: Why runs failed, by their hash.
         folder: The study's folder.
     """
-    rows, kind = gather(plans, failures, folder), KINDS[study.report]
-    if kind.add:
-        rows = add_columns(rows, kind.add, folder)
+    rows, report = gather(plans, failures, folder), REPORTS[study.report]
+    if report.columns:
+        rows = add_columns(rows, load(report.columns), folder)
     write_table(folder / "table.parquet", rows)
     text = write_report(study, plans, failures, rows)
     write_text(folder / "table.md", text)
     measured = [row for row in rows if row["failure"] is None]
-    for name, draw in kind.figures.items() if measured else ():
-        write_bytes(folder / "figures" / f"{name}.png", to_png(draw(measured, varied_names(study), folder)))
+    for name, draw in report.pictures.items() if measured else ():
+        write_bytes(folder / "figures" / f"{name}.png", to_png(load(draw)(measured, varied_names(study), folder)))
     return text
 
 
@@ -132,7 +76,7 @@ def check_publish(target: Path) -> None:
         raise InputError(f"--publish: {target} is no folder")
     lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
     published = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
-    names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in FIGURE_NAMES)]
+    names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in PICTURES)]
     if foreign := set(published) - set(names):
         raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which deepgps does not publish")
     for path in (target / name for name in names):
@@ -143,12 +87,12 @@ def check_publish(target: Path) -> None:
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
     """The report in Markdown: the table, the targets, and what failed."""
-    varied, kind = varied_names(study), KINDS[study.report]
+    varied = varied_names(study)
     blocks = [f"# {study.name}", f"{len(plans)} runs of {study.scenario}, {len(failures)} failed."]
     measured = [row for row in rows if row["failure"] is None]
     if measured:
-        blocks += kind.report(measured, varied)
-        if figures := kind.measure(measured):
+        blocks += load(REPORTS[study.report].text)(measured, varied)
+        if figures := measure_targets(study.report, measured):
             blocks += ["## In all", tabulate_targets(figures, study.target, study.paper)]
     if failures:
         failed = {row["run"]: row for row in rows if row["failure"]}.values()

@@ -9,9 +9,10 @@ import pytest
 import yaml
 
 from deepgps.scenario import digest, digest_recording, load_scenario, names_in
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
-from deepgps.studies.reports.report import KINDS, varied_names, write_report
+from deepgps.studies.reports.report import load, varied_names, write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.run.recording import find_recording
@@ -288,7 +289,7 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
     headings = [heading.strip() for heading in lines[0]]
     (place, *_) = [headings.index(word) for word in ("flipped", "folded", "unfolded") if word in headings]
     assert {line[place].strip() for line in lines[2:] if len(line) == len(headings)} == {"-"}
-    for draw in KINDS[study.report].figures.values() if name == "seeds" else ():
+    for draw in map(load, REPORTS[study.report].pictures.values()) if name == "seeds" else ():
         assert draw(rows, varied_names(study), Path()).axes
 
 
@@ -385,4 +386,8 @@ def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
 def find_workers(parent: int) -> list[int]:
     """Processes started by another to do runs."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
-    return [int(child) for child in children if b"engine_local" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [
+        int(child)
+        for child in children
+        if b"deepgps.studies.engine.local" in Path(f"/proc/{child}/cmdline").read_bytes()
+    ]

@@ -96,7 +96,7 @@ PARENT = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from conftest import SMALL
+from tests.conftest import SMALL
 from sim.recording.renderers import Part, Renderers
 from tests.sim.recording.test_renderers import always_hang
 if __name__ == "__main__":

@@ -7,8 +7,9 @@ import pytest
 from scipy import ndimage
 
 from sim.occupancy import FreeSpace
-from sim.rooms.build import SIZE_M, build_room
+from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
+from sim.rooms.plans import PLANS
 from sim.settings import RoomKind, RoomSettings, RoomShape
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
@@ -43,7 +44,7 @@ def test_every_room_stands_still_and_leaves_room_to_drive(kind, shape):
     mujoco.mj_step(model, data, 10)
     assert all(warning.number == 0 for warning in data.warning)
     assert model.nq == 0
-    width, depth, _ = SIZE_M[kind]
+    width, depth, _ = PLANS[kind].size_m
     assert space.reachable.sum() * space.cell_m**2 > 0.35 * width * depth * (0.65 if shape in ("l", "u") else 1.0)
     assert 0.6 * depth < space.shorter_side_m <= depth + 0.04
     assert 80 <= (model.geom_group <= 2).sum() <= 200
@@ -77,7 +78,7 @@ def test_little_floor_lies_behind_gaps_hardly_wider_than_the_robot(kind, shape):
 @pytest.mark.parametrize(("kind", "shape"), EVERY)
 def test_pieces_stand_on_the_floor_inside_the_walls_and_apart(kind, shape):
     model, data, _ = _room(kind, shape)
-    width, depth, _ = SIZE_M[kind]
+    width, depth, _ = PLANS[kind].size_m
     standing = [
         body
         for body in range(1, model.nbody)
@@ -182,5 +183,5 @@ def test_small_long_and_large_rooms_work(size, shape):
 def test_a_person_can_walk_in_it(kind):
     model, _, _ = _room(kind, "rectangle")
     walk = find_free_space(model, 0.27, 1.7, cell_m=0.05)
-    width, depth, _ = SIZE_M[kind]
+    width, depth, _ = PLANS[kind].size_m
     assert walk.reachable.sum() * 0.05**2 > 0.2 * width * depth

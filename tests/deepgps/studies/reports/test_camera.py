@@ -7,12 +7,13 @@ import pytest
 import yaml
 
 from deepgps.progress import ignore
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.local import run_all
 from deepgps.studies.engine.shared_recordings import find_drives
 from deepgps.studies.reports import camera
 from deepgps.studies.reports.report import report_study, write_report
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from sim.paths import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest
@@ -58,7 +59,7 @@ def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last():
 
 def test_the_worst_fault_of_each_kind_is_a_figure():
     figures = camera.measure(ROWS)
-    assert set(figures) == set(FIGURES["camera"])
+    assert set(figures) == set(REPORTS["camera"].targets)
     values = {name: figure.value for name, figure in figures.items()}
     assert values == pytest.approx(
         {"clean_rms_m": 0.02}

@@ -11,11 +11,12 @@ from deepgps.methods.positioner import NetworkPositioner
 from deepgps.progress import ignore
 from deepgps.settings import Architecture, NetworkSettings
 from deepgps.studies import grouping
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.local import run_all
 from deepgps.studies.reports import compare, networks, strategies
 from deepgps.studies.reports.report import report_study, write_report
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 
 COMMON = {"p95_m": 0.05, "max_m": 0.5, "flipped": 0.0, "train_s": 10.0, "heading_spread_m": 0.004, "fold_found": None}
@@ -88,7 +89,7 @@ def test_strategies_are_compared_at_equal_travel_and_at_equal_images():
     assert cells(text, "RMS, end-point / dense, equal travel")[:4] == ["25.00", "-", ">= 1.00", "met"]
     assert cells(text, "RMS, end-point / dense, equal images")[0] == "2.00"
     assert cells(text, "travel, end-point / dense, equal images")[0] == "20.00"
-    assert set(strategies.measure(STRATEGIES)) == set(FIGURES["strategies"])
+    assert set(strategies.measure(STRATEGIES)) == set(REPORTS["strategies"].targets)
 
 
 def test_the_strategies_study_differs_in_nothing_but_the_strategy_and_gives_batches_of_one_size():
@@ -113,7 +114,7 @@ def test_networks_are_judged_as_they_train_with_shifted_images():
         network_row("resnet_plain", 0.90, shift=False, turn=0.5),
     ]
     figures = networks.measure(rows)
-    assert set(figures) == set(FIGURES["networks"])
+    assert set(figures) == set(REPORTS["networks"].targets)
     assert figures["plain_ratio"].value == pytest.approx(2.0)
     assert figures["plain_turned"].value == pytest.approx(2.5)
     assert figures["resnet_plain"].value == pytest.approx(0.12)

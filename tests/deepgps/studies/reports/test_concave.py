@@ -6,11 +6,12 @@ import pytest
 from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.visibility import measure_visible
 from deepgps.progress import ignore
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.local import run_all
 from deepgps.studies.reports.concave import EDGES, add_reach, measure, pool, report
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from sim.recording.format import open_truth
 
@@ -45,7 +46,7 @@ def test_what_little_reach_costs_is_told_for_each_method():
     ]
     rows += [make_row("posenet", shape, 0.01, 0.01) for shape in ("rectangle", "two_rooms")]
     figures = measure(rows)
-    assert set(figures) == set(FIGURES["concave"])
+    assert set(figures) == set(REPORTS["concave"].targets)
     assert figures["deepgps_little"].value == pytest.approx(0.4 / np.sqrt((0.02**2 + 0.01**2) / 2))
     assert figures["posenet_little"].value == pytest.approx(1.0)
     assert figures["posenet_two_rooms"].value == pytest.approx(1.0)

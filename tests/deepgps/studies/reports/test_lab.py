@@ -10,8 +10,9 @@ from deepgps.progress import ignore
 from deepgps.run import show
 from deepgps.scenario import load_scenario
 from deepgps.stages import evaluate, make_recording, train
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports.lab import PAPER, add, draw_places, measure, report
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.run.recording import RECORDING
 from sim.errors import InputError
@@ -41,7 +42,7 @@ def test_both_truths_stand_beside_the_papers():
 
 def test_figures_have_the_names_that_a_study_may_use_and_the_paper_stands_once():
     study = load_study("lab", tiny=False)
-    assert set(measure(ROWS)) == set(FIGURES["lab"])
+    assert set(measure(ROWS)) == set(REPORTS["lab"].targets)
     assert study.paper == {
         f"{method}_label_{name}": figures[place][0]
         for method, figures in PAPER.items()

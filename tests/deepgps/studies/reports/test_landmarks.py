@@ -8,9 +8,10 @@ import pytest
 from deepgps.progress import ignore
 from deepgps.run import run
 from deepgps.scenario import load_scenario
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports.landmarks import PAPER, measure, report
 from deepgps.studies.reports.report import write_report
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from deepgps.viewer.read import read_error_field
 from deepgps.viewer.run.recording import RECORDING
@@ -75,7 +76,7 @@ def test_targets_are_judged_by_the_mean_over_the_seeds():
 
 
 def test_figures_have_the_names_that_a_study_may_use_and_the_paper_stands_once():
-    assert set(measure(ROWS)) <= set(FIGURES["landmarks"])
+    assert set(measure(ROWS)) <= set(REPORTS["landmarks"].targets)
     paper = load_study("landmarks", tiny=False).paper
     assert paper == {f"{method}_{kind}": figures[0] for (kind, method), figures in PAPER.items()}
 

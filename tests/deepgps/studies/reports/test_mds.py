@@ -11,8 +11,9 @@ from deepgps.figures.style import to_png
 from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports.mds import add_distances, are_joined, draw, find_distances, measure, report, scale_all
-from deepgps.studies.study import FIGURES, load_study, plan_runs
+from deepgps.studies.study import load_study, plan_runs
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from tests.helpers.toy import QUICK, make_toy
@@ -86,7 +87,7 @@ def test_the_report_says_how_far_the_map_is_from_the_network_and_draws_it(folder
         rows.append({**row, **add_distances(folder / "runs" / name, row)})
     assert rows[0]["mds_own_m"] < 1e-6
     figures = measure(rows)
-    assert set(figures) == set(FIGURES["mds"])
+    assert set(figures) == set(REPORTS["mds"].targets)
     assert figures["planar"].value == rows[1]["planar"]
     assert figures["mds_ratio"].value == pytest.approx(rows[1]["mds_m"] / rows[0]["own_m"])
     text = report(rows, VARIED)[0]

@@ -1,0 +1,122 @@
+"""The reports of studies by name: one record each. It imports nothing heavy, so that a study can be read at once."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a report shows. Functions are named "module:function", modules of ``deepgps.studies.reports``.
+
+    Attributes:
+        text: (rows measured, names that vary) -> blocks of Markdown.
+        pictures: (rows measured, names that vary, the study's folder) -> a figure, by the name of its file.
+        measure: Rows measured -> figures that a target can be set for.
+        targets: Names of these figures.
+        columns: (run folder, row) -> columns of its own in the study's table.
+    """
+
+    text: str
+    pictures: Mapping[str, str] = field(default_factory=dict)
+    measure: str | None = None
+    targets: tuple[str, ...] = ()
+    columns: str | None = None
+
+
+_COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
+REPORTS: dict[str, Report] = {
+    "plain": Report("plain:report"),
+    "rooms": Report(
+        "rooms:report",
+        {"rooms": "rooms:draw"},
+        "rooms:measure",
+        (
+            *("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins", "train_s"),
+            *("posenet_rms_m", "posenet_median_m", "posenet_max_m"),
+        ),
+    ),
+    "seeds": Report("seeds:report", {"seeds": "seeds:draw"}, "seeds:measure", ("unfolded", "found", "false_alarms")),
+    "landmarks": Report(
+        "landmarks:report",
+        {"landmarks": "landmarks:draw"},
+        "landmarks:measure",
+        (
+            *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
+            *(
+                "explicit_complete",
+                "explicit_incomplete",
+                "explicit_mds_complete",
+                "explicit_mds_incomplete",
+                "train_s",
+            ),
+        ),
+    ),
+    "compare": Report("compare:report", _COMPARED),
+    "networks": Report(
+        "networks:report",
+        _COMPARED,
+        "networks:measure",
+        (
+            *("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"),
+            *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
+        ),
+        "networks:add_turn_spread",
+    ),
+    "strategies": Report(
+        "compare:report", _COMPARED, "strategies:measure", ("travel_ratio", "samples_ratio", "way_ratio")
+    ),
+    "mds": Report(
+        "mds:report",
+        {"mds": "mds:draw"},
+        "mds:measure",
+        ("apart", "not_joined_ratio", "planar", "mds_ratio"),
+        "mds:add_distances",
+    ),
+    "concave": Report(
+        "concave:report",
+        {"concave": "concave:draw", "rooms": "concave:draw_rooms"},
+        "concave:measure",
+        ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
+        "concave:add_reach",
+    ),
+    "curves": Report(
+        "curves:report",
+        {"curves": "curves:draw"},
+        "curves:measure",
+        ("rms_m", "relative_rms", "relative_median", "knee"),
+    ),
+    "encoder": Report(
+        "encoder:report",
+        {"encoder": "encoder_plots:draw", "near": "encoder_plots:draw_near"},
+        "encoder:measure",
+        tuple(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
+        "encoder:add_errors",
+    ),
+    "camera": Report(
+        "camera:report",
+        {"camera": "camera:draw"},
+        "camera:measure",
+        ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "use_rms_ratio", "use_median_ratio"),
+    ),
+    "lidar": Report(
+        "lidar:report",
+        {"lidar": "lidar:draw"},
+        "lidar:measure",
+        ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
+        "lidar:add",
+    ),
+    "lab": Report(
+        "lab:report",
+        {"lab": "lab:draw_errors", "lab_places": "lab:draw_places"},
+        "lab:measure",
+        (
+            *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
+            *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
+            *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
+            *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
+        ),
+        "lab:add",
+    ),
+}
+PICTURES = tuple(sorted({name for report in REPORTS.values() for name in report.pictures}))
+"""Names of all pictures that studies draw."""

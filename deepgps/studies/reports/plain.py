@@ -1,0 +1,13 @@
+"""The plain report: every run and method as it is."""
+
+from collections.abc import Sequence
+
+from deepgps.figures.markdown import tabulate
+from deepgps.methods.catalog import title_of
+from deepgps.studies.table import ERRORS, Row, write_errors
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """One line for each run and method."""
+    cells = [[*(str(row[name]) for name in varied), title_of(row["method"]), *write_errors(row)] for row in rows]
+    return [tabulate([*varied, "method", *ERRORS.values()], cells)]
