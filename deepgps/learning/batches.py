@@ -1,10 +1,12 @@
 """What a training step learns from: observations and targets, or segments and distances."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
 from deepgps.data.segments import Segments
+from deepgps.settings import TrainSettings
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,15 @@ class Inputs:
 
     def __len__(self) -> int:
         return len(self.table)
+
+
+Draw = Callable[[torch.Generator, float], Batch]
+"""(generator, fraction of the steps done) -> batch of one step."""
+
+
+def draw_from(segments: Segments, settings: TrainSettings) -> Draw:
+    """Batches of segments on the training's device."""
+    return lambda generator, done: draw(segments, settings.segments, settings.samples, generator)
 
 
 def draw(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:

@@ -4,9 +4,28 @@ Each is the mean over pairs where the paper writes the sum, so that its size doe
 strategy is the case of two samples in a segment.
 """
 
+from typing import NamedTuple
+
 import torch
 
 from deepgps.settings import PairLoss
+
+
+class Weights(NamedTuple):
+    """Weights of residuals; None: 1.
+
+    Attributes:
+        pairs: Of the distance between each two readings of a segment (S, m, m).
+        places: Of each reading's place along its line (S, m).
+    """
+
+    pairs: torch.Tensor | None = None
+    places: torch.Tensor | None = None
+
+
+def weigh_equally(batch: object) -> Weights:
+    """The paper's weights: every residual counts the same."""
+    return Weights()
 
 
 def distance(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:

@@ -20,7 +20,7 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import nn
 
-from deepgps.learning.batches import Batch, Inputs
+from deepgps.learning.batches import Batch, Draw, Inputs
 from deepgps.learning.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
@@ -34,7 +34,6 @@ WARM_UP = 0.05
 Purpose = Literal["features", "start", "weights", "shuffling", "fold", "labels"]
 
 
-Draw = Callable[[torch.Generator, float], Batch]
 Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
 
 

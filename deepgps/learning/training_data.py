@@ -10,7 +10,6 @@ from torch import nn
 
 from deepgps.data.features import Features, cached_features, normalise
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.wheel_turns import Turns
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
@@ -31,7 +30,6 @@ class Material:
         features: Features of the training observations (N, components).
         inputs: What the network takes, on the device.
         shape: Shape of one observation.
-        turns: What the wheels say of the whole drive; None: not asked.
     """
 
     segments: Segments
@@ -39,7 +37,11 @@ class Material:
     features: torch.Tensor
     inputs: Inputs
     shape: tuple[int, ...]
-    turns: Turns | None = None
+
+    @property
+    def device(self) -> torch.device:
+        """Where the network is trained."""
+        return self.inputs.table.device
 
 
 def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:

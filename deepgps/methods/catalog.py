@@ -16,7 +16,7 @@ class Method:
         colour: Of its lines in figures, "#rrggbb".
         alignment: Transformation that evaluation fits: E2 where distances alone cannot tell left from right, else SE2.
         fit: Where it is trained, "module:function"; the function takes a recording, settings, a seed, the method's
-            folder and a progress callback, and returns a positioner.
+            folder and a progress callback, and returns a positioner with what its training was.
         observes: The only kind of observation it takes; None: any.
         in_steps: Whether it trains step by step and reports them.
         reads_ticks: Whether it learns from the encoders.
@@ -33,8 +33,8 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
-    "deepgps_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps:fit_aware"),
-    "deepgps_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps:fit_turns"),
+    "deepgps_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
+    "deepgps_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),
     "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.posenet:fit", reads_ticks=False),
     "posenet_noisy": Method(
         "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.posenet:fit_noisy", reads_ticks=False

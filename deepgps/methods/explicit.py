@@ -17,13 +17,12 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
-from deepgps.data.plausible_readings import count_readings
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.isomap import scale_classically
 from deepgps.learning.trainer import derive_seed
-from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
+from deepgps.methods.positioner import Fitted
 from deepgps.methods.trilateration import LandmarkPositioner, find_seen, triangulate
-from deepgps.progress import Report, ignore
+from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.recording.format import Recording
@@ -66,17 +65,13 @@ Start = Callable[[np.ndarray, float, np.random.Generator], tuple[np.ndarray, np.
 """From distances (n, M) [m], the reach [m] and chance to first positions (n, 2) and landmarks (M, 2) [m]."""
 
 
-def fit(
-    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
-) -> Positioner:
-    """Solve Eq. 6 from a random start into ``folder``; done work is loaded."""
+def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Solve Eq. 6 from a random start."""
     return _fit(start_at_random, recording, settings, seed, folder, progress)
 
 
-def fit_from_mds(
-    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
-) -> Positioner:
-    """Solve Eq. 6 from a map of the landmarks by MDS into ``folder``; done work is loaded."""
+def fit_from_mds(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Solve Eq. 6 from a map of the landmarks by MDS."""
     return _fit(start_by_mds, recording, settings, seed, folder, progress)
 
 
@@ -149,9 +144,7 @@ def solve(equations: Equations, first: np.ndarray, evaluations: int) -> Optimize
 
 def _fit(
     start: Start, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
-) -> Positioner:
-    if is_finished(folder):
-        return load_positioner(folder)
+) -> Fitted:
     began = time.perf_counter()
     reach_m = read_reach(recording)
     segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
@@ -165,11 +158,9 @@ def _fit(
         "parameters": len(solution.x),
         "residual_rms_m": float(np.sqrt(np.mean(solution.fun**2))),
         "converged": bool(solution.success),
-        **count_readings(recording),
     }
-    save_positioner(folder, LandmarkPositioner(landmark, reach_m), training)
     progress(folder.name, 1, 1)
-    return load_positioner(folder)
+    return Fitted(LandmarkPositioner(landmark, reach_m), training)
 
 
 def read_reach(recording: Recording) -> float:

@@ -4,10 +4,11 @@ from importlib import import_module
 from pathlib import Path
 
 from deepgps.data.features import check_observations
-from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.learning.trainer import use_threads
+from deepgps.methods.attempts import remove_leftovers
 from deepgps.methods.catalog import METHODS
-from deepgps.methods.positioner import Positioner, is_finished
+from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
@@ -35,4 +36,7 @@ def fit_method(
         if not is_finished(folder):
             recording = keep_plausible(recording)
             check_observations(recording.observation)
-        return fit(recording, settings, seed, folder, progress)
+            positioner, training = fit(recording, settings, seed, folder, progress)
+            save_positioner(folder, positioner, {**training, **count_readings(recording)})
+        remove_leftovers(folder)
+        return load_positioner(folder)

@@ -6,20 +6,18 @@ import numpy as np
 import torch
 
 from deepgps.data.dead_reckoning import dead_reckon
-from deepgps.methods.positioner import Positioner
+from deepgps.learning.training_data import prepare
+from deepgps.methods.positioner import Fitted
 from deepgps.methods.supervised import fit_positions
-from deepgps.progress import Report, ignore
+from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
 
 
-def fit(
-    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
-) -> Positioner:
-    """Train on dead-reckoned positions into ``folder``; done work is loaded, cut-off work continued."""
+def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Train on dead-reckoned positions."""
     # A turning place has two readings at one position; either is its label. Lost readings leave no label.
     index, first = np.unique(recording.reading[:, 1], return_index=True)
     place = dead_reckon(recording)[first, :2].astype(np.float32)
-    return fit_positions(
-        recording, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress, "odometry"
-    )
+    material = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(material, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.data.plausible_readings import count_readings
 from deepgps.learning.trainer import derive_seed
 from deepgps.methods.nearest_scan import ScanPositioner
-from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
-from deepgps.progress import Report, ignore
+from deepgps.methods.positioner import Fitted
+from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.recording.format import Recording, open_truth
@@ -23,16 +22,12 @@ FITTED = 50_000
 CHUNK = 100
 
 
-def fit(
-    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
-) -> Positioner:
-    """Store the scans of all positions at random headings in ``folder``; done work is loaded.
+def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Store the scans of all positions at random headings.
 
     Raises:
         InputError: The recording holds no scans, or all of them are the same.
     """
-    if is_finished(folder):
-        return load_positioner(folder)
     if recording.observation.ndim != 3:
         raise InputError(f"{recording.folder} holds no scans; pca_knn needs world lidar or sensor lidar")
     start = time.perf_counter()
@@ -49,12 +44,10 @@ def fit(
     for first in range(0, count, CHUNK):
         turned = turn_scans(scans[first : first + CHUNK], turns[first : first + CHUNK])
         known[first * headings : first * headings + len(turned)] = positioner.project(turned)
-        progress("pca_knn", min(first + CHUNK, count), count)
+        progress(folder.name, min(first + CHUNK, count), count)
     stored = sum(tensor.numel() for tensor in positioner.tensors().values())
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
-    training |= count_readings(recording)
-    save_positioner(folder, positioner, training)
-    return positioner
+    return Fitted(positioner, training)
 
 
 def draw_turns(count: int, possible: int, wanted: int, rng: np.random.Generator) -> np.ndarray:

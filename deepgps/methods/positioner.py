@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -98,6 +98,18 @@ class NeighbourPositioner:
 
 
 Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner
+
+
+class Fitted(NamedTuple):
+    """A trained method.
+
+    Attributes:
+        positioner: What it learned.
+        training: What the training was, for ``training.json``.
+    """
+
+    positioner: Positioner
+    training: dict[str, Any]
 
 
 def is_finished(folder: Path) -> bool:

@@ -11,7 +11,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.data.features import normalise
 from deepgps.data.segments import read_segments
 from deepgps.initial_map.wheel_turns import find_hand, read_turns, straighten
-from deepgps.methods.deepgps import fit, fit_turns
+from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, open_truth
 from sim.sensors.encoder_faults import slip_wheels
@@ -68,11 +68,14 @@ def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
 
 def test_learning_with_turns_gives_a_map_that_is_not_mirrored(toy: Recording, tmp_path: Path):
     place = open_truth(toy.folder).pose[:, :2]
-    learned = fit_turns(toy, SETTINGS, 0, tmp_path / "turns")(toy.observation)
+    learned = fit_method("deepgps_turns", toy, SETTINGS, 0, tmp_path / "turns")(toy.observation)
     assert error(learned, place, "SE2") < 0.06
     # the same drive with left and right exchanged is learned as its mirror image, which distances alone cannot tell
     swapped = replace(toy, reading=toy.reading[:, [0, 1, 3, 2]])
-    mirrored = fit_turns(swapped, SETTINGS, 0, tmp_path / "swapped")(toy.observation)
+    mirrored = fit_method("deepgps_turns", swapped, SETTINGS, 0, tmp_path / "swapped")(toy.observation)
     assert error(mirrored * [1.0, -1.0], place, "SE2") < 0.06 < error(mirrored, place, "SE2")
-    alone = [fit(one, SETTINGS, 0, tmp_path / f"alone{n}")(toy.observation) for n, one in enumerate((toy, swapped))]
+    alone = [
+        fit_method("deepgps", one, SETTINGS, 0, tmp_path / f"alone{n}")(toy.observation)
+        for n, one in enumerate((toy, swapped))
+    ]
     np.testing.assert_array_equal(alone[0], alone[1])

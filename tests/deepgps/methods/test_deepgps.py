@@ -9,7 +9,10 @@ import torch
 from deepgps.alignment import fit_alignment
 from deepgps.data.segments import Segments, read_segments, spread
 from deepgps.learning.batches import Batch
-from deepgps.methods.deepgps import SLACK_M, choose_start, find_plane, fit, flatten_later, imitate_first
+from deepgps.learning.imitation import imitate_first
+from deepgps.learning.lifting import find_plane, flatten_later
+from deepgps.methods.deepgps import SLACK_M, choose_start
+from deepgps.methods.fit import fit_method
 from deepgps.methods.positioner import Positioner
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings, LiftSettings
@@ -29,7 +32,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="module")
 def trained(toy: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained") / "deepgps"
-    fit(toy, SETTINGS, 0, folder)
+    fit_method("deepgps", toy, SETTINGS, 0, folder)
     return folder
 
 
@@ -41,7 +44,7 @@ def measure(positioner: Positioner, recording: Recording) -> np.ndarray:
 
 
 def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
-    error = measure(fit(toy, SETTINGS, 0, trained), toy)
+    error = measure(fit_method("deepgps", toy, SETTINGS, 0, trained), toy)
     assert np.sqrt(np.mean(error**2)) < 0.05
     training = json.loads((trained / "training.json").read_text())
     assert training["steps"] == 300 and training["attempts"] == 1 and not training["fold"]["found"]
@@ -49,7 +52,7 @@ def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
 
 def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: Recording, trained: Path):
     (trained / "attempt0").mkdir()
-    fit(toy, SETTINGS, 0, trained)
+    fit_method("deepgps", toy, SETTINGS, 0, trained)
     assert not (trained / "attempt0").exists()
 
 
@@ -57,7 +60,7 @@ def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path
     shutil.copytree(toy.folder, tmp_path / "blind")
     shutil.rmtree(tmp_path / "blind" / "truth")
     blind = Recording(tmp_path / "blind", toy.manifest, toy.observation, toy.reading, toy.time, toy.test_observation)
-    fit(blind, SETTINGS, 0, tmp_path / "run" / "deepgps")
+    fit_method("deepgps", blind, SETTINGS, 0, tmp_path / "run" / "deepgps")
     weights = (tmp_path / "run" / "deepgps" / "weights.safetensors").read_bytes()
     assert weights == (trained / "weights.safetensors").read_bytes()
 
@@ -73,21 +76,21 @@ def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr("deepgps.methods.deepgps.spread", spread_less)
     monkeypatch.setattr("deepgps.data.features.spread", spread_less)
-    error = measure(fit(recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
+    error = measure(fit_method("deepgps", recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
     assert max(looked_at) <= 800
     assert np.sqrt(np.mean(error**2)) < 0.05
 
 
 def test_done_work_is_not_repeated(toy: Recording, trained: Path):
-    fit(toy, SETTINGS, 0, trained, cut_at(1))
+    fit_method("deepgps", toy, SETTINGS, 0, trained, cut_at(1))
 
 
 def test_cut_off_it_continues_to_the_same_bytes(toy: Recording, trained: Path, tmp_path: Path):
     folder = tmp_path / "run" / "deepgps"
     for step in (130, 260):
         with pytest.raises(Cut):
-            fit(toy, SETTINGS, 0, folder, cut_at(step))
-    fit(toy, SETTINGS, 0, folder)
+            fit_method("deepgps", toy, SETTINGS, 0, folder, cut_at(step))
+    fit_method("deepgps", toy, SETTINGS, 0, folder)
     for name in ("weights.safetensors", "history.npz", "positioner.json"):
         assert (folder / name).read_bytes() == (trained / name).read_bytes()
     assert not list(folder.glob("attempt*"))
@@ -97,7 +100,9 @@ def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=1500, endpoint=True)
     assert choose_start(SETTINGS, read_segments(recording)) == "lifting"
     train = SETTINGS.train.model_copy(update={"steps": 600, "segments": 128, "samples": 2})
-    positioner = fit(recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps")
+    positioner = fit_method(
+        "deepgps", recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps"
+    )
     assert np.median(measure(positioner, recording)) < 0.06
 
 
@@ -106,7 +111,7 @@ def test_a_fold_restarts_training_and_the_best_attempt_is_kept(toy: Recording, t
     strict = SETTINGS.fold.model_copy(update={"bent": 1e-9, "restarts": 1})
     settings = SETTINGS.model_copy(update={"train": train, "fold": strict, "start": "random"})
     labels = []
-    fit(toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, *_: labels.append(label))
+    fit_method("deepgps", toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, *_: labels.append(label))
     training = json.loads((tmp_path / "run" / "deepgps" / "training.json").read_text())
     assert training["attempts"] == 2 and training["fold"]["found"] and training["steps"] == 80
     assert set(labels) == {"deepgps", "deepgps, restart 1"}
@@ -120,7 +125,14 @@ def test_a_restart_unfolds_another_way(toy: Recording):
 def test_paths_need_three_readings(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=60, endpoint=True)
     with pytest.raises(InputError, match=r"learn\.start 'paths': most segments have only two readings"):
-        fit(recording, SETTINGS.model_copy(update={"start": "paths"}), 0, tmp_path / "run" / "deepgps", ignore)
+        fit_method(
+            "deepgps",
+            recording,
+            SETTINGS.model_copy(update={"start": "paths"}),
+            0,
+            tmp_path / "run" / "deepgps",
+            ignore,
+        )
 
 
 def test_a_plane_in_space_is_found():

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.segments import read_segments
-from deepgps.methods.explicit import Equations, choose_readings, fit, fit_from_mds, set_up, start_by_mds
+from deepgps.methods.explicit import Equations, choose_readings, set_up, start_by_mds
+from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.planar.landmarks import collect
@@ -101,7 +102,7 @@ def test_readings_are_thinned_along_their_segments(complete: Recording):
 @pytest.mark.parametrize("which", ["complete", "incomplete"])
 def test_from_mds_the_world_is_found_exactly(which: str, request: pytest.FixtureRequest, tmp_path: Path):
     recording: Recording = request.getfixturevalue(which)
-    error = measure(fit_from_mds(recording, SETTINGS, 0, tmp_path / "explicit_mds"), recording)
+    error = measure(fit_method("explicit_mds", recording, SETTINGS, 0, tmp_path / "explicit_mds"), recording)
     assert error.max() < 1e-4
     training = json.loads((tmp_path / "explicit_mds" / "training.json").read_text())
     assert training["converged"] and training["residual_rms_m"] < 1e-5
@@ -118,12 +119,14 @@ def test_mds_alone_is_already_close(complete: Recording):
 def test_a_random_start_depends_on_its_seed_and_done_work_is_loaded(complete: Recording, tmp_path: Path):
     settings = LearnSettings.model_validate({"explicit": {"readings": 100, "evaluations": 3}})
     first, again, other = (
-        fit(complete, settings, seed, tmp_path / name)(complete.test_observation[:, 0])
+        fit_method("explicit", complete, settings, seed, tmp_path / name)(complete.test_observation[:, 0])
         for seed, name in ((0, "a"), (0, "b"), (1, "c"))
     )
     assert np.array_equal(first, again) and not np.array_equal(first, other)
     written = (tmp_path / "a" / "positioner.json").stat().st_mtime_ns
-    assert np.array_equal(fit(complete, settings, 5, tmp_path / "a")(complete.test_observation[:, 0]), first)
+    assert np.array_equal(
+        fit_method("explicit", complete, settings, 5, tmp_path / "a")(complete.test_observation[:, 0]), first
+    )
     assert (tmp_path / "a" / "positioner.json").stat().st_mtime_ns == written
 
 
@@ -136,7 +139,7 @@ def test_the_truth_is_never_opened(complete: Recording, tmp_path: Path):
         complete.time,
         complete.test_observation,
     )
-    assert measure(fit_from_mds(blind, SETTINGS, 0, tmp_path / "explicit_mds"), complete).max() < 1e-4
+    assert measure(fit_method("explicit_mds", blind, SETTINGS, 0, tmp_path / "explicit_mds"), complete).max() < 1e-4
 
 
 def test_landmarks_without_a_common_map_are_refused():

@@ -2,7 +2,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.methods.knn import fit
+from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import open_truth
 from tests.helpers.toy import make_toy
@@ -10,7 +10,7 @@ from tests.helpers.toy import make_toy
 
 def test_neighbours_interpolate_true_positions(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=3000)
-    positioner = fit(recording, LearnSettings(), 0, tmp_path / "run" / "knn")
+    positioner = fit_method("knn", recording, LearnSettings(), 0, tmp_path / "run" / "knn")
     truth = open_truth(recording.folder)
     error = np.linalg.norm(positioner(recording.test_observation[:, 0]) - truth.test_pose[:, 0, :2], axis=1)
     assert np.median(error) < 0.03
@@ -20,6 +20,6 @@ def test_neighbours_interpolate_true_positions(tmp_path: Path):
 
 def test_one_neighbour_is_a_stored_place(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=500)
-    positioner = fit(recording, LearnSettings(neighbours=1), 0, tmp_path / "run" / "knn")
+    positioner = fit_method("knn", recording, LearnSettings(neighbours=1), 0, tmp_path / "run" / "knn")
     stored = {tuple(place) for place in open_truth(recording.folder).pose[:, :2].tolist()}
     assert all(tuple(place) in stored for place in positioner(recording.test_observation[:, 0]).tolist())

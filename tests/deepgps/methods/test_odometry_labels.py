@@ -3,7 +3,7 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.alignment import fit_alignment
-from deepgps.methods.odometry_labels import fit
+from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, open_truth
 from tests.helpers.toy import QUICK, make_toy
@@ -12,7 +12,7 @@ SETTINGS = LearnSettings.model_validate(QUICK)
 
 
 def error_of(recording: Recording, folder: Path) -> float:
-    positioner = fit(recording, SETTINGS, 0, folder)
+    positioner = fit_method("odometry", recording, SETTINGS, 0, folder)
     truth = open_truth(recording.folder)
     alignment = fit_alignment(positioner(recording.observation), truth.pose[:, :2], "SE2")
     found = alignment.apply(positioner(recording.test_observation[:, 0]))
@@ -34,8 +34,9 @@ def test_a_wrong_track_spoils_the_map(tmp_path: Path):
 
 def test_observations_without_a_reading_have_no_label(tmp_path: Path):
     recording = make_toy(tmp_path / "toy")
-    some = recording.reading[np.random.default_rng(0).random(len(recording.reading)) < 0.7]
+    arrived = np.random.default_rng(0).random(len(recording.reading)) < 0.7
+    some, time = recording.reading[arrived], recording.time[arrived]
     thinned = Recording(
-        recording.folder, recording.manifest, recording.observation, some, recording.time, recording.test_observation
+        recording.folder, recording.manifest, recording.observation, some, time, recording.test_observation
     )
     assert error_of(thinned, tmp_path / "run" / "odometry") < 0.2

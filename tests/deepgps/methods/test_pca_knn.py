@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.methods.fit import fit_method
 from deepgps.methods.nearest_scan import ScanPositioner
-from deepgps.methods.pca_knn import draw_turns, fit, turn_scans
+from deepgps.methods.pca_knn import draw_turns, turn_scans
 from deepgps.settings import LearnSettings, PcaSettings
 from sim.errors import InputError
 from sim.planar.obstacles import LidarWorld, collect
@@ -52,7 +53,7 @@ def test_turns_of_a_place_differ_and_are_at_most_all_there_are():
 
 
 def test_the_nearest_scan_is_the_nearest_in_principal_components(recording: Recording, tmp_path: Path):
-    positioner = fit(recording, LEARN, 0, tmp_path / "pca_knn")
+    positioner = fit_method("pca_knn", recording, LEARN, 0, tmp_path / "pca_knn")
     assert isinstance(positioner, ScanPositioner)
     scans = np.asarray(recording.test_observation[:, 1])
     projected, known = positioner.project(scans[:, 0]).astype(float), positioner.known.astype(float)
@@ -66,8 +67,8 @@ def test_the_nearest_scan_is_the_nearest_in_principal_components(recording: Reco
 
 
 def test_it_is_saved_whole_and_counts_what_it_stores(recording: Recording, tmp_path: Path):
-    first = fit(recording, LEARN, 0, tmp_path / "pca_knn")
-    again = fit(recording, LEARN, 0, tmp_path / "pca_knn")
+    first = fit_method("pca_knn", recording, LEARN, 0, tmp_path / "pca_knn")
+    again = fit_method("pca_knn", recording, LEARN, 0, tmp_path / "pca_knn")
     scans = np.asarray(recording.test_observation[:, 0])
     assert np.array_equal(first(scans), again(scans))
     text = (tmp_path / "pca_knn" / "training.json").read_text()
@@ -76,7 +77,7 @@ def test_it_is_saved_whole_and_counts_what_it_stores(recording: Recording, tmp_p
 
 def test_other_observations_are_refused(recording: Recording, tmp_path: Path):
     with pytest.raises(InputError, match="holds no scans; pca_knn needs world lidar or sensor lidar"):
-        fit(make_toy(tmp_path / "toy", samples=50), LEARN, 0, tmp_path / "pca_knn")
-    positioner = fit(recording, LEARN, 0, tmp_path / "scans")
+        fit_method("pca_knn", make_toy(tmp_path / "toy", samples=50), LEARN, 0, tmp_path / "pca_knn")
+    positioner = fit_method("pca_knn", recording, LEARN, 0, tmp_path / "scans")
     with pytest.raises(InputError, match=r"observations of shape \(1, 32\), but trained on scans of 64 rays"):
         positioner(np.zeros((2, 1, 32)))

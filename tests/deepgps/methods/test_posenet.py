@@ -4,7 +4,8 @@ import numpy as np
 import torch
 
 from deepgps.methods import posenet
-from deepgps.methods.posenet import fit, fit_noisy
+from deepgps.methods.fit import fit_method
+from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.recording.format import open_truth
 from tests.helpers.toy import QUICK, make_toy
@@ -12,7 +13,7 @@ from tests.helpers.toy import QUICK, make_toy
 
 def test_true_positions_are_learned_in_the_frame_of_the_world(tmp_path: Path):
     recording = make_toy(tmp_path / "toy")
-    positioner = fit(recording, LearnSettings.model_validate(QUICK), 0, tmp_path / "run" / "posenet")
+    positioner = fit_method("posenet", recording, LearnSettings.model_validate(QUICK), 0, tmp_path / "run" / "posenet")
     truth = open_truth(recording.folder).test_pose[:, 0, :2]
     error = np.linalg.norm(positioner(recording.test_observation[:, 0]) - truth, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.05
@@ -21,9 +22,10 @@ def test_true_positions_are_learned_in_the_frame_of_the_world(tmp_path: Path):
 def test_noisy_labels_are_off_by_what_was_asked_and_the_same_for_one_seed(tmp_path: Path, monkeypatch):
     recording = make_toy(tmp_path / "toy")
     told = []
-    monkeypatch.setattr(posenet, "fit_positions", lambda recording, index, label, *rest: told.append(label))
+    monkeypatch.setattr(posenet, "prepare", lambda *_: None)
+    monkeypatch.setattr(posenet, "fit_positions", lambda material, index, label, *rest: told.append(label))
     for seed, noise in ((0, 0.01), (0, 0.01), (1, 0.01), (0, 0.0)):
-        fit_noisy(recording, LearnSettings(label_noise_m=noise), seed, tmp_path)
+        posenet.fit_noisy(recording, LearnSettings(label_noise_m=noise), seed, tmp_path, ignore)
     truth = torch.from_numpy(open_truth(recording.folder).pose[:, :2])
     first, again, other, exact = (label - truth for label in told)
     assert torch.equal(first, again)
@@ -35,7 +37,9 @@ def test_noisy_labels_are_off_by_what_was_asked_and_the_same_for_one_seed(tmp_pa
 
 def test_noisy_labels_teach_nearly_the_same(tmp_path: Path):
     recording = make_toy(tmp_path / "toy")
-    positioner = fit_noisy(recording, LearnSettings.model_validate(QUICK), 0, tmp_path / "run" / "posenet_noisy")
+    positioner = fit_method(
+        "posenet_noisy", recording, LearnSettings.model_validate(QUICK), 0, tmp_path / "run" / "posenet_noisy"
+    )
     truth = open_truth(recording.folder).test_pose[:, 0, :2]
     error = np.linalg.norm(positioner(recording.test_observation[:, 0]) - truth, axis=1)
     assert np.sqrt(np.mean(error**2)) < 0.06

@@ -1,0 +1,51 @@
+"""Unfolding by imitation: the network learns an initial map first, then is only kept near it."""
+
+from dataclasses import replace
+
+import torch
+
+from deepgps.learning import losses
+from deepgps.learning.batches import Batch, Draw
+from deepgps.learning.trainer import Loss
+
+IMITATE = 0.2
+"""Part of the steps in which the network imitates the initial map, less and less."""
+
+
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
+    """Pull predictions towards an initial map: all of them at once, later only those farther than ``slack_m`` from it.
+
+    Args:
+        loss: What takes over until ``IMITATE`` of the steps.
+        known: Initial map (N, 2) [m]; NaN for observations that it does not hold.
+        slack_m: About the error of the initial map [m].
+    """
+    mapped = known.isfinite().all(dim=1)
+
+    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        pull = max(0.0, 1.0 - done / IMITATE)
+        told = batch.valid & mapped[batch.index]
+        away = losses.distance(out[told], known[batch.index[told]])
+        count = max(1, len(away))
+        imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
+        return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
+
+    return both
+
+
+def draw_mapped_first(draw: Draw, draw_mapped: Draw, chosen: torch.Tensor) -> Draw:
+    """While the map is imitated, draw batches of the observations that it holds; then of all.
+
+    Args:
+        draw: Batches of all observations.
+        draw_mapped: Batches of those on the map, which it numbers from 0.
+        chosen: Their numbers among all (n,).
+    """
+
+    def draw_in_turn(generator: torch.Generator, done: float) -> Batch:
+        if done >= IMITATE:
+            return draw(generator, done)
+        batch = draw_mapped(generator, done)
+        return replace(batch, index=chosen[batch.index])
+
+    return draw_in_turn

@@ -1,0 +1,34 @@
+"""Unfolding by lifting: a network with more than two outputs, which are pressed into a plane as training goes on."""
+
+import torch
+
+from deepgps.learning import losses
+from deepgps.learning.batches import Batch
+from deepgps.learning.trainer import Loss
+from deepgps.settings import LiftSettings
+
+
+def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
+    """Add, more and more, the mean distance of predictions from the plane of their two principal axes."""
+
+    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+        push = lift.penalty * min(
+            1.0, max(0.0, (done - lift.flatten_from) / max(lift.flatten_to - lift.flatten_from, 1e-9))
+        )
+        if push == 0.0:
+            return loss(out, batch, done)
+        points = out[batch.valid]
+        centre, axes = find_plane(points.detach())
+        points = points - centre
+        return loss(out, batch, done) + push * losses.distance(points, points @ axes @ axes.T).mean()
+
+    return both
+
+
+def find_plane(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Centre (D,) and two principal axes (D, 2) of points (n, D); two dimensions stay as they are."""
+    if points.shape[1] == 2:
+        return torch.zeros_like(points[0]), torch.eye(2, dtype=points.dtype, device=points.device)
+    centre = points.mean(dim=0)
+    _, axes = torch.linalg.eigh((points - centre).T @ (points - centre))
+    return centre, axes[:, -2:]

@@ -1,0 +1,78 @@
+"""Restarts: a training whose map is folded is repeated from other weights, until one is not."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from deepgps.initial_map.fold_detector import Signs
+from deepgps.learning.checkpoint import NAME as CHECKPOINT
+from deepgps.methods.positioner import NetworkPositioner
+from deepgps.settings import FoldSettings
+from sim.files import remove_files, write_bytes
+
+HISTORY = "history.npz"
+FILES = re.compile(rf"{re.escape(HISTORY)}|{re.escape(CHECKPOINT)}")
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One training and its map.
+
+    Attributes:
+        positioner: The trained network.
+        signs: How far its map is folded.
+        seconds: Duration of the training.
+    """
+
+    positioner: NetworkPositioner
+    signs: Signs
+    seconds: float
+
+
+class Total(NamedTuple):
+    """How many attempts there were, and the seconds of all."""
+
+    count: int
+    seconds: float
+
+
+def train_until_unfolded(
+    train_once: Callable[[int, Path], Attempt], settings: FoldSettings, folder: Path
+) -> tuple[Attempt, Total]:
+    """Train until a map shows no fold, or no restart is left; keep the history of the least folded attempt.
+
+    Args:
+        train_once: (number of the attempt, its folder) -> attempt.
+        settings: Limits of folding, and how many restarts.
+        folder: The method's folder, which gets the history of the attempt that is chosen.
+
+    Returns:
+        The least folded attempt, and the total of all.
+    """
+    attempts = []
+    for number in range(settings.restarts + 1):
+        attempts.append(train_once(number, _folder_of(folder, number)))
+        if not attempts[-1].signs.folded(settings):
+            break
+    best = min(range(len(attempts)), key=lambda number: attempts[number].signs.worst(settings))
+    write_bytes(folder / HISTORY, (_folder_of(folder, best) / HISTORY).read_bytes())
+    return attempts[best], Total(len(attempts), sum(attempt.seconds for attempt in attempts))
+
+
+def label_attempt(folder: Path, number: int) -> str:
+    """What progress calls an attempt: by its method, and which restart it is."""
+    method = folder.parent.name
+    return method if number == 0 else f"{method}, restart {number}"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a finished training no longer needs from a method's folder: attempts and checkpoints."""
+    for attempt in folder.glob("attempt*"):
+        remove_files(attempt, FILES)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+
+
+def _folder_of(folder: Path, number: int) -> Path:
+    return folder / f"attempt{number}"
