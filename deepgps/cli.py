@@ -280,7 +280,7 @@ def _watch(
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
     """Choose by what these scenarios, which are still to be driven, look at."""
     rooms = [scenario for scenario in scenarios if scenario.world == "room"]
-    if any(scenario.sensor == "fisheye" or scenario.horizontal.mounted for scenario in rooms):
+    if any(scenario.sensor == "fisheye" or scenario.tag_camera.mounted for scenario in rooms):
         _choose_renderer()
     elif rooms:
         os.environ["MUJOCO_GL"] = "off"  # read when MuJoCo is imported: a lidar needs no OpenGL

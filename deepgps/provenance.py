@@ -16,7 +16,7 @@ def describe_environment(folder: Path) -> dict[str, Any]:
     """What the figures were made with."""
     manifest = read_manifest(folder / "recording")
     return {
-        "gl_renderer": manifest["gl_renderer"],
+        "gl_renderer": manifest.gl_renderer,
         "packages": {name: version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "git": _git_revision(),

@@ -8,11 +8,12 @@ from pathlib import Path
 from deepgps.methods.catalog import METHODS
 from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
+from sim import renamed
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
-_METHODS = "|".join(METHODS)
+_METHODS = "|".join([*METHODS, *renamed.METHODS])
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"
 FEATURE_FILES = r"features\.(safetensors|key)"
 RUN = Kind(
@@ -43,7 +44,7 @@ def open_run(folder: Path) -> Scenario:
         check_lines(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; restore it from a copy, or make the run again with --fresh") from None
-    return check_scenario(read_yaml(path), path)
+    return check_scenario(renamed.translate(read_yaml(path)), path)
 
 
 def find_place(folder: Path, fresh: bool) -> Path:

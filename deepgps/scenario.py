@@ -16,14 +16,15 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings, one_of
 from sim.errors import InputError
 from sim.paths import SCENARIOS
-from sim.recording.format import SCHEMA
-from sim.settings import LARGEST_MJCF, NO_FAULTS, Group, SimSettings
+from sim.recording.manifest import SCHEMA
+from sim.renamed import explain_setting, explain_value
+from sim.settings import LARGEST_MJCF, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 
 MethodName = Annotated[str, one_of(METHODS)]
 GIVEN_BY: dict[Observation, str] = {
     "polar_image": "images, which world room with sensor fisheye gives",
-    "scan": "scans, which world lidar or, in a room, sensor lidar gives",
+    "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
     "vector": "distances to landmarks, which world landmarks alone gives",
 }
 MOST_VALUES = 1000
@@ -41,7 +42,7 @@ class Scenario(SimSettings):
     """Name of the scenario; its runs lie under runs/<name>."""
     seed: int = Field(default=0, ge=0)
     """Driving, encoder, weights and shuffling each draw from a stream of this number."""
-    methods: tuple[MethodName, ...] = ("deepgps", "posenet", "odometry", "knn")
+    methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
     """Methods to train and compare."""
     learn: LearnSettings = LearnSettings()
 
@@ -182,18 +183,12 @@ def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) 
         scenario: The scenario.
         read: How to read the room's file; who hashes many scenarios of one room reads it once.
     """
-    return _hash(_dump(scenario), scenario.room.mjcf, read)
+    return _hash(scenario.model_dump_json(), scenario.room.mjcf, read)
 
 
 def digest_recording(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
     """The same of the part that decides the recording."""
-    return _hash(f"{scenario.seed} {_dump(scenario.sim)}", scenario.room.mjcf, read)
-
-
-def _dump(settings: SimSettings) -> str:
-    """Settings as they are hashed: without the groups that are off and once were not there, so that runs made then
-    keep their names."""
-    return settings.model_dump_json(exclude={name for name, off in NO_FAULTS.items() if getattr(settings, name) == off})
+    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario.room.mjcf, read)
 
 
 def _hash(settings: str, room: str | None, read: Callable[[str], bytes | None]) -> str:
@@ -217,6 +212,11 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
 
 def _describe(details: ErrorDetails, kind: type[Group]) -> str:
     name = ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
+    dotted = ".".join(map(str, details["loc"]))
+    if details["type"] == "extra_forbidden" and (renamed := explain_setting(dotted)):
+        return f"{name}: {renamed}"
+    if details["type"] == "literal_error" and (renamed := explain_value(dotted, details["input"])):
+        return f"{name} {quote(details['input'])}: {renamed}"
     if details["type"] == "extra_forbidden":
         return f"{name}: there is no such setting{_suggest(details['loc'], kind)}"
     if details["type"] == "value_error":

@@ -87,10 +87,6 @@ class LiftSettings(Group):
 
     dimensions: int = Field(default=8, ge=2, le=64)
     """Dimensions before flattening; 2: no lifting."""
-    flatten_from: float = Field(default=0.35, ge=0.0, le=1.0)
-    """Fraction of the steps at which the penalty on what leaves the plane begins."""
-    flatten_to: float = Field(default=0.7, ge=0.0, le=1.0)
-    """Fraction of the steps at which the penalty is full."""
     penalty: float = Field(default=1.0, ge=0.0, le=1e6)
     """Weight of the full penalty."""
 
@@ -100,10 +96,6 @@ class FoldSettings(Group):
 
     restarts: int = Field(default=1, ge=0, le=20)
     """How often training starts again when a fold is found; if start is auto, then by lifting."""
-    bent: float = Field(default=0.04, gt=0.0, le=1.0)
-    """Fraction of the way on segments whose predicted ends do not fit the distance, above which a map is folded."""
-    doubled: float = Field(default=0.02, gt=0.0, le=1.0)
-    """Fraction of observations whose neighbours on the map look unlike them, above which a map is folded."""
 
 
 class ExplicitSettings(Group):
@@ -118,8 +110,6 @@ class ExplicitSettings(Group):
 class PcaSettings(Group):
     """The nearest neighbour among scans at many headings, by principal components; only where scans are observed."""
 
-    components: int = Field(default=128, ge=1, le=4096)
-    """Principal components of a scan (the paper: 128)."""
     headings: int = Field(default=100, ge=1, le=4096)
     """Headings stored at each position, at most (the paper: 100)."""
 
@@ -137,13 +127,9 @@ class LearnSettings(Group):
     straight: float = Field(default=5.0, ge=0.0, le=1e6)
     """Weight of the distance of predictions from the straight line that was driven; 0: the paper's loss alone."""
     start: Start = "auto"
-    """How the map is unfolded before distances finish it: paths (a first map is imitated; most segments need three
+    """How the map is unfolded before distances finish it: paths (an initial map is imitated; most segments need three
     readings), ends (the same where segments have two), lifting, random (not at all), or auto: paths where they are
     possible, else lifting."""
-    neighbours: int = Field(default=4, ge=1, le=100)
-    """Nearest neighbours whose positions knn averages."""
-    label_noise_m: float = Field(default=0.01, ge=0.0, le=10.0)
-    """Standard deviation of the error of posenet_noisy's labels, in x and in y [m]."""
     explicit: ExplicitSettings = ExplicitSettings()
     pca: PcaSettings = PcaSettings()
     lift: LiftSettings = LiftSettings()

@@ -103,7 +103,7 @@ def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> Non
     collect_landmarks(scenario.sim, scenario.seed, folder, progress)
 
 
-def _record_lidar(scenario: Scenario, folder: Path, progress: Report) -> None:
+def _record_obstacles(scenario: Scenario, folder: Path, progress: Report) -> None:
     from sim.planar.obstacles import collect as collect_lidar
 
     collect_lidar(scenario.sim, scenario.seed, folder, progress)
@@ -112,7 +112,7 @@ def _record_lidar(scenario: Scenario, folder: Path, progress: Report) -> None:
 RECORD: dict[WorldName, Callable[[Scenario, Path, Report], None]] = {
     "room": _record_room,
     "landmarks": _record_landmarks,
-    "lidar": _record_lidar,
+    "obstacles": _record_obstacles,
 }
 
 

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.robot.model import WHEELS
+from sim.robot.model import CONTROL_PERIOD_S, WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
@@ -28,7 +28,7 @@ except ModuleNotFoundError:
         "and pip install dm-control"
     ) from None
 
-_DRAWN_FAULTS = ("slip_per_m", "gap_noise", "lost", "stuck")
+_DRAWN_FAULTS = ("slip_per_m", "step_noise", "dropout", "stuck_fraction")
 
 
 class RoomEnvironment(dm_env.Environment):
@@ -57,10 +57,8 @@ class RoomEnvironment(dm_env.Environment):
                 )
         if faults := [name for name, off in NO_FAULTS.items() if getattr(settings, name) != off]:
             raise InputError(f"{faults[0]} must be as by default: the environment's camera has no faults")
-        if episode_s < settings.drive.control_period_s:
-            raise InputError(
-                f"episode_s {episode_s} must be at least drive.control_period_s {settings.drive.control_period_s} s"
-            )
+        if episode_s < CONTROL_PERIOD_S:
+            raise InputError(f"episode_s {episode_s} must be at least the control period, {CONTROL_PERIOD_S} s")
         choose_backend()
         from dm_control.mujoco import Physics, wrapper
 
@@ -69,7 +67,7 @@ class RoomEnvironment(dm_env.Environment):
         self.physics = Physics.from_model(wrapper.MjModel(self._world.model))
         self._world.data = self.physics.data.ptr
         self._fisheye = Fisheye(self._world.model, settings.camera)
-        self._steps = round(episode_s / settings.drive.control_period_s)
+        self._steps = round(episode_s / CONTROL_PERIOD_S)
         self._step: int | None = None
 
     def reset(self) -> dm_env.TimeStep:

@@ -281,7 +281,7 @@ def link_file(source: Path, target: Path) -> None:
 def remove_files(folder: Path, ours: re.Pattern[str]) -> None:
     """Remove the files and links below a folder whose paths in it match, half-written ones too; and folders so emptied.
 
-    Everything else stays, and so do the folders that hold it. Links are removed, never followed.
+    Everything else stays, and so do the folders that hold it. LoopClosures are removed, never followed.
     """
     for path in list_files(folder, ours):
         path.unlink(missing_ok=True)

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-WorldName = Literal["room", "landmarks", "lidar"]
+WorldName = Literal["room", "landmarks", "obstacles"]
 SensorName = Literal["fisheye", "lidar"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
@@ -51,19 +51,19 @@ class LandmarksSettings(Group):
     """Straight segments to drive, each from wall to wall; drive.samples may end the drive before."""
 
 
-class MapSettings(Group):
+class ObstaclesSettings(Group):
     """The paper's lidar maps (its appendix): a walled square with rectangular obstacles along its axes."""
 
     seed: int | None = Field(default=None, ge=0)
     """The obstacles come from this number; none: from the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
-    obstacles: int = Field(default=20, ge=0, le=1000)
+    count: int = Field(default=20, ge=0, le=1000)
     """Rectangles, of sides between 3 and 20 % of the square's; they may overlap, or leave passages of 6 %."""
     clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
     """The robot is a point that keeps so far from walls and obstacles [m]."""
-    carried: int = Field(default=10, ge=0, le=1_000_000)
-    """Segments after which the robot is carried to another place by chance, which it is not told; 0: it never is."""
+    relocate_after: int = Field(default=10, ge=0, le=1_000_000)
+    """Segments after which the robot is relocated to another place by chance, which it is not told; 0: it never is."""
 
 
 class LidarSettings(Group):
@@ -83,10 +83,8 @@ class LidarSettings(Group):
 
 
 class RobotSettings(Group):
-    """The robot's body and its physics."""
+    """What is wrong with the robot's body."""
 
-    timestep_s: float = Field(default=0.005, gt=0.0, le=0.01)
-    """Physics step [s]."""
     wheel_radius_error: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The left wheel of the model itself is larger by this fraction: the robot then curves."""
 
@@ -114,7 +112,7 @@ class CameraSettings(Group):
     """Side of each pinhole face that is rendered [px]."""
 
 
-class HorizontalSettings(Group):
+class TagCameraSettings(Group):
     """A pinhole camera on the robot that looks level, for tags: labels are made of what it sees (Sec. IV-C)."""
 
     mounted: bool = False
@@ -150,11 +148,11 @@ class EncoderSettings(Group):
     """The assumed track width is wrong by this fraction (turns only)."""
     slip_per_m: float = Field(default=0.0, ge=0.0, le=0.5)
     """Standard deviation of each wheel's slip after a metre [m]; grows with the root of the way."""
-    gap_noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    step_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """The paper's w: each gap between readings is multiplied by 1 + w n, n standard normal."""
-    lost: float = Field(default=0.0, ge=0.0, le=0.9)
+    dropout: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of readings that never arrive."""
-    stuck: float = Field(default=0.0, ge=0.0, le=0.9)
+    stuck_fraction: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of the readings, in one stretch, during which one encoder, left or right by chance, counts nothing."""
 
 
@@ -171,8 +169,6 @@ class DriveSettings(Group):
     """Cruising speed [m/s] (TurtleBot3 Burger: 0.22)."""
     turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
     """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
-    control_period_s: float = Field(default=0.04, gt=0.0, le=0.1)
-    """Time between two decisions of the controller [s]; a whole multiple of the physics step."""
     stop_distance_m: float = Field(default=0.04, ge=0.0, le=1.0)
     """The robot stops when a range ray leaves less room than this before its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
@@ -197,7 +193,7 @@ class GridSettings(Group):
     """Samples driven after those to learn from, at which is tested in place of the grid; 0: the grid."""
 
 
-class ImageSettings(Group):
+class ImageFaultSettings(Group):
     """What the camera's sensor makes of light: faults that act on a finished image, in training and in use alike."""
 
     exposure: float = Field(default=1.0, gt=0.0, le=16.0)
@@ -215,7 +211,7 @@ class ImageSettings(Group):
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 
 
-class MountSettings(Group):
+class CameraMountSettings(Group):
     """How the camera sits on the robot and rides with it: faults that are drawn, in training and in use alike."""
 
     roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
@@ -228,7 +224,7 @@ class MountSettings(Group):
     """Way that the robot drives ahead while the shutter is open: speed x exposure time [m]."""
 
 
-class UseSettings(Group):
+class DeploymentSettings(Group):
     """What has changed in the room between training and use: the test grid alone is drawn with it."""
 
     light: float = Field(default=1.0, ge=0.0, le=1.0)
@@ -245,39 +241,33 @@ class SimSettings(Group):
     """All that decides a recording."""
 
     world: WorldName = "room"
-    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks, lidar: a plane with obstacles, both without
-    camera and physics."""
+    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks; obstacles: a plane with obstacles, seen by a
+    lidar. The planes have neither camera nor physics."""
     sensor: SensorName = "fisheye"
     """What a room is seen by. fisheye: the upward camera; lidar: level rays all around, which need no renderer."""
     room: RoomSettings = RoomSettings()
     landmarks: LandmarksSettings = LandmarksSettings()
-    map: MapSettings = MapSettings()
+    obstacles: ObstaclesSettings = ObstaclesSettings()
     lidar: LidarSettings = LidarSettings()
     robot: RobotSettings = RobotSettings()
     camera: CameraSettings = CameraSettings()
-    horizontal: HorizontalSettings = HorizontalSettings()
+    tag_camera: TagCameraSettings = TagCameraSettings()
     encoder: EncoderSettings = EncoderSettings()
     drive: DriveSettings = DriveSettings()
     grid: GridSettings = GridSettings()
-    image: ImageSettings = ImageSettings()
-    mount: MountSettings = MountSettings()
-    use: UseSettings = UseSettings()
-
-    @model_validator(mode="after")
-    def _control_is_whole_steps(self) -> "SimSettings":
-        steps = self.drive.control_period_s / self.robot.timestep_s
-        if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
-            raise ValueError(
-                f"drive.control_period_s {self.drive.control_period_s} s must be a whole multiple of "
-                f"robot.timestep_s {self.robot.timestep_s} s, and is {steps:g} times it"
-            )
-        return self
+    image_faults: ImageFaultSettings = ImageFaultSettings()
+    camera_mount: CameraMountSettings = CameraMountSettings()
+    deployment: DeploymentSettings = DeploymentSettings()
 
     @model_validator(mode="after")
     def _segments_have_room(self) -> "SimSettings":
         if self.world == "room":
             return self
-        side_m = self.landmarks.side_m if self.world == "landmarks" else self.map.side_m - 2 * self.map.clearance_m
+        side_m = (
+            self.landmarks.side_m
+            if self.world == "landmarks"
+            else self.obstacles.side_m - 2 * self.obstacles.clearance_m
+        )
         longest = min(side_m, self.drive.longest_m)
         if 4 * self.drive.spacing_m > longest:
             raise ValueError(
@@ -288,8 +278,8 @@ class SimSettings(Group):
 
     @model_validator(mode="after")
     def _only_a_room_is_seen(self) -> "SimSettings":
-        if self.world != "room" and self.horizontal.mounted:
-            raise ValueError(f"horizontal.mounted needs world room, and the world is {self.world}")
+        if self.world != "room" and self.tag_camera.mounted:
+            raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         return self
@@ -299,12 +289,20 @@ class SimSettings(Group):
         faults = [name for name, off in NO_FAULTS.items() if getattr(self, name) != off]
         if faults and (self.world != "room" or self.sensor != "fisheye"):
             raise ValueError(f"{faults[0]} has faults of images, which need world room and sensor fisheye")
-        if self.use != UseSettings() and self.grid.held_out:
-            raise ValueError(f"use changes the room of the test grid, and grid.held_out {self.grid.held_out} has none")
-        if self.use.moved_m and self.room.mjcf is not None:
-            raise ValueError("use.moved_m needs a room whose furniture is known, and room.mjcf is one of your own")
+        if self.deployment != DeploymentSettings() and self.grid.held_out:
+            raise ValueError(
+                f"deployment changes the room of the test grid, and grid.held_out {self.grid.held_out} has none"
+            )
+        if self.deployment.moved_m and self.room.mjcf is not None:
+            raise ValueError(
+                "deployment.moved_m needs a room whose furniture is known, and room.mjcf is one of your own"
+            )
         return self
 
 
-NO_FAULTS: dict[str, Group] = {"image": ImageSettings(), "mount": MountSettings(), "use": UseSettings()}
-"""The camera's groups of faults as they are by default: off."""
+NO_FAULTS: dict[str, Group] = {
+    "image_faults": ImageFaultSettings(),
+    "camera_mount": CameraMountSettings(),
+    "deployment": DeploymentSettings(),
+}
+"""The groups of faults of images as they are by default: off."""

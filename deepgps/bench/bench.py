@@ -186,7 +186,7 @@ def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> lis
     rival = 100 * read_json(demo / "metrics.json")["methods"]["posenet"]["relative_rms"]
     note = f"of the shorter side: {100 * found['rms_m']:.1f} cm; {found['steps']} steps; naive: PoseNet, whole"
     return [
-        Row("quick", "quick schedule", seconds, "s", 15.0, note="features, first map, training, search for folds"),
+        Row("quick", "quick schedule", seconds, "s", 15.0, note="features, initial map, training, search for folds"),
         Row("quick_rms", "RMS of the quick schedule", rms, "%", 2.0, False, rival, note),
     ]
 

@@ -4,12 +4,11 @@ import subprocess
 import time
 from pathlib import Path
 
-import pyarrow.parquet as pq
-
 from deepgps.bench.rows import Row
 from deepgps.figures.targets import FORMS
 from deepgps.studies.reports.report import measure_targets
 from deepgps.studies.study import load_study
+from deepgps.studies.table import read_rows
 from sim.files import read_json
 
 STUDIES = ("precision", "seeds")
@@ -28,7 +27,7 @@ def _read_study(name: str) -> list[Row]:
     if found is None:
         note = f"deepgps study {name}"
         return [Row(f"{name}.{key}", f"{name}: {key}", None, "", note=note) for key in study.target]
-    rows = [row for row in pq.read_table(found).to_pylist() if row["failure"] is None]
+    rows = [row for row in read_rows(found) if row["failure"] is None]
     figures = measure_targets(study.report, rows) if rows else {}
     note = f"{len(rows)} trainings, {_origin(found, [row['run'] for row in rows])}"
     made = []

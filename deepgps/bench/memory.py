@@ -15,7 +15,8 @@ from deepgps.settings import LearnSettings
 from sim.errors import WorkError
 from sim.files import read_json, write_array, write_json
 from sim.processes import WORKERS
-from sim.recording.format import Recording, open_recording
+from sim.recording.format import Recording, grid_file, observation_file, open_recording
+from sim.recording.manifest import SCHEMA
 
 LOOK_EVERY_S = 0.01
 SPARE_BYTES = 2_000_000_000  # of the disk: features and weights, and not to fill it
@@ -86,7 +87,9 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     images = source.observation
     length = len(images)
     copies = -(-count // length)
-    with (folder / "observation.npy").open("wb") as file:  # without a sync: it is thrown away
+    observations = folder / observation_file(source.manifest.sensor)
+    observations.parent.mkdir()
+    with observations.open("wb") as file:  # without a sync: it is thrown away
         head = {"descr": images.dtype.str, "fortran_order": False, "shape": (count, *images.shape[1:])}
         np.lib.format.write_array_header_1_0(file, head)
         for number in range(copies):
@@ -99,8 +102,9 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     kept = reading[:, 1] < count
     write_array(folder / "reading.npy", reading[kept])
     write_array(folder / "time.npy", time_s[kept])
-    write_array(folder / "test" / "observation.npy", np.zeros((0, 1, *images.shape[1:]), images.dtype))
-    write_json(folder / "manifest.json", {**source.manifest, "sha256": {}})  # nobody keeps it
+    write_array(folder / grid_file(source.manifest.sensor), np.zeros((0, 1, *images.shape[1:]), images.dtype))
+    manifest = source.manifest.model_dump(mode="json", exclude={"sha256", "number"})
+    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA})  # nobody keeps it
 
 
 def measure_peak(training: Training) -> int:
@@ -131,7 +135,7 @@ def read_anonymous(process: int | None) -> int:
 
 
 def _time_step(training: Training) -> float:
-    # From a random start: a step costs the same, and no first map is made for it.
+    # From a random start: a step costs the same, and no initial map is made for it.
     folder = training.folder / "deepgps"
     shutil.rmtree(folder, ignore_errors=True)
     random = training.settings.model_copy(update={"start": "random"})

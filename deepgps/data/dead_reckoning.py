@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from sim.recording.format import Recording
-from sim.sensors.encoder import count_from_first, read_odometry, ticks_to_distance
+from sim.sensors.encoder import check_odometry, count_from_first, ticks_to_distance
 
 
-def travel(ticks: np.ndarray, manifest: Mapping[str, Any]) -> np.ndarray:
+def travel(ticks: np.ndarray, constants: Mapping[str, Any]) -> np.ndarray:
     """Way of each wheel [m] from its cumulative ticks, both (R, 2); only differences of ways mean anything."""
-    odometry = read_odometry(manifest)
+    odometry = check_odometry(constants)
     return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
 
 
@@ -21,8 +21,8 @@ def dead_reckon(recording: Recording) -> np.ndarray:
     Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
     between segments the robot backs off what it touched first, and then turns in place.
     """
-    way = np.diff(travel(recording.reading[:, 2:], recording.manifest), axis=0)
-    turn = (way[:, 1] - way[:, 0]) / read_odometry(recording.manifest)["track_m"]
+    way = np.diff(travel(recording.reading[:, 2:], recording.manifest.odometry), axis=0)
+    turn = (way[:, 1] - way[:, 0]) / check_odometry(recording.manifest.odometry)["track_m"]
     yaw = np.concatenate([[0.0], np.cumsum(turn)])
     heading = yaw[:-1] + turn / 2.0
     between = np.diff(recording.reading[:, 0]) != 0

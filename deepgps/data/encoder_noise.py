@@ -16,11 +16,11 @@ import torch
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.segments import Segments, find_runs
 from sim.recording.format import Recording
-from sim.sensors.encoder import read_odometry, ticks_to_distance
+from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.sensors.encoder_faults import expect_bias, expect_variance
 from sim.settings import EncoderSettings
 
-DOUBTED = 4.0
+DISAGREEMENT = 4.0
 """Standard deviations by which two wheels may differ on a straight segment."""
 RESOLUTION_M = 0.003
 """Errors of the network itself, beside which smaller ones of encoders do not matter, chosen in one room [m]."""
@@ -30,16 +30,16 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     """The segments with the errors that their distances are expected to have, and how far each is believed.
 
     Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree. A segment on which they
-    do so by ``z`` standard deviations, more than ``DOUBTED``, is believed by (DOUBTED / z)^2.
+    do so by ``z`` standard deviations, more than ``DISAGREEMENT``, is believed by (DISAGREEMENT / z)^2.
     """
-    odometry = read_odometry(recording.manifest)
+    odometry = check_odometry(recording.manifest.odometry)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
     made_of = segments.index.diff(dim=1).clamp_min(1)
     grown = expect_variance(odometry, gap, made_of)
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
     tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
-    doubt = torch.from_numpy(measure_doubt(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
-    weight = (DOUBTED / doubt.clamp_min(DOUBTED)).square()
+    doubt = torch.from_numpy(measure_wheel_disagreement(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
+    weight = (DISAGREEMENT / doubt.clamp_min(DISAGREEMENT)).square()
     return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, weight=weight)
 
 
@@ -54,18 +54,18 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     return float((noise + expect_bias(encoder, way)).mean().sqrt())
 
 
-def find_believed(segments: Segments) -> Segments:
+def keep_inliers(segments: Segments) -> Segments:
     """The segments without those that are believed by less than a half."""
     return segments if segments.weight is None else segments.take((segments.weight >= 0.5).nonzero()[:, 0])
 
 
-def measure_doubt(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:
+def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:
     """By how many standard deviations the wheels disagree on each segment (L,), a steady ratio of theirs allowed.
 
     Their difference has the variance t^2 / 3 + 2 s^2 c. A wheel that is larger than the other differs on all segments
     in proportion to the way, which is taken off; and what is left on half of the segments counts as usual.
     """
-    way = travel(recording.reading[:, 2:], recording.manifest)
+    way = travel(recording.reading[:, 2:], recording.manifest.odometry)
     ends = np.array([way[run[-1]] - way[run[0]] for run in find_runs(recording) if len(run) >= 2])
     driven, apart = np.abs(ends.mean(axis=1)), ends[:, 1] - ends[:, 0]
     apart -= np.median(apart / driven.clip(tick_m)) * driven
@@ -74,9 +74,9 @@ def measure_doubt(recording: Recording, tick_m: float, slip_per_m: float) -> np.
 
 
 def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
-    """Which whole segments are wrong (L,) by more than ``DOUBTED`` expected deviations, their true errors (L,) [m]."""
+    """Which whole segments, of true errors (L,) [m], are wrong (L,) by over ``DISAGREEMENT`` expected deviations."""
     expected = _variance(segments).gather(1, (segments.count - 1)[:, None])[:, 0].numpy() + segments.rounding_m2
-    return np.abs(error) > DOUBTED * np.sqrt(expected + RESOLUTION_M**2)
+    return np.abs(error) > DISAGREEMENT * np.sqrt(expected + RESOLUTION_M**2)
 
 
 def _variance(segments: Segments) -> torch.Tensor:
@@ -84,7 +84,7 @@ def _variance(segments: Segments) -> torch.Tensor:
     return segments.variance
 
 
-def trust_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
+def weigh_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
     """What residuals of distances between all readings are multiplied by (S, m, m), from those of readings (S, m).
 
     1 / sqrt(1 + v / r^2), ``v`` the expected squared error and ``r`` the network's own: 1 where encoders are perfect.
@@ -93,7 +93,7 @@ def trust_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
     return (1.0 + between / RESOLUTION_M**2).rsqrt()
 
 
-def trust_places(variance: torch.Tensor, valid: torch.Tensor, rounding_m2: float) -> torch.Tensor:
+def weigh_places(variance: torch.Tensor, valid: torch.Tensor, rounding_m2: float) -> torch.Tensor:
     """The same of residuals along the line, of readings from the mean of their segment (S, m).
 
     Errors that add up have the covariance min(v_i, v_j), so that from the mean of n there are left

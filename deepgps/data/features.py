@@ -23,7 +23,7 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
-from deepgps.data.segments import Segments, spread
+from deepgps.data.segments import Segments, subsample
 from deepgps.settings import FeatureSettings
 from sim.errors import DamagedError, InputError
 from sim.files import check_sha256, read_json, write_bytes, write_json
@@ -70,7 +70,7 @@ class Features:
         return found
 
 
-def check_observations(observation: np.ndarray, name: str = "observation.npy") -> None:
+def check_observations(observation: np.ndarray, name: str) -> None:
     """Raise InputError where observations cannot be learned from: not numbers, not finite, or far too large."""
     if observation.dtype.kind not in "uif":
         raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
@@ -167,7 +167,7 @@ def fit_features(
     Returns:
         The projection and the observations' features (N, components); their mean square over those fitted on is 1.
     """
-    sample, chosen = spread(segments, len(observation))
+    sample, chosen = subsample(segments, len(observation))
     edges = find_edges(observation, settings.rings)
     described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
     mean = described.mean(dim=0)
@@ -259,7 +259,7 @@ def _describe_all(
 def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
     apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
     if apart <= ALIKE * size:
-        raise InputError(f"observation.npy: all {len(centred)} observations look alike, so none tells where it was")
+        raise InputError(f"all {len(centred)} observations look alike, so none tells where it was")
 
 
 @lru_cache(maxsize=8)

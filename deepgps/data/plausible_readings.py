@@ -15,11 +15,9 @@ import numpy as np
 from deepgps.data.plausible_ticks import LARGEST, check_ticks
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.sensors.encoder import read_odometry
+from sim.sensors.encoder import check_odometry
 
 COLUMNS = 4
-CHECKED = "readings_checked"
-"""What a manifest, in memory, holds the counts by."""
 FAULTS = {
     "not_a_number": "hold no number",
     "out_of_range": "belong to no observation",
@@ -47,28 +45,26 @@ class CheckedReadings:
 
 
 def keep_plausible(recording: Recording) -> Recording:
-    """The recording with the readings that can be, whose counts its manifest then holds.
+    """The recording with the readings that can be, and their counts.
 
     Raises:
         InputError: The readings have the wrong shape, or most of them cannot be.
     """
-    if CHECKED in recording.manifest:
+    if recording.readings is not None:
         return recording
     try:
-        odometry = read_odometry(recording.manifest)
+        odometry = check_odometry(recording.manifest.odometry)
         checked = check_readings(recording.reading, recording.time, len(recording.observation), odometry)
     except InputError as error:
         raise InputError(f"{recording.folder}: {error}") from None
-    manifest = {**recording.manifest, CHECKED: checked.counts}
     if checked.reading is recording.reading:
-        return replace(recording, manifest=manifest)
-    return replace(recording, manifest=manifest, reading=checked.reading, time=recording.time[checked.kept])
+        return replace(recording, readings=checked.counts)
+    return replace(recording, readings=checked.counts, reading=checked.reading, time=recording.time[checked.kept])
 
 
 def count_readings(recording: Recording) -> dict[str, dict[str, int]]:
     """What ``training.json`` and ``metrics.json`` say of the readings; nothing where they were not checked."""
-    counts = recording.manifest.get(CHECKED)
-    return {} if counts is None else {"readings": counts}
+    return {} if recording.readings is None else {"readings": recording.readings}
 
 
 def describe_readings(counts: Mapping[str, int]) -> str | None:

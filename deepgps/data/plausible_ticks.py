@@ -103,7 +103,7 @@ class Pace:
         between: Median speed between segments, or that on them if it is higher [ticks/s].
         forward: Which way each wheel turns on segments (2,): 1, -1, or 0 where it turns both ways.
         turn: Way of a wheel in the turns that are allowed between segments [ticks].
-        gap_noise: Standard deviation of a gap, as a fraction of it.
+        step_noise: Standard deviation of a gap, as a fraction of it.
         slip: Standard deviation of a way [ticks] by the square root of the way [ticks].
     """
 
@@ -112,7 +112,7 @@ class Pace:
     between: float
     forward: np.ndarray
     turn: float
-    gap_noise: float
+    step_noise: float
     slip: float
 
     def fits(self, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray) -> np.ndarray:
@@ -122,7 +122,7 @@ class Pace:
         """
         speed, turn = np.where(inside, self.inside, self.between), np.where(inside, 0.0, self.turn)
         far = (FASTER * speed * seconds + turn)[:, None]
-        noise = DEVIATIONS * (self.gap_noise * far + self.slip * np.sqrt(far)) + ROUNDING
+        noise = DEVIATIONS * (self.step_noise * far + self.slip * np.sqrt(far)) + ROUNDING
         one_way = inside[:, None] & (self.forward != 0)
         ahead = gap.astype(float) * np.where(self.forward == 0, 1, self.forward)
         turned = (inside & (np.abs(gap) > noise).all(axis=1) & (np.sign(gap).prod(axis=1) < 0))[:, None]
@@ -149,7 +149,7 @@ def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odome
         between=max(usual, _median(speed[~inside], 0.0)),
         forward=(ahead > most).astype(int) - (back > most),
         turn=TURNS * np.pi * odometry["track_m"] / tick_m,
-        gap_noise=odometry.get("gap_noise", 0.0),
+        step_noise=odometry.get("step_noise", 0.0),
         slip=odometry.get("slip_per_m", 0.0) / np.sqrt(tick_m),
     )
 

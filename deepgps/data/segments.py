@@ -10,8 +10,8 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 
 MOST_FITTED = 16_000
-"""Observations that features, a first map and the search for folds look at, at most: there everything meets everything,
-so that a longer recording would cost memory and time without end."""
+"""Observations that features, initial map and fold detector use, at most: all of them are compared with one another, so
+memory and time grow with the square."""
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
@@ -61,7 +61,7 @@ def read_segments(recording: Recording) -> Segments:
     Raises:
         InputError: No segment has two readings, no wheel turned, or the odometry constants are missing.
     """
-    travelled = travel(recording.reading[:, 2:], recording.manifest).mean(axis=1)
+    travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     runs = find_runs(recording)
     kept = [run for run in runs if len(run) >= 2]
     if not kept:
@@ -88,7 +88,7 @@ def find_runs(recording: Recording) -> list[np.ndarray]:
     return np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
 
 
-def spread(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
+def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
     """Whole segments spread evenly over a drive; all of them where the recording is no longer than ``most``.
 
     Args:

@@ -18,11 +18,20 @@ from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.learning.trainer import use_threads
-from deepgps.methods.catalog import METHODS
+from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.positioner import load_positioner, read_training
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
-from sim.recording.format import Labels, Recording, Truth, open_labels, open_recording, open_truth
+from sim.recording.format import (
+    Labels,
+    Recording,
+    Truth,
+    grid_file,
+    observation_file,
+    open_labels,
+    open_recording,
+    open_truth,
+)
 
 SEEN_WITHIN_M = 0.25
 
@@ -48,7 +57,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
-        maps = predict(run / method, recording)
+        maps = predict(folder_of(run, method), recording)
         fields[method], scale = measure_field(maps, method, truth)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
@@ -56,7 +65,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "scale": scale,
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,
-            **read_training(run / method),
+            **read_training(folder_of(run, method)),
         }
         if labels is not None:
             label_fields[method], scale = measure_field(maps, method, labels)
@@ -69,8 +78,8 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
         "shorter_side_m": side_m,
         "samples": len(recording.observation),
-        "segments": recording.manifest["segments"],
-        "distance_driven_m": recording.manifest["distance_driven_m"],
+        "segments": recording.manifest.segments,
+        "distance_driven_m": recording.manifest.distance_driven_m,
         **count_readings(recording),
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
@@ -92,10 +101,10 @@ def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:
-    check_observations(recording.test_observation, "test/observation.npy")
+    check_observations(recording.test_observation, grid_file(recording.manifest.sensor))
     for name, observed, known in (
-        ("observation.npy", recording.observation.shape[:1], truth.pose.shape[:1]),
-        ("test/observation.npy", recording.test_observation.shape[:2], truth.test_pose.shape[:2]),
+        (observation_file(recording.manifest.sensor), recording.observation.shape[:1], truth.pose.shape[:1]),
+        (grid_file(recording.manifest.sensor), recording.test_observation.shape[:2], truth.test_pose.shape[:2]),
     ):
         if observed != known:
             raise InputError(f"{recording.folder}: {name} has {observed} observations, but the truth {known} poses")

@@ -18,11 +18,12 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
 
     Returns:
         ``segment_rms_m``: RMS of distance by encoder less the true one [m]; ``segment_expected_m``: what theory says
-        of these encoders [m]; ``segments_wrong``: segments farther off than noise explains; ``segments_doubted``: those
-        that a noise-aware method believes by less than a half; ``wrong_doubted``: those that are both.
+        of these encoders [m]; ``segments_wrong``: segments farther off than noise explains;
+        ``segments_down_weighted``: those to which a noise-aware method gives less than half the weight;
+        ``wrong_doubted``: those that are both.
     """
     segments = expect_errors(recording, read_segments(recording))
-    encoder = EncoderSettings.model_validate(recording.manifest["settings"].get("encoder", {}))
+    encoder = EncoderSettings.model_validate(recording.manifest.settings.get("encoder", {}))
     _, error = measure_segments(recording, truth.pose)
     assert segments.weight is not None
     wrong, doubted = find_wrong(segments, error), segments.weight.numpy() < 0.5
@@ -30,7 +31,7 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
         "segment_rms_m": float(np.sqrt(np.mean(error**2))),
         "segment_expected_m": predict_rms(segments, encoder),
         "segments_wrong": int(wrong.sum()),
-        "segments_doubted": int(doubted.sum()),
+        "segments_down_weighted": int(doubted.sum()),
         "wrong_doubted": int((wrong & doubted).sum()),
     }
 
@@ -78,7 +79,7 @@ def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarra
     Returns:
         Three arrays (R,) [m]; the last adds up over all segments.
     """
-    odometry = recording.manifest["odometry"]
+    odometry = recording.manifest.odometry
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
     counted = count_from_first(ticks)
     way = ticks_to_distance(counted, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)

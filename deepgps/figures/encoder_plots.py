@@ -22,7 +22,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
         drift: Distance of the dead-reckoned path from the true one (R,) [m].
     """
     length, error = measure_segments(recording, pose)
-    odometry = recording.manifest["odometry"]
+    odometry = recording.manifest.odometry
     tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
     measured = {
         "one tick": f"{tick_mm:.3g} mm",
@@ -51,8 +51,8 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
 
 def list_faults(recording: Recording) -> list[str]:
     """A Markdown table of faults and settings that differ from sound encoders, or the sentence that none does."""
-    settings = recording.manifest["settings"]
-    ticks = recording.manifest["odometry"]["ticks_per_rev"]
+    settings = recording.manifest.settings
+    ticks = recording.manifest.odometry["ticks_per_rev"]
     sound = {f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()}
     sound["robot.wheel_radius_error"] = RobotSettings().wheel_radius_error
     was_set = {

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
-from deepgps.methods.catalog import title_of
+from deepgps.methods.catalog import folder_of, title_of
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
 
@@ -111,7 +111,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
 
 def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
     """What training left out of the readings or repaired, in a sentence; None: nothing."""
-    counts = (read_json(run / method / "training.json").get("readings", {}) for method in methods)
+    counts = (read_json(folder_of(run, method) / "training.json").get("readings", {}) for method in methods)
     return next(filter(None, map(describe_readings, counts)), None)
 
 

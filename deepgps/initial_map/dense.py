@@ -1,9 +1,9 @@
 """The map from which training starts, found without a network: rough ones by shortest paths, made exact, the best kept.
 
-A rough map may have a nook, such as the room behind a sofa, turned over, or bent so far that its look-alikes are no
-longer believed. Graphs of few and of many neighbours fail at different nooks, so some of each are tried, and judged by
-how well bars and look-alikes fit one another. The best one then takes from the others the nooks that suit it better,
-and turns over what hangs on it by little. The truth has no part in it.
+A rough map may mirror a region, such as the room behind a sofa, or bend it so far that its loop closures lose their
+weight. Graphs of few and of many neighbours fail in different regions, so several are tried and judged by their cost,
+which is how well segments and loop closures fit one another. The best map then adopts better-fitting regions from the
+others, and mirrors weakly connected parts where that lowers the cost. The truth has no part in it.
 """
 
 import numpy as np
@@ -13,20 +13,20 @@ from scipy.sparse.csgraph import connected_components
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.segments import Segments
-from deepgps.initial_map.isomap import Links, find_links, find_steps, join_links, map_by_paths
-from deepgps.initial_map.mirrored_parts import find_doors, mirror
+from deepgps.initial_map.isomap import LoopClosures, find_loop_closures, find_steps, join_closures, map_by_paths
+from deepgps.initial_map.mirrored_parts import find_weak_parts, mirror
 from deepgps.initial_map.pose_graph import relax
 
 NEIGHBOURS = (3, 4, 6, 8)
 APART = 1.5
 """How far two maps put an observation apart where they differ, in steps between readings."""
-NOOKS, SMALLEST = 6, 4
-"""How many nooks of another map are tried, the largest first, and of how many observations at least."""
+REGIONS, SMALLEST = 6, 4
+"""How many regions of another map are tried, the largest first, and of how many observations at least."""
 BELIEVED = 4.0
-"""As in the pose graph, after a nook was taken over: all else is right already."""
+"""As in the pose graph, after a region was taken over: all else is right already."""
 
 
-def find_first_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
+def find_initial_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
     """Positions of observations with features (N, K), in a frame of its own.
 
     Returns:
@@ -35,44 +35,44 @@ def find_first_map(features: torch.Tensor, segments: Segments, generator: torch.
     Raises:
         InputError: when the segments do not hang together.
     """
-    graphs = find_links(features, segments, NEIGHBOURS)
-    rough = [map_by_paths(len(features), segments, links, generator) for links in graphs]
+    graphs = find_loop_closures(features, segments, NEIGHBOURS)
+    rough = [map_by_paths(len(features), segments, closures, generator) for closures in graphs]
     tries = sorted((relax(places, segments, graphs[0]) for places in rough), key=lambda found: found[1])
     places, cost = tries[0]
     for other, _ in tries[1:]:
-        places, cost = take_nooks(places, cost, other, segments, graphs[0])
-    return swing_doors(places, cost, segments, graphs[0])
+        places, cost = adopt_regions(places, cost, other, segments, graphs[0])
+    return mirror_parts(places, cost, segments, graphs[0])
 
 
-def swing_doors(places: np.ndarray, cost: float, segments: Segments, links: Links) -> np.ndarray:
+def mirror_parts(places: np.ndarray, cost: float, segments: Segments, closures: LoopClosures) -> np.ndarray:
     """Mirror parts of a map (N, 2) [m] that hang on the rest by little, each if the map then costs less."""
-    for door in find_doors(np.asarray(np.isfinite(places).all(axis=1)), segments, links):
-        found, less = relax(mirror(places, door, segments, links), segments, links, BELIEVED)
+    for part in find_weak_parts(np.asarray(np.isfinite(places).all(axis=1)), segments, closures):
+        found, less = relax(mirror(places, part, segments, closures), segments, closures, BELIEVED)
         if less < cost:
             places, cost = found, less
     return places
 
 
-def take_nooks(
-    places: np.ndarray, cost: float, other: np.ndarray, segments: Segments, links: Links
+def adopt_regions(
+    places: np.ndarray, cost: float, other: np.ndarray, segments: Segments, closures: LoopClosures
 ) -> tuple[np.ndarray, float]:
-    """Put nooks of another map into this one, each if it then costs less.
+    """Put regions of another map into this one, each if it then costs less.
 
     Args:
         places: A map (N, 2) [m].
         cost: What it costs.
         other: Another map (N, 2) [m], in any frame.
         segments: Weak constraints.
-        links: Observations that look alike.
+        closures: Observations that look alike.
 
     Returns:
         The better map and its cost.
     """
     laid = lay_over(other, places)
-    for nook in find_nooks(places, laid, segments, links):
+    for region in find_regions(places, laid, segments, closures):
         mixed = places.copy()
-        mixed[nook] = laid[nook]
-        found, less = relax(mixed, segments, links, BELIEVED)
+        mixed[region] = laid[region]
+        found, less = relax(mixed, segments, closures, BELIEVED)
         if less < cost:
             places, cost = found, less
     return places, cost
@@ -89,16 +89,16 @@ def lay_over(other: np.ndarray, places: np.ndarray) -> np.ndarray:
     return laid
 
 
-def find_nooks(places: np.ndarray, laid: np.ndarray, segments: Segments, links: Links) -> list[np.ndarray]:
+def find_regions(places: np.ndarray, laid: np.ndarray, segments: Segments, closures: LoopClosures) -> list[np.ndarray]:
     """Observations (n,) that lie apart on two maps, in parts that hang together, the largest first."""
     step = float(np.median(find_steps(segments)[2]))
     apart = np.linalg.norm(laid - places, axis=1) > APART * step
-    first, second, _ = join_links(segments, links)
+    first, second, _ = join_closures(segments, closures)
     joined = apart[first] & apart[second]
     graph = csr_array((np.ones(joined.sum()), (first[joined], second[joined])), shape=(len(places), len(places)))
     _, part = connected_components(graph, directed=False)
     size = np.bincount(part[apart], minlength=1)
     largest = [
-        number for number in np.argsort(-size, kind="stable")[:NOOKS] if SMALLEST <= size[number] < len(places) / 2
+        number for number in np.argsort(-size, kind="stable")[:REGIONS] if SMALLEST <= size[number] < len(places) / 2
     ]
     return [np.flatnonzero(part == number) for number in largest]

@@ -1,10 +1,10 @@
-"""A first map where segments have two readings (the paper's end-point strategy): places, bars and look-alikes.
+"""An initial map where segments have two readings (the paper's end-point strategy): places, bars and loop closures.
 
 Two readings do not tell how fast features change, but all short segments together tell how unlike places look at a
 distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are
-straight and long, and look-alikes, which are short, give a map that is wrong by decimetres (Isomap). Then all places
-move until bars have their lengths and look-alikes lie on one another, false ones losing their weight as what is
-believed shrinks (as in the pose graph). That contracts the map here and there, since look-alikes do not lie on one
+straight and long, and loop closures, which are short, give a map that is wrong by decimetres (Isomap). Then all places
+move until bars have their lengths and loop closures lie on one another, false ones losing their weight as what is
+believed shrinks (as in the pose graph). That contracts the map here and there, since loop closures do not lie on one
 another; so at last each place moves to where it lies among those that it resembles, as its features lie among theirs
 (locally linear embedding, Roweis and Saul 2000), with bars of their lengths. The truth has no part in it.
 """
@@ -15,7 +15,7 @@ from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, vst
 from scipy.sparse.linalg import cg
 
 from deepgps.data.segments import Segments, find_owners
-from deepgps.initial_map.isomap import CHUNK, Links, find_steps, map_by_paths
+from deepgps.initial_map.isomap import CHUNK, LoopClosures, find_steps, map_by_paths
 from sim.errors import InputError
 
 NEIGHBOURS = (5, 8, 12)
@@ -36,10 +36,10 @@ MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
 EXACT, MOST_STEPS = 1e-8, 2000
 """Remainder at which conjugate gradients stop, as a share of the right side, and their steps, at most."""
 WRONG_M = 0.05
-"""A bar or look-alike wrong by twice this and more counts as just wrong when maps are compared [m]."""
+"""A bar or loop closure wrong by twice this and more counts as just wrong when maps are compared [m]."""
 
 
-def find_end_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
+def find_end_point_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
     """Positions of observations with features (N, K), in a frame of its own.
 
     Returns:
@@ -49,9 +49,9 @@ def find_end_map(features: torch.Tensor, segments: Segments, generator: torch.Ge
         InputError: when no segment is short, or the segments do not hang together.
     """
     tries = []
-    for links in find_look_alikes(features, segments, NEIGHBOURS):
-        rough = map_by_paths(len(features), segments, links, generator)
-        tries.append(relax_ends(rough, segments, links))
+    for closures in find_look_alikes(features, segments, NEIGHBOURS):
+        rough = map_by_paths(len(features), segments, closures, generator)
+        tries.append(relax_ends(rough, segments, closures))
     best = min(tries, key=lambda found: found[1])[0]
     return fit_mixture(best, segments, find_mixture(features))
 
@@ -103,7 +103,7 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
     return np.where(known[:, None], place, np.nan)
 
 
-def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[Links]:
+def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
     """Pairs of places, each among the other's most similar by features (N, K), and their estimated distance [m].
 
     Args:
@@ -126,8 +126,8 @@ def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tup
     return found
 
 
-def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np.ndarray, float]:
-    """Move all places until bars and look-alikes fit.
+def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
+    """Move all places until bars and loop closures fit.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and
     McClure's weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b believed.
@@ -135,7 +135,7 @@ def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np
     Args:
         places: Where they lie at first (N, 2) [m]; not a number: unknown, and so it stays.
         segments: Weak constraints.
-        links: Look-alikes, each pair once.
+        closures: Look-alikes, each pair once.
 
     Returns:
         Places (N, 2) [m], and how badly they fit: means of squared residuals, in units of ``WRONG_M``, cut at 4.
@@ -143,7 +143,7 @@ def relax_ends(places: np.ndarray, segments: Segments, links: Links) -> tuple[np
     known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
     a, b, way = _among(known, number, find_steps(segments))
-    c, e, near = _among(known, number, links)
+    c, e, near = _among(known, number, closures)
     size = np.hypot(near, SAME_M)
     for believed, exact in zip(np.geomspace(*BELIEVED_M, ROUNDS), np.geomspace(*BAR_M, ROUNDS), strict=True):
         bar, apart = place[a] - place[b], place[c] - place[e]
@@ -207,13 +207,13 @@ def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
     return found
 
 
-def _among(known: np.ndarray, number: np.ndarray, pairs: Links) -> Links:
+def _among(known: np.ndarray, number: np.ndarray, pairs: LoopClosures) -> LoopClosures:
     kept = known[pairs[0]] & known[pairs[1]]
     return number[pairs[0][kept]], number[pairs[1][kept]], pairs[2][kept]
 
 
 def _slope(a: np.ndarray, b: np.ndarray, along: np.ndarray, c: np.ndarray, e: np.ndarray, count: int) -> csc_array:
-    """Derivative of bars' lengths and of look-alikes' differences, x and y in turn, by all places (rows, 2 count)."""
+    """Derivative of bars' lengths and of loop closures' differences, x and y in turn, by all places (rows, 2 count)."""
     bars, one = np.arange(len(a)), np.ones(len(c))
     rows, columns, values = [], [], []
     for axis in range(2):

@@ -1,4 +1,4 @@
-"""Does a learned map lie folded on itself? Two signs, neither of which looks at the truth.
+"""Is a learned map folded onto itself? Two measures tell, and neither looks at the truth.
 
 A segment was driven straight, so its ends must be predicted as far apart as driven: a fold bends what crosses it. And
 places predicted side by side must look alike: a fold puts different places on one another.
@@ -11,37 +11,44 @@ import torch
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import Segments, find_owners
-from deepgps.settings import FoldSettings
 
 SAMPLES = 2000
 NEIGHBOURS = 32
 NEAR_M = 0.1
 LOOK_M = 0.3
+LENGTH_ERROR_LIMIT, OVERLAP_LIMIT = 0.04, 0.02
+"""Above one of these a map counts as folded."""
 
 
 @dataclass(frozen=True)
-class Signs:
-    """Signs of a fold, each a fraction between 0 (none) and 1.
+class FoldScore:
+    """How far a map is folded: two fractions, each between 0 (not at all) and 1.
 
     Attributes:
-        bent: Of the way driven, the part on segments whose predicted ends lie too close or too far apart.
-        doubled: Of the observations with neighbours on the map from other segments, the part that look unlike these.
+        length_error_fraction: Of the distance travelled, the part on segments whose predicted ends are too close or too
+            far apart.
+        overlap_fraction: Of the observations with neighbours on the map from other segments, the part that look unlike
+            these.
     """
 
-    bent: float
-    doubled: float
+    length_error_fraction: float
+    overlap_fraction: float
 
-    def worst(self, settings: FoldSettings) -> float:
-        """The larger sign in units of its limit."""
-        return max(self.bent / settings.bent, self.doubled / settings.doubled)
+    @property
+    def worst(self) -> float:
+        """The larger fraction in units of its limit."""
+        return max(self.length_error_fraction / LENGTH_ERROR_LIMIT, self.overlap_fraction / OVERLAP_LIMIT)
 
-    def folded(self, settings: FoldSettings) -> bool:
+    @property
+    def folded(self) -> bool:
         """Whether the map counts as folded."""
-        return self.worst(settings) > 1.0
+        return self.worst > 1.0
 
 
-def find_signs(positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator) -> Signs:
-    """Measure the signs of a fold.
+def score_folding(
+    positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
+) -> FoldScore:
+    """Measure how far a map is folded.
 
     Args:
         positions: Predictions of the training observations (N, 2) [m].
@@ -49,10 +56,12 @@ def find_signs(positions: np.ndarray, features: torch.Tensor, segments: Segments
         segments: Weak constraints.
         generator: Chooses the observations looked at.
     """
-    return Signs(measure_bent(positions, segments), measure_doubled(positions, features, segments, generator))
+    return FoldScore(
+        measure_length_error(positions, segments), measure_overlap(positions, features, segments, generator)
+    )
 
 
-def measure_bent(positions: np.ndarray, segments: Segments) -> float:
+def measure_length_error(positions: np.ndarray, segments: Segments) -> float:
     """Part of the way driven on segments whose ends are wrong by more than 0.1 m and a tenth of the way."""
     rows = torch.arange(len(segments.count))
     last = segments.count - 1
@@ -62,7 +71,7 @@ def measure_bent(positions: np.ndarray, segments: Segments) -> float:
     return float(driven[wrong > 0.1 + 0.1 * driven].sum() / max(driven.sum(), 1e-9))
 
 
-def measure_doubled(
+def measure_overlap(
     positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> float:
     """Part of the observations of whose neighbours within ``NEAR_M`` on the map a quarter looks unlike them.

@@ -1,4 +1,4 @@
-"""A first map without folds: Isomap on the graph of segments and look-alike places (Tenenbaum et al. 2000).
+"""An initial map without folds: Isomap on the graph of segments and loop closure places (Tenenbaum et al. 2000).
 
 Consecutive readings of a segment are joined by the distance driven, and observations of different segments that are one
 another's most similar by a distance estimated from how fast features change along the segments there. Shortest paths
@@ -18,7 +18,7 @@ LANDMARKS = 300
 LONGEST_LINK = 2.0
 CHUNK = 1000
 
-Links = tuple[np.ndarray, np.ndarray, np.ndarray]
+LoopClosures = tuple[np.ndarray, np.ndarray, np.ndarray]
 """First (n,) and second (n,) of observations that look alike, and their estimated distance (n,) [m]."""
 
 
@@ -27,13 +27,15 @@ def has_lines(segments: Segments) -> bool:
     return bool(segments.count[segments.count >= 3].sum() > segments.count.sum() / 2)
 
 
-def map_by_paths(observations: int, segments: Segments, links: Links, generator: torch.Generator) -> np.ndarray:
+def map_by_paths(
+    observations: int, segments: Segments, closures: LoopClosures, generator: torch.Generator
+) -> np.ndarray:
     """Positions of the training observations, by shortest paths.
 
     Args:
         observations: How many there are, N.
         segments: Weak constraints.
-        links: Observations that look alike.
+        closures: Observations that look alike.
         generator: Chooses the landmarks.
 
     Returns:
@@ -42,7 +44,7 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     Raises:
         InputError: when the segments do not hang together.
     """
-    first, second, length = join_links(segments, links)
+    first, second, length = join_closures(segments, closures)
     graph = _join(first, second, length, observations)
     main = _largest_part(graph)
     landmarks = main[torch.randperm(len(main), generator=generator)[:LANDMARKS].numpy()]
@@ -52,7 +54,7 @@ def map_by_paths(observations: int, segments: Segments, links: Links, generator:
     return places
 
 
-def find_links(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[Links]:
+def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
     """Pairs of observations of different segments, each among the other's most similar by features (N, K).
 
     Args:
@@ -113,9 +115,9 @@ def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return chosen[0].numpy(), chosen[1].numpy(), chosen[2].numpy()
 
 
-def join_links(segments: Segments, links: Links) -> Links:
-    """Steps along the segments and look-alikes together: first and second observations, the way between them [m]."""
-    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), links, strict=True))
+def join_closures(segments: Segments, closures: LoopClosures) -> LoopClosures:
+    """Steps along the segments and loop closures together: first and second observations, the way between them [m]."""
+    first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), closures, strict=True))
     return first, second, length
 
 

@@ -1,8 +1,8 @@
-"""Parts that hang on the rest of a map like a door on its hinge: as good a map the other way round.
+"""Parts that hang on the rest of a map like a part on its hinge: as good a map the other way round.
 
 Behind a passage hardly wider than the robot lies a part that few segments reach. Mirrored about the way through the
 passage it keeps all distances but those along these few, so that every map of shortest paths may have it wrong way
-round. Parts are found as sparse cuts of the graph of segments and look-alikes (normalised cuts; Shi and Malik 2000).
+round. Parts are found as sparse cuts of the graph of segments and loop closures (normalised cuts; Shi and Malik 2000).
 """
 
 import numpy as np
@@ -11,18 +11,18 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import eigsh
 
 from deepgps.data.segments import Segments
-from deepgps.initial_map.isomap import Links, join_links
+from deepgps.initial_map.isomap import LoopClosures, join_closures
 
 FEW = 20
-"""Steps and look-alikes by which a part may hang on the rest; where there are more, they tell left from right."""
+"""Steps and loop closures by which a part may hang on the rest; where there are more, they tell left from right."""
 CUTS = 3
 SMALLEST = 0.02
 """Part of all observations that lies on either side of a cut."""
 
 
-def find_doors(placed: np.ndarray, segments: Segments, links: Links) -> list[np.ndarray]:
+def find_weak_parts(placed: np.ndarray, segments: Segments, closures: LoopClosures) -> list[np.ndarray]:
     """Observations (N,) bool of parts that hang on the rest by few steps, of the observations ``placed`` (N,)."""
-    first, second, _ = join_links(segments, links)
+    first, second, _ = join_closures(segments, closures)
     graph = csr_array((np.ones(len(first)), (first, second)), shape=(len(placed), len(placed)))
     joined = graph + graph.T
     kept = np.flatnonzero(placed)
@@ -32,24 +32,24 @@ def find_doors(placed: np.ndarray, segments: Segments, links: Links) -> list[np.
         return []
     joined = joined[kept][:, kept]
     joined.data[:] = 1.0
-    doors = []
+    parts = []
     for order, cut in _cut(joined):
         if cut <= FEW:
-            doors.append(np.zeros(len(placed), bool))
-            doors[-1][kept[order]] = True
-    return doors
+            parts.append(np.zeros(len(placed), bool))
+            parts[-1][kept[order]] = True
+    return parts
 
 
-def mirror(places: np.ndarray, door: np.ndarray, segments: Segments, links: Links) -> np.ndarray:
+def mirror(places: np.ndarray, part: np.ndarray, segments: Segments, closures: LoopClosures) -> np.ndarray:
     """Places (N, 2) [m] with a part (N,) mirrored about the way that leads into it."""
-    first, second, _ = join_links(segments, links)
-    through = (door[first] != door[second]) & np.isfinite(places[first] + places[second]).all(axis=1)
+    first, second, _ = join_closures(segments, closures)
+    through = (part[first] != part[second]) & np.isfinite(places[first] + places[second]).all(axis=1)
     step = places[second[through]] - places[first[through]]
     along = np.linalg.eigh(step.T @ step)[1][:, -1]
     middle = np.median((places[first[through]] + places[second[through]]) / 2.0, axis=0)
     turned = places.copy()
-    ahead = places[door] - middle
-    turned[door] = middle + 2.0 * np.outer(ahead @ along, along) - ahead
+    ahead = places[part] - middle
+    turned[part] = middle + 2.0 * np.outer(ahead @ along, along) - ahead
     return turned
 
 

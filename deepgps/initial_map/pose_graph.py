@@ -1,8 +1,8 @@
-"""A first map made exact: segments as rigid bars, held together where they look alike (Lu and Milios 1997).
+"""An initial map made exact: segments as rigid bars, held together where they look alike (Lu and Milios 1997).
 
 What was driven straight is a bar with its observations at the distances driven: three unknowns, middle and heading.
 Where a segment begins at the end of the last, the two bars meet; where observations of two look alike, these lie
-nearly on one another. A few look-alikes are false, such as the undersides of two desks: they lose their weight as the
+nearly on one another. A few loop closures are false, such as the undersides of two desks: they lose their weight as the
 scale of what is believed shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
 """
 
@@ -11,19 +11,19 @@ from scipy.sparse import csc_array, eye_array
 from scipy.sparse.linalg import splu
 
 from deepgps.data.segments import Segments
-from deepgps.initial_map.isomap import Links
+from deepgps.initial_map.isomap import LoopClosures
 
 ROUNDS = 12
 BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
 """Scale of the differences that are believed in the first and the last round, in steps between readings."""
 LOOK, MEET = 0.25, 0.06
-"""Standard deviation of a difference of two look-alikes at distance zero, and of two bars that meet, in such steps."""
+"""Standard deviations of a loop closure at distance zero and of two bars that meet, in such steps."""
 LARGEST_TURN = 0.5
 DAMPING = 1e-9
 
 
 def relax(
-    places: np.ndarray, segments: Segments, links: Links, believed_first: float = BELIEVED_FIRST
+    places: np.ndarray, segments: Segments, closures: LoopClosures, believed_first: float = BELIEVED_FIRST
 ) -> tuple[np.ndarray, float]:
     """Move all segments, as rigid bars, to where they fit one another.
 
@@ -33,7 +33,7 @@ def relax(
     Args:
         places: Where the observations lie at first (N, 2) [m]; not a number: unknown, and so it stays.
         segments: Weak constraints.
-        links: Observations that look alike, each pair in both orders.
+        closures: Observations that look alike, each pair in both orders.
         believed_first: The scale b of the first round, in steps between readings; the last one is ``BELIEVED_LAST``.
 
     Returns:
@@ -50,7 +50,7 @@ def relax(
     reading = np.full(len(places), -1)
     reading[observation[::-1]] = np.arange(len(bar))[::-1]
     meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))
-    first, second, length = links
+    first, second, length = closures
     known = (reading[first] >= 0) & (reading[second] >= 0) & (first < second)
     a = np.concatenate([reading[first[known]], reading[observation[meet]]])
     b = np.concatenate([reading[second[known]], meet])

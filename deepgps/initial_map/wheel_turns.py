@@ -12,7 +12,7 @@ import torch
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.segments import Segments, find_runs
 from deepgps.initial_map.dense import NEIGHBOURS
-from deepgps.initial_map.isomap import find_links
+from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.pose_graph import relax
 from sim.recording.format import Recording
 
@@ -49,10 +49,10 @@ def straighten(turns: Turns, chosen: torch.Tensor, features: torch.Tensor, segme
         features: Features of them (n, K).
         segments: Weak constraints, which number them from 0.
     """
-    return relax(turns.path[chosen.numpy()], segments, find_links(features, segments, NEIGHBOURS[:1])[0])[0]
+    return relax(turns.path[chosen.numpy()], segments, find_loop_closures(features, segments, NEIGHBOURS[:1])[0])[0]
 
 
-def find_hand(positions: np.ndarray, segments: Segments, turns: Turns) -> int:
+def find_chirality(positions: np.ndarray, segments: Segments, turns: Turns) -> int:
     """1 where the turns of a map go the way that the wheels turned, -1 where the map is mirrored.
 
     Args:

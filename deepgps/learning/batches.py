@@ -73,12 +73,12 @@ Draw = Callable[[torch.Generator, float], Batch]
 """(generator, fraction of the steps done) -> batch of one step."""
 
 
-def draw_from(segments: Segments, settings: TrainSettings) -> Draw:
+def sample_from(segments: Segments, settings: TrainSettings) -> Draw:
     """Batches of segments on the training's device."""
-    return lambda generator, done: draw(segments, settings.segments, settings.samples, generator)
+    return lambda generator, done: sample_batch(segments, settings.segments, settings.samples, generator)
 
 
-def draw(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
+def sample_batch(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
     """Draw ``count`` segments, readings as often as they are believed, and up to ``samples`` different ones of each."""
     often = segments.count.float() if segments.weight is None else segments.count * segments.weight
     row = torch.multinomial(often, count, replacement=True, generator=generator)

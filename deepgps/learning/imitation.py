@@ -33,19 +33,19 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
     return both
 
 
-def draw_mapped_first(draw: Draw, draw_mapped: Draw, chosen: torch.Tensor) -> Draw:
+def sample_mapped_first(draw: Draw, sample_mapped: Draw, chosen: torch.Tensor) -> Draw:
     """While the map is imitated, draw batches of the observations that it holds; then of all.
 
     Args:
         draw: Batches of all observations.
-        draw_mapped: Batches of those on the map, which it numbers from 0.
+        sample_mapped: Batches of those on the map, which it numbers from 0.
         chosen: Their numbers among all (n,).
     """
 
     def draw_in_turn(generator: torch.Generator, done: float) -> Batch:
         if done >= IMITATE:
             return draw(generator, done)
-        batch = draw_mapped(generator, done)
+        batch = sample_mapped(generator, done)
         return replace(batch, index=chosen[batch.index])
 
     return draw_in_turn

@@ -7,14 +7,15 @@ from deepgps.learning.batches import Batch
 from deepgps.learning.trainer import Loss
 from deepgps.settings import LiftSettings
 
+FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
+"""Parts of the steps at which the penalty on what leaves the plane begins, and is full."""
+
 
 def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
     """Add, more and more, the mean distance of predictions from the plane of their two principal axes."""
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        push = lift.penalty * min(
-            1.0, max(0.0, (done - lift.flatten_from) / max(lift.flatten_to - lift.flatten_from, 1e-9))
-        )
+        push = lift.penalty * min(1.0, max(0.0, (done - FLATTEN_FROM) / (FLATTEN_TO - FLATTEN_FROM)))
         if push == 0.0:
             return loss(out, batch, done)
         points = out[batch.valid]

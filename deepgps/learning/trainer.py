@@ -4,7 +4,7 @@ On one machine the same seed gives the same weights to the byte, on any number o
 generator whose state is in the checkpoint, the schedule counts steps, and the number of threads, on which the order of
 sums depends, is fixed (``use_threads``). Another machine may differ: BLAS and oneDNN choose their kernels by the
 processor, which rounds sums in another order, and bfloat16, which only some processors have, changes more than that.
-Training lets such differences grow: in the demo, first maps that differed by 1e-10 m ended in an RMS of 3.4 and of
+Training lets such differences grow: in the demo, initial maps that differed by 1e-10 m ended in an RMS of 3.4 and of
 4.3 cm. Half a centimetre between two methods, or nearly a whole one between two machines, is noise.
 """
 

@@ -14,14 +14,14 @@ from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
 from deepgps.settings import LearnSettings
-from sim.recording.format import Recording
+from sim.recording.format import Recording, observation_file
 
 FEATURES = "features"
 """The run's folder of features, which all of its methods share."""
 
 
 @dataclass(frozen=True)
-class Material:
+class TrainingData:
     """A recording made ready for learning.
 
     Attributes:
@@ -44,13 +44,13 @@ class Material:
         return self.inputs.table.device
 
 
-def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> Material:
+def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> TrainingData:
     """Read the segments and make the features, or take these from ``folder``, where another method has left them.
 
     Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised.
     """
     segments = read_segments(recording)
-    if recording.observation.ndim == 2:
+    if recording.kind == "vector":
         projection, features = normalise(recording.observation)
     else:
         key, generator = digest_features(recording, settings, seed), make_generator(seed, "features")
@@ -58,11 +58,11 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
             projection, features = cached_features(
                 folder / FEATURES, key, recording.observation, segments, settings.features, generator
             )
-    table = add_headings(projection, features, recording.observation)
+    table = add_headings(projection, features, recording)
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
-    return Material(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+    return TrainingData(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:
@@ -70,22 +70,24 @@ def digest_features(recording: Recording, settings: LearnSettings, seed: int) ->
 
     Ticks do not, so that runs which differ only in these can share features.
     """
-    images = recording.manifest.get("sha256", {}).get("observation.npy")
+    sensor = recording.manifest.sensor
+    images = recording.manifest.sha256.get(observation_file(sensor))
     # where the manifest holds no checksum, ticks tell recordings apart
     order = recording.reading[:, :2] if images else recording.reading
     made_by = f"{settings.features} {settings.train.threads} {seed} {images}"
     return hashlib.sha256(made_by.encode() + np.asarray(order).tobytes()).hexdigest()
 
 
-def add_headings(projection: Features, features: torch.Tensor, observation: np.ndarray) -> torch.Tensor:
+def add_headings(projection: Features, features: torch.Tensor, recording: Recording) -> torch.Tensor:
     """Features (N, headings, components) of scans at every heading kept; features alone where there is but one."""
-    if observation.ndim != 3 or observation.shape[1] == 1:
+    observation = recording.observation
+    if recording.kind != "scan" or observation.shape[1] == 1:
         return features
     others = [projection.apply(observation, heading) for heading in range(1, observation.shape[1])]
     return torch.stack([features, *others], dim=1)
 
 
-def new_network(material: Material, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:
-    """A network for this material with weights of this seed and attempt."""
+def new_network(data: TrainingData, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:
+    """A network for this data with weights of this seed and attempt."""
     generator = make_generator(seed, "weights", attempt)
-    return make_network(settings.network, material.features.shape[1], outputs, generator)
+    return make_network(settings.network, data.features.shape[1], outputs, generator)

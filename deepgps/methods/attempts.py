@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from deepgps.initial_map.fold_detector import Signs
+from deepgps.initial_map.fold_detector import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.methods.positioner import NetworkPositioner
-from deepgps.settings import FoldSettings
 from sim.files import remove_files, write_bytes
 
 HISTORY = "history.npz"
@@ -22,12 +21,12 @@ class Attempt:
 
     Attributes:
         positioner: The trained network.
-        signs: How far its map is folded.
+        score: How far its map is folded.
         seconds: Duration of the training.
     """
 
     positioner: NetworkPositioner
-    signs: Signs
+    score: FoldScore
     seconds: float
 
 
@@ -39,24 +38,24 @@ class Total(NamedTuple):
 
 
 def train_until_unfolded(
-    train_once: Callable[[int, Path], Attempt], settings: FoldSettings, folder: Path
+    train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
 ) -> tuple[Attempt, Total]:
     """Train until a map shows no fold, or no restart is left; keep the history of the least folded attempt.
 
     Args:
         train_once: (number of the attempt, its folder) -> attempt.
-        settings: Limits of folding, and how many restarts.
+        restarts: Trainings after the first one, at most.
         folder: The method's folder, which gets the history of the attempt that is chosen.
 
     Returns:
         The least folded attempt, and the total of all.
     """
     attempts = []
-    for number in range(settings.restarts + 1):
+    for number in range(restarts + 1):
         attempts.append(train_once(number, _folder_of(folder, number)))
-        if not attempts[-1].signs.folded(settings):
+        if not attempts[-1].score.folded:
             break
-    best = min(range(len(attempts)), key=lambda number: attempts[number].signs.worst(settings))
+    best = min(range(len(attempts)), key=lambda number: attempts[number].score.worst)
     write_bytes(folder / HISTORY, (_folder_of(folder, best) / HISTORY).read_bytes())
     return attempts[best], Total(len(attempts), sum(attempt.seconds for attempt in attempts))
 

@@ -1,7 +1,10 @@
 """The methods by name: one record each. It imports nothing heavy, so that settings and reports can read it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
+
+from sim import renamed
 
 AlignmentKind = Literal["E2", "SE2"]
 Observation = Literal["polar_image", "scan", "vector"]
@@ -33,8 +36,8 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
-    "deepgps_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
-    "deepgps_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),
+    "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
+    "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),
     "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.posenet:fit", reads_ticks=False),
     "posenet_noisy": Method(
         "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.posenet:fit_noisy", reads_ticks=False
@@ -54,16 +57,22 @@ METHODS: dict[str, Method] = {
     "pca_knn": Method(
         "PCA + nearest neighbour", "#6b8e23", "SE2", "deepgps.methods.pca_knn:fit", observes="scan", in_steps=False
     ),
-    "odometry": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.odometry_labels:fit"),
+    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
 }
 """In the order of figures. A method that is added here can be named by scenarios and studies at once."""
 
 
 def title_of(name: str) -> str:
     """A method's name in reports."""
-    return METHODS[name].title if name in METHODS else name
+    return METHODS[now].title if (now := renamed.METHODS.get(name, name)) in METHODS else name
 
 
 def colour_of(name: str) -> str:
     """A method's colour in figures, grey where it is not known."""
-    return METHODS[name].colour if name in METHODS else "#555555"
+    return METHODS[now].colour if (now := renamed.METHODS.get(name, name)) in METHODS else "#555555"
+
+
+def folder_of(run: Path, name: str) -> Path:
+    """Folder of a method in a run; that of a run made before may have the method's old name."""
+    before = next((old for old, now in renamed.METHODS.items() if now == name), name)
+    return run / before if (run / before).is_dir() and not (run / name).exists() else run / name

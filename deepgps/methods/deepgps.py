@@ -12,19 +12,19 @@ from pathlib import Path
 
 import torch
 
-from deepgps.data.encoder_noise import find_believed
-from deepgps.data.segments import Segments, spread
-from deepgps.initial_map.dense import find_first_map
-from deepgps.initial_map.end_points import find_end_map
-from deepgps.initial_map.fold_detector import find_signs
+from deepgps.data.encoder_noise import keep_inliers
+from deepgps.data.segments import Segments, subsample
+from deepgps.initial_map.dense import find_initial_map
+from deepgps.initial_map.end_points import find_end_point_map
+from deepgps.initial_map.fold_detector import score_folding
 from deepgps.initial_map.isomap import has_lines
 from deepgps.learning import losses
-from deepgps.learning.batches import Batch, draw_from
-from deepgps.learning.imitation import draw_mapped_first, imitate_first
+from deepgps.learning.batches import Batch, sample_from
+from deepgps.learning.imitation import imitate_first, sample_mapped_first
 from deepgps.learning.lifting import find_plane, flatten_later
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import Loss, derive_seed, make_generator, predict, train
-from deepgps.learning.training_data import Material, new_network, prepare
+from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.methods.attempts import Attempt, label_attempt, train_until_unfolded
 from deepgps.methods.positioner import Fitted, as_positioner
 from deepgps.progress import Report
@@ -32,7 +32,7 @@ from deepgps.settings import LearnSettings, Start
 from sim.errors import InputError
 from sim.recording.format import Recording
 
-FIRST_MAP = {"paths": find_first_map, "ends": find_end_map}
+INITIAL_MAPS = {"paths": find_initial_map, "ends": find_end_point_map}
 SLACK_M = {"paths": 0.03, "ends": 1.0}
 """How far predictions may stay from the initial map unpunished [m]: about its error, which is large for end points."""
 
@@ -55,7 +55,7 @@ class Sample:
 def make_initial_map(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
     """Positions (n, 2) [m] without a network: from shortest paths made exact, or from the segments' end points."""
     generator = make_generator(seed, "start", number)
-    return torch.from_numpy(FIRST_MAP[start](sample.features, sample.segments, generator))
+    return torch.from_numpy(INITIAL_MAPS[start](sample.features, sample.segments, generator))
 
 
 @dataclass(frozen=True)
@@ -80,12 +80,12 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
 
 def fit_data(
-    material: Material, variant: Variant, settings: LearnSettings, seed: int, folder: Path, progress: Report
+    data: TrainingData, variant: Variant, settings: LearnSettings, seed: int, folder: Path, progress: Report
 ) -> Fitted:
     """Train a variant of DeepGPS until its map shows no fold, or no restart is left.
 
     Args:
-        material: Segments, features and the network's input.
+        data: Segments, features and the network's input.
         variant: Steps that differ from the paper's.
         settings: How to learn.
         seed: Of weights and batches.
@@ -94,23 +94,23 @@ def fit_data(
     """
 
     def train_once(number: int, folder: Path) -> Attempt:
-        return train_attempt(material, variant, settings, seed, number, folder, progress)
+        return train_attempt(data, variant, settings, seed, number, folder, progress)
 
-    best, attempts = train_until_unfolded(train_once, settings.fold, folder)
+    best, attempts = train_until_unfolded(train_once, settings.fold.restarts, folder)
     training = {
         "steps": settings.train.steps * attempts.count,
         "train_s": round(attempts.seconds, 1),
         "parameters": count_parameters(best.positioner.network),
         "attempts": attempts.count,
-        "fold": {"found": best.signs.folded(settings.fold), **asdict(best.signs)},
-        "segments_skipped": material.segments.skipped,
-        "segments_doubted": len(material.segments.count) - len(find_believed(material.segments).count),
+        "fold": {"found": best.score.folded, **asdict(best.score)},
+        "segments_skipped": data.segments.skipped,
+        "segments_down_weighted": len(data.segments.count) - len(keep_inliers(data.segments).count),
     }
     return Fitted(best.positioner, training)
 
 
 def train_attempt(
-    material: Material,
+    data: TrainingData,
     variant: Variant,
     settings: LearnSettings,
     seed: int,
@@ -120,41 +120,41 @@ def train_attempt(
 ) -> Attempt:
     """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
     # 1. What it learns from: segments of known length, and features that change slowly along them (ours).
-    sample = take_sample(material)
-    draw = draw_from(material.segments.to(material.device), settings.train)
+    sample = take_sample(data)
+    draw = sample_from(data.segments.to(data.device), settings.train)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start = choose_start(settings, material.segments, number)
-    network = new_network(material, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
+    start = choose_start(settings, data.segments, number)
+    network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map are as driven (Eq. 2, 3, 5), and segments straight (ours).
     loss = segment_loss(settings, variant.weigh)
     # 4. An unfolded start (ours).
-    if start in FIRST_MAP:
+    if start in INITIAL_MAPS:
         places = variant.make_initial_map(sample, start, seed, number)
-        known = torch.full((len(material.features), 2), torch.nan)
+        known = torch.full((len(data.features), 2), torch.nan)
         known[sample.chosen] = places.float()
-        loss = imitate_first(loss, known.to(material.device), SLACK_M[start])
-        draw_mapped = draw_from(sample.segments.to(material.device), settings.train)
-        draw = draw_mapped_first(draw, draw_mapped, sample.chosen.to(material.device))
+        loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
+        sample_mapped = sample_from(sample.segments.to(data.device), settings.train)
+        draw = sample_mapped_first(draw, sample_mapped, sample.chosen.to(data.device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
     shuffling, label = derive_seed(seed, "shuffling", number), label_attempt(folder, number)
-    seconds = train(network, material.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
+    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
     # 6. The map, which is a plane in the network's output, and whether it is folded (ours).
-    out = predict(network, material.inputs, sample.chosen)
+    out = predict(network, data.inputs, sample.chosen)
     centre, axes = find_plane(out)
     positions = ((out - centre) @ axes).double().numpy()
-    signs = find_signs(positions, sample.features, sample.segments, make_generator(seed, "fold", number))
+    score = score_folding(positions, sample.features, sample.segments, make_generator(seed, "fold", number))
     if variant.orient:
-        out = predict(network, material.inputs, torch.arange(len(material.features)))
+        out = predict(network, data.inputs, torch.arange(len(data.features)))
         axes = axes * torch.tensor([1.0, variant.orient((out - centre) @ axes)])
-    return Attempt(as_positioner(material, settings, network, centre, axes), signs, seconds)
+    return Attempt(as_positioner(data, settings, network, centre, axes), score, seconds)
 
 
-def take_sample(material: Material) -> Sample:
+def take_sample(data: TrainingData) -> Sample:
     """Observations on segments spread evenly over the drive, none of which is doubted."""
-    segments, chosen = spread(find_believed(material.segments), len(material.features))
-    return Sample(chosen, material.features[chosen], segments)
+    segments, chosen = subsample(keep_inliers(data.segments), len(data.features))
+    return Sample(chosen, data.features[chosen], segments)
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from deepgps.data.encoder_noise import expect_errors, trust_pairs, trust_places
+from deepgps.data.encoder_noise import expect_errors, weigh_pairs, weigh_places
 from deepgps.learning.batches import Batch
 from deepgps.learning.losses import Weights
 from deepgps.learning.training_data import prepare
@@ -16,14 +16,14 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS with weights for residuals; wheels that disagree on a segment make it count less."""
-    material = prepare(recording, settings, seed, folder.parent)
-    segments = expect_errors(recording, material.segments)
+    data = prepare(recording, settings, seed, folder.parent)
+    segments = expect_errors(recording, data.segments)
     rounding_m2 = segments.rounding_m2
 
     def weigh(batch: Batch) -> Weights:
         assert batch.variance is not None, "segments with expected errors make batches with them"
-        of_places = trust_places(batch.variance, batch.valid, rounding_m2)
-        return Weights(trust_pairs(batch.variance, rounding_m2), of_places)
+        of_places = weigh_places(batch.variance, batch.valid, rounding_m2)
+        return Weights(weigh_pairs(batch.variance, rounding_m2), of_places)
 
-    material = replace(material, segments=segments)
-    return fit_data(material, Variant(weigh=weigh), settings, seed, folder, progress)
+    data = replace(data, segments=segments)
+    return fit_data(data, Variant(weigh=weigh), settings, seed, folder, progress)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from deepgps.initial_map.wheel_turns import find_hand, read_turns, straighten
+from deepgps.initial_map.wheel_turns import find_chirality, read_turns, straighten
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
 from deepgps.methods.positioner import Fitted
@@ -15,7 +15,7 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS from the dead-reckoned path, with left and right as the wheels turned."""
-    material, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
+    data, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
 
     def start_from_path(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
         if start != "paths" or number > 0:
@@ -23,8 +23,6 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         return torch.from_numpy(straighten(turns, sample.chosen, sample.features, sample.segments))
 
     def orient(positions: torch.Tensor) -> int:
-        return find_hand(positions.double().numpy(), material.segments, turns)
+        return find_chirality(positions.double().numpy(), data.segments, turns)
 
-    return fit_data(
-        material, Variant(make_initial_map=start_from_path, orient=orient), settings, seed, folder, progress
-    )
+    return fit_data(data, Variant(make_initial_map=start_from_path, orient=orient), settings, seed, folder, progress)

@@ -21,7 +21,7 @@ from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.isomap import scale_classically
 from deepgps.learning.trainer import derive_seed
 from deepgps.methods.positioner import Fitted
-from deepgps.methods.trilateration import LandmarkPositioner, find_seen, triangulate
+from deepgps.methods.trilateration import LandmarkPositioner, find_seen, trilaterate
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
@@ -82,7 +82,7 @@ def start_at_random(distance: np.ndarray, reach_m: float, rng: np.random.Generat
 
 
 def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks by classical scaling of the shortest ways between them, positions by triangulation.
+    """Landmarks by classical scaling of the shortest ways between them, positions by trilateration.
 
     A way from landmark k over position i to landmark l is ``x_ik + x_il`` long; of many positions some lie nearly on
     the straight line between both, so that the shortest is nearly their distance. Landmarks never seen together are
@@ -98,7 +98,7 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
     if not np.isfinite(way).all():
         raise InputError("some landmarks were never seen together with any other: they have no common map")
     landmark = scale_classically(way, np.arange(len(way)))
-    return triangulate(landmark, distance, reach_m), landmark
+    return trilaterate(landmark, distance, reach_m), landmark
 
 
 def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
@@ -169,7 +169,7 @@ def read_reach(recording: Recording) -> float:
     Raises:
         InputError: The recording holds no distances to landmarks.
     """
-    if recording.observation.ndim != 2:
+    if recording.kind != "vector":
         raise InputError(f"{recording.folder} holds images; explicit positioning needs distances to landmarks")
-    reach_m = recording.manifest["settings"].get("landmarks", {}).get("reach_m")
+    reach_m = recording.manifest.settings.get("landmarks", {}).get("reach_m")
     return np.inf if reach_m is None else float(reach_m)

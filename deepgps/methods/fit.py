@@ -11,7 +11,7 @@ from deepgps.methods.catalog import METHODS
 from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings
-from sim.recording.format import Recording
+from sim.recording.format import Recording, observation_file
 
 
 def fit_method(
@@ -35,7 +35,7 @@ def fit_method(
     with use_threads(settings.train.threads):
         if not is_finished(folder):
             recording = keep_plausible(recording)
-            check_observations(recording.observation)
+            check_observations(recording.observation, observation_file(recording.manifest.sensor))
             positioner, training = fit(recording, settings, seed, folder, progress)
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)

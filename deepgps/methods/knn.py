@@ -10,14 +10,17 @@ from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
 
+NEIGHBOURS = 4
+"""Stored positions that are averaged."""
+
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Store features and positions of all labelled observations."""
     start = time.perf_counter()
-    material = prepare(recording, settings, seed, folder.parent)
+    data = prepare(recording, settings, seed, folder.parent)
     index, places = read_places(recording)
-    features = material.features[index]
-    positioner = NeighbourPositioner(material.projection, features, places, settings.neighbours)
+    features = data.features[index]
+    positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
     stored = features.numel() + places.numel()
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
     progress(folder.name, 1, 1)

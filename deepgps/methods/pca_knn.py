@@ -20,6 +20,8 @@ from sim.recording.format import Recording, open_truth
 FITTED = 50_000
 """Scans whose principal components are sought, at most."""
 CHUNK = 100
+COMPONENTS = 128
+"""Principal components of a scan, as in the paper."""
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -28,16 +30,16 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     Raises:
         InputError: The recording holds no scans, or all of them are the same.
     """
-    if recording.observation.ndim != 3:
-        raise InputError(f"{recording.folder} holds no scans; pca_knn needs world lidar or sensor lidar")
+    if recording.kind != "scan":
+        raise InputError(f"{recording.folder} holds no scans; pca_knn needs world obstacles or sensor lidar")
     start = time.perf_counter()
     scans, rng = np.asarray(recording.observation), np.random.default_rng(derive_seed(seed, "features"))
     count, kept, rays = scans.shape
     if (scans == scans[:1]).all():
-        raise InputError(f"observation.npy: all {count} observations look alike, so none tells where it was")
+        raise InputError(f"all {count} observations look alike, so none tells where it was")
     turns = draw_turns(count, kept * rays, settings.pca.headings, rng)
     places = open_truth(recording.folder).pose[:, :2].astype(float)
-    mean, axes = find_axes(scans, turns, settings.pca.components)
+    mean, axes = find_axes(scans, turns, COMPONENTS)
     headings = turns.shape[1]
     known = np.empty((count * headings, len(axes)), np.float32)
     positioner = ScanPositioner(mean, axes, known, places, headings)

@@ -13,18 +13,21 @@ from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
 
+LABEL_NOISE_M = 0.01
+"""Standard deviation of a noisy label, in x and in y [m]."""
+
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train on labels, or on true positions where there are none."""
     index, place = read_places(recording)
-    material = prepare(recording, settings, seed, folder.parent)
-    return fit_positions(material, index, place.float(), settings, seed, folder, progress)
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, index, place.float(), settings, seed, folder, progress)
 
 
 def fit_noisy(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """The same with labels as a surveyor would make them: each off by ``settings.label_noise_m`` in x and in y."""
+    """The same with labels as a surveyor would make them: each off by ``LABEL_NOISE_M`` in x and in y."""
     index, place = read_places(recording)
     noise = torch.randn(place.shape, generator=make_generator(seed, "labels"))
-    place = place.float() + settings.label_noise_m * noise
-    material = prepare(recording, settings, seed, folder.parent)
-    return fit_positions(material, index, place, settings, seed, folder, progress)
+    place = place.float() + LABEL_NOISE_M * noise
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, index, place, settings, seed, folder, progress)

@@ -16,7 +16,7 @@ from torch import nn
 from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
-from deepgps.learning.training_data import Material
+from deepgps.learning.training_data import TrainingData
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
 from deepgps.settings import LearnSettings, NetworkSettings
@@ -208,9 +208,9 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
 
 
 def as_positioner(
-    material: Material, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
+    data: TrainingData, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
 ) -> NetworkPositioner:
     """The trained network as a positioner on the CPU."""
-    features = material.projection if settings.network.architecture == "spectral" else None
+    features = data.projection if settings.network.architecture == "spectral" else None
     network = network.cpu().eval()
-    return NetworkPositioner(material.shape, features, settings.network, network, centre.cpu(), axes.cpu())
+    return NetworkPositioner(data.shape, features, settings.network, network, centre.cpu(), axes.cpu())

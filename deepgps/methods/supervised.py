@@ -8,14 +8,14 @@ from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import derive_seed, train
-from deepgps.learning.training_data import Material, new_network
+from deepgps.learning.training_data import TrainingData, new_network
 from deepgps.methods.positioner import Fitted, as_positioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 
 
 def fit_positions(
-    material: Material,
+    data: TrainingData,
     index: torch.Tensor,
     label: torch.Tensor,
     settings: LearnSettings,
@@ -26,7 +26,7 @@ def fit_positions(
     """Train on labelled observations with the paper's Eq. 1, the distance of prediction and label.
 
     Args:
-        material: The network's input.
+        data: The network's input.
         index: Labelled observations (n,).
         label: Their positions (n, 2) [m].
         settings: Network and training.
@@ -36,7 +36,7 @@ def fit_positions(
     """
     # The middle of the labels is the origin, as a network starts near zero.
     centre = label.float().mean(dim=0)
-    device = material.device
+    device = data.device
     index, label = index.to(device), (label.float() - centre).to(device)
     count = settings.train.segments * settings.train.samples
 
@@ -47,11 +47,11 @@ def fit_positions(
     def loss(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         return losses.distance(out, batch.target).mean()
 
-    network, shuffling = new_network(material, settings, 2, seed), derive_seed(seed, "shuffling")
-    seconds = train(network, material.inputs, draw, loss, settings.train, shuffling, folder, progress, folder.name)
+    network, shuffling = new_network(data, settings, 2, seed), derive_seed(seed, "shuffling")
+    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, folder.name)
     training = {
         "steps": settings.train.steps,
         "train_s": round(seconds, 1),
         "parameters": count_parameters(network),
     }
-    return Fitted(as_positioner(material, settings, network, -centre, torch.eye(2)), training)
+    return Fitted(as_positioner(data, settings, network, -centre, torch.eye(2)), training)

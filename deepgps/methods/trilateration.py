@@ -13,7 +13,7 @@ DAMPING = 1e-12
 
 @dataclass(frozen=True)
 class LandmarkPositioner:
-    """Positions by triangulation from landmarks.
+    """Positions by trilateration from landmarks.
 
     Attributes:
         landmark: Where the landmarks are (M, 2) float64 [m].
@@ -27,7 +27,7 @@ class LandmarkPositioner:
         """Positions (B, 2) float64 [m], in the landmarks' frame, of distances (B, M) [m]."""
         check_shape(observations, (len(self.landmark),))
         starts = range(0, len(observations), CHUNK)
-        found = [triangulate(self.landmark, observations[start : start + CHUNK], self.reach_m) for start in starts]
+        found = [trilaterate(self.landmark, observations[start : start + CHUNK], self.reach_m) for start in starts]
         return np.concatenate([np.zeros((0, 2)), *found])
 
 
@@ -36,7 +36,7 @@ def find_seen(distance: np.ndarray, reach_m: float) -> np.ndarray:
     return distance < distance.dtype.type(reach_m)
 
 
-def triangulate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> np.ndarray:
+def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> np.ndarray:
     """Points whose distances to known landmarks are as measured, by least squares.
 
     The first guess solves ``2 (m_k - m) . p = |m_k|^2 - x_k^2 - mean_k(|m_k|^2 - x_k^2)``, linear in p (m: the mean of

@@ -13,6 +13,7 @@ from deepgps.figures.run_report import read_metrics
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from sim.files import drop_sum, write_bytes, write_sum
+from sim.renamed import translate_row
 
 Row = dict[str, Any]
 # of a method, as they stand in metrics.json
@@ -61,6 +62,11 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     drop_sum(path)
     write_bytes(path, buffer.getvalue())
     write_sum(path)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Read a table that ``write_table`` wrote, perhaps before settings and methods were renamed."""
+    return [translate_row(row) for row in pq.read_table(path).to_pylist()]
 
 
 def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
@@ -121,5 +127,5 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
 def _figures(measured: Mapping[str, Any]) -> Row:
     # only what may fold has a detector
     fold = measured.get("fold", {})
-    signs = {"fold_found": fold.get("found"), "fold_bent": fold.get("bent"), "fold_doubled": fold.get("doubled")}
-    return {**{name: measured.get(name) for name in FIGURES}, **signs}
+    score = {name: fold.get(name) for name in ("length_error_fraction", "overlap_fraction")}
+    return {**{name: measured.get(name) for name in FIGURES}, "fold_found": fold.get("found"), **score}

@@ -17,11 +17,11 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from sim.apriltag.detector import CORNERS, SIDE_M, Sightings
+from sim.apriltag.detector import CORNERS, SIDE_M, Detections
 from sim.errors import WorkError
 
 SMALLEST_PX = 12.0
-"""Sightings whose tag is smaller than this, in root of its area, are not used: their corners run together."""
+"""Detections whose tag is smaller than this, in root of its area, are not used: their corners run together."""
 PAIR_VIEWS = 24
 """Views in which two tags are compared, those where they are largest."""
 UNLIKE_M = 0.3
@@ -56,31 +56,31 @@ class TagMap(NamedTuple):
     pose: np.ndarray
 
 
-def reconstruct(sightings: Sightings, camera: np.ndarray) -> TagMap:
+def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
     """Place all tags that hang together through views that see two of them.
 
     Args:
-        sightings: Tags found in images of a camera without distortion.
+        detections: Tags found in images of a camera without distortion.
         camera: Its intrinsic matrix (3, 3) [px].
 
     Raises:
         WorkError: no two tags are seen together often enough.
     """
-    sightings = _large(sightings)
-    rough = chain_tags(sightings, camera)
-    known = sightings.of(np.isin(sightings.tag, rough.tag))
+    detections = _large(detections)
+    rough = chain_tags(detections, camera)
+    known = detections.of(np.isin(detections.tag, rough.tag))
     view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map is wrong by centimetres
     counts = np.array([np.count_nonzero(known.view == number) for number in view])
     chosen = np.sort(np.argsort(-counts, kind="stable")[:MOST_VIEWS])
     return adjust(known, rough, view[chosen], pose[chosen], camera)
 
 
-def chain_tags(sightings: Sightings, camera: np.ndarray) -> TagMap:
+def chain_tags(detections: Detections, camera: np.ndarray) -> TagMap:
     """Place tags one from another along the tree of pairs that agree best; raises WorkError without any pair."""
-    candidate = np.array([_candidates(corner, camera) for corner in sightings.corner]).reshape(-1, 2, 4, 4)
-    size = _size(sightings)
-    numbers, tag = np.unique(sightings.tag, return_inverse=True)
-    first, second = _together(sightings.view)
+    candidate = np.array([_candidates(corner, camera) for corner in detections.corner]).reshape(-1, 2, 4, 4)
+    size = _size(detections)
+    numbers, tag = np.unique(detections.tag, return_inverse=True)
+    first, second = _together(detections.view)
     swap = tag[first] > tag[second]
     first, second = np.where(swap, second, first), np.where(swap, first, second)
     key = tag[first] * len(numbers) + tag[second]
@@ -109,32 +109,32 @@ def chain_tags(sightings: Sightings, camera: np.ndarray) -> TagMap:
 
 
 def solve_views(
-    sightings: Sightings, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
+    detections: Detections, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve each view for its own pose from all placed tags in it, without those that do not fit.
 
     Returns:
         Views that could be solved (V,) and ``T_map_camera`` of each (V, 4, 4).
     """
-    sightings = _large(sightings)
-    sightings = sightings.of(np.isin(sightings.tag, tags.tag))
-    corners = _corners(tags.pose)[np.searchsorted(tags.tag, sightings.tag)]
+    detections = _large(detections)
+    detections = detections.of(np.isin(detections.tag, tags.tag))
+    corners = _corners(tags.pose)[np.searchsorted(tags.tag, detections.tag)]
     found: dict[int, np.ndarray] = {}
-    for view in np.unique(sightings.view):
-        seen = sightings.view == view
-        pose = _solve_view(corners[seen], sightings.corner[seen], camera, wrong_px)
+    for view in np.unique(detections.view):
+        seen = detections.view == view
+        pose = _solve_view(corners[seen], detections.corner[seen], camera, wrong_px)
         if pose is not None:
             found[int(view)] = pose
     return np.array(list(found), np.int64), np.array(list(found.values())).reshape(-1, 4, 4)
 
 
-def adjust(sightings: Sightings, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray) -> TagMap:
+def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray) -> TagMap:
     """Bundle adjustment: tags (but the first) and views (V,) with ``T_map_camera`` (V, 4, 4) move to fit all corners.
 
     Minimises ``sum 2 s^2 (sqrt(1 + |e|^2 / s^2) - 1)`` (soft L1) over the reprojection errors e of all corners, by
     Levenberg and Marquardt's steps, the errors' weights anew in each (Triggs et al. 2000).
     """
-    used = sightings.of(np.isin(sightings.view, view) & np.isin(sightings.tag, tags.tag))
+    used = detections.of(np.isin(detections.view, view) & np.isin(detections.tag, tags.tag))
     t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
     tag_pose, camera_map, damping = tags.pose, np.linalg.inv(view_pose), 1e-3
     error = _project(_corners(tag_pose)[t], camera_map[v], camera) - used.corner
@@ -163,7 +163,7 @@ def _cost(error: np.ndarray) -> float:
 
 
 def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
-    """Derivative (8 S, 6 (T - 1 + V)) of the pixels of sightings of tags t (S,) in views v (S,).
+    """Derivative (8 S, 6 (T - 1 + V)) of the pixels of detections of tags t (S,) in views v (S,).
 
     By small motions (rotation vector, shift) of the tags but the first, in their frames, and of the views, in theirs.
     """
@@ -193,14 +193,14 @@ def _cross(point: np.ndarray) -> np.ndarray:
     return np.stack([np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=-2)
 
 
-def _large(sightings: Sightings) -> Sightings:
-    return sightings.of(_size(sightings) >= SMALLEST_PX)
+def _large(detections: Detections) -> Detections:
+    return detections.of(_size(detections) >= SMALLEST_PX)
 
 
-def _size(sightings: Sightings) -> np.ndarray:
+def _size(detections: Detections) -> np.ndarray:
     """Root of each tag's area (S,) [px]."""
-    across = sightings.corner[:, 2] - sightings.corner[:, 0]
-    down = sightings.corner[:, 3] - sightings.corner[:, 1]
+    across = detections.corner[:, 2] - detections.corner[:, 0]
+    down = detections.corner[:, 3] - detections.corner[:, 1]
     return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / 2)
 
 
@@ -212,7 +212,7 @@ def _candidates(corner: np.ndarray, camera: np.ndarray) -> np.ndarray:
 
 
 def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs of sightings in one view: first (p,) and second (p,)."""
+    """All pairs of detections in one view: first (p,) and second (p,)."""
     order = np.argsort(view, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(view[order])) + 1)
     pairs = [np.array(np.triu_indices(len(group), 1)) for group in groups]

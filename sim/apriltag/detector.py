@@ -28,7 +28,7 @@ _MODULE_PX = 16
 
 
 @dataclass(frozen=True)
-class Sightings:
+class Detections:
     """Tags found in images.
 
     Attributes:
@@ -41,9 +41,9 @@ class Sightings:
     tag: np.ndarray
     corner: np.ndarray
 
-    def of(self, chosen: np.ndarray) -> "Sightings":
+    def of(self, chosen: np.ndarray) -> "Detections":
         """Those that an index or a mask chooses."""
-        return Sightings(self.view[chosen], self.tag[chosen], self.corner[chosen])
+        return Detections(self.view[chosen], self.tag[chosen], self.corner[chosen])
 
 
 def draw_tag(number: int) -> np.ndarray:
@@ -54,7 +54,7 @@ def draw_tag(number: int) -> np.ndarray:
     return np.repeat(plate[..., None], 3, axis=2)
 
 
-def find_tags(images: np.ndarray) -> Sightings:
+def find_tags(images: np.ndarray) -> Detections:
     """Find tags in images (N, rows, columns) uint8; views are numbered as the images."""
     detector = make_detector()
     view, tag, corner = [], [], []
@@ -65,8 +65,8 @@ def find_tags(images: np.ndarray) -> Sightings:
             tag.append(numbers.ravel())
             corner.append(refine(image, np.concatenate(corners).astype(float)))
     if not view:
-        return Sightings(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 4, 2)))
-    return Sightings(np.concatenate(view), np.concatenate(tag).astype(np.int64), np.concatenate(corner))
+        return Detections(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 4, 2)))
+    return Detections(np.concatenate(view), np.concatenate(tag).astype(np.int64), np.concatenate(corner))
 
 
 def refine(image: np.ndarray, corner: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Labels of a recording: poses from tags that the horizontal camera saw, and from nothing else. Never the truth.
+"""Labels of a recording: poses from tags that the tag camera saw, and from nothing else. Never the truth.
 
-The folder ``labels/`` of a recording holds ``sighting.npz`` and ``test_sighting.npz`` (what was found in the images),
+The folder ``labels/`` of a recording holds ``detection.npz`` and ``test_detection.npz`` (what was found in the images),
 ``tag.npz`` (where the tags hang) and ``pose.npy`` (N, 3), ``test_pose.npy`` (C, H, 3): x, y [m], yaw [rad], not a
 number where a view shows too few tags. Their frame is their own: z up, the origin below the first tag, x along it.
 """
@@ -10,19 +10,24 @@ from pathlib import Path
 import numpy as np
 
 from sim.apriltag.bundle_adjustment import TagMap, reconstruct, solve_views
-from sim.apriltag.detector import Sightings
+from sim.apriltag.detector import Detections
 from sim.errors import WorkError
 from sim.files import write_array, write_arrays
 
 
 def write_labels(
-    folder: Path, sightings: Sightings, test: Sightings, shape: tuple[int, ...], camera: np.ndarray, mount: np.ndarray
+    folder: Path,
+    detections: Detections,
+    test: Detections,
+    shape: tuple[int, ...],
+    camera: np.ndarray,
+    mount: np.ndarray,
 ) -> dict[str, int]:
     """Reconstruct the tags from the training views, solve all views, and write the folder ``labels``.
 
     Args:
         folder: The recording's folder.
-        sightings: Tags found in the training images.
+        detections: Tags found in the training images.
         test: Tags found in the test images, numbered in order.
         shape: How many training images there are, then the leading shape of the test images: (N, C, H).
         camera: Intrinsic matrix (3, 3) [px].
@@ -34,8 +39,8 @@ def write_labels(
     Raises:
         WorkError: the tags cannot be reconstructed, or no image can be solved.
     """
-    tags = reconstruct(sightings, camera)
-    (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (sightings, test))
+    tags = reconstruct(detections, camera)
+    (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (detections, test))
     for name, solved in (("training", view), ("test", test_view)):
         if not len(solved):
             raise WorkError(f"labels: no {name} image shows tags enough to tell where it was taken")
@@ -44,7 +49,7 @@ def write_labels(
     level = find_level(tags, robot)
     label = _spread(view, flatten(level @ robot), count)
     test_label = _spread(test_view, flatten(level @ test_pose @ np.linalg.inv(mount)), int(np.prod(test_shape)))
-    for name, found in (("sighting", sightings), ("test_sighting", test)):
+    for name, found in (("detection", detections), ("test_detection", test)):
         write_arrays(folder / "labels" / f"{name}.npz", vars(found))
     write_arrays(folder / "labels" / "tag.npz", {"tag": tags.tag, "pose": level @ tags.pose})
     write_array(folder / "labels" / "pose.npy", label)

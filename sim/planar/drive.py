@@ -15,7 +15,8 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import remove_recording, write_recording
+from sim.recording.format import grid_file, observation_file, remove_recording, stamp, time_file, write_recording
+from sim.recording.manifest import name_sensors
 from sim.rng import stream
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import SimSettings
@@ -54,12 +55,12 @@ class PlaneWorld(Protocol):
     Attributes:
         bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive, at most.
-        carried: Segments after which the robot is carried to another place; 0: it never is.
+        relocate_after: Segments after which the robot is relocated to another place; 0: it never is.
     """
 
     bounds: np.ndarray
     segments: int
-    carried: int
+    relocate_after: int
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
         """Where the robot is set down (2,) [m]."""
@@ -99,11 +100,14 @@ def record(
     ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
     remove_recording(folder)  # what a killed collection left
     save_free_space(folder / "truth" / "free_space.npz", space)
+    sensors = name_sensors(settings.model_dump())
+    sensor, *_ = sensors
     arrays = {
-        "observation.npy": observe(drive.pose),
+        observation_file(sensor): observe(drive.pose),
+        time_file(sensor): stamp(drive.reading[:, 1], drive.time, len(drive.pose)),
         "reading.npy": np.column_stack([drive.reading, ticks])[arrived],
         "time.npy": drive.time[arrived],
-        "test/observation.npy": observe(test_pose),
+        grid_file(sensor): observe(test_pose),
         "truth/pose.npy": drive.pose,
         "truth/reading.npy": drive.reading,
         "truth/wheel_angle.npy": drive.wheel_angle,
@@ -111,6 +115,7 @@ def record(
         **{f"truth/{name}": array for name, array in truth.items()},
     }
     manifest = {
+        "sensors": sensors,
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
         **count_drive(drive),
@@ -129,7 +134,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
     pose, reading, angles, times = [np.array([*place, yaw])], [], [], []
     for segment in range(wanted):
-        if segment and world.carried and segment % world.carried == 0:
+        if segment and world.relocate_after and segment % world.relocate_after == 0:
             place = world.draw_start(rng)
             pose.append(np.array([*place, yaw]))
         heading, steps = choose_heading(world, place, drive.spacing_m, drive.longest_m, rng)

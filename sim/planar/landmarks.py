@@ -23,10 +23,10 @@ class LandmarkWorld:
         landmark: Where they stand (M, 2) [m].
         bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive.
-        carried: The robot never is.
+        relocate_after: The robot never is.
     """
 
-    carried = 0
+    relocate_after = 0
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
         """Place the landmarks uniformly over the square, from the settings' own seed or else from this one."""

@@ -1,8 +1,8 @@
 """The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a robot that is a point.
 
-The robot drives straight until it comes near a wall or an obstacle, turns by chance and drives on; now and then it is
-carried to another place, or it would seldom find what lies behind a narrow passage. It observes scans: exact distances
-to walls and obstacles, all around. No MuJoCo.
+The robot drives straight until it comes near a wall or an obstacle, turns in a random direction and drives on; now and
+then it is relocated, or it would seldom find what is behind a narrow passage. It observes scans: exact distances to
+walls and obstacles, all around. No MuJoCo.
 """
 
 from pathlib import Path
@@ -35,19 +35,19 @@ class LidarWorld:
         box: Lower and upper corner of each obstacle (n, 2, 2) [m].
         bounds: Lower and upper corner of the square (2, 2) [m].
         segments: Straight segments to drive, at most.
-        carried: Segments after which the robot is carried to another place.
+        relocate_after: Segments after which the robot is relocated to another place.
         space: Where it can be.
     """
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
         """Place the obstacles uniformly over the square, from the settings' own seed or else from this one."""
-        self.settings, self.lidar = settings.map, settings.lidar
+        self.settings, self.lidar = settings.obstacles, settings.lidar
         side = self.settings.side_m
         self.bounds = np.array([[-side, -side], [side, side]]) / 2
         self.segments = settings.drive.samples  # each gives several
-        self.carried = self.settings.carried
+        self.relocate_after = self.settings.relocate_after
         rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
-        self.box = side * place_obstacles(self.settings.obstacles, rng)
+        self.box = side * place_obstacles(self.settings.count, rng)
         # What the robot's own point may not enter: obstacles grown, and the square shrunk, by the clearance.
         grow = np.array([[-1.0], [1.0]]) * self.settings.clearance_m
         self._grown, self._room = self.box + grow, self.bounds - grow

@@ -8,12 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sim.apriltag.detector import Sightings
+from sim.apriltag.detector import Detections
 from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
-from sim.files import read_arrays, write_array, write_blocks
+from sim.files import link_file, read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
-from sim.recording.sensing import DIFFERED, HORIZONTAL, IMAGE, RENDERER, SIGHTINGS, TWICE
+from sim.recording.format import grid_file, observation_file, stamp, time_file
+from sim.recording.manifest import name_sensors
+from sim.recording.sensing import DETECTIONS, DIFFERED, IMAGE, RENDERER, TAG_CAMERA, TWICE
 from sim.rng import stream
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.sensors.camera_faults import make_develop, spawn_streams
@@ -49,7 +51,7 @@ def make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense |
 
         return scan, scan
     chance = spawn_streams(seed)
-    return make_develop(settings.image, chance.noise), make_develop(settings.image, chance.test_noise)
+    return make_develop(settings.image_faults, chance.noise), make_develop(settings.image_faults, chance.test_noise)
 
 
 def write_drive(
@@ -65,7 +67,9 @@ def write_drive(
     ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
-    write_images(folder / "observation.npy", drive.images, (samples,), sense=sense)
+    sensor, *_ = name_sensors(settings.model_dump())
+    write_images(folder / observation_file(sensor), drive.images, (samples,), sense=sense)
+    write_array(folder / time_file(sensor), stamp(reading[:, 1], joined["time"][kept], samples))
     write_array(folder / "reading.npy", reading[arrived])
     write_array(folder / "time.npy", joined["time"][kept][arrived])
     write_array(folder / "truth" / "reading.npy", reading[:, :2])
@@ -80,7 +84,7 @@ def write_drive(
         "readings": len(reading),
         "readings_lost": int((~arrived).sum()),
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
-        "times_carried": int(sum(chunk.get("carried", 0) for chunk in drive.chunks)),
+        "times_relocated": int(sum(chunk.get("relocated", 0) for chunk in drive.chunks)),
         "distance_driven_m": round(float(np.abs(driven).sum()), 3),
     }
 
@@ -92,23 +96,24 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
     return planar_pose(state)[:, None]
 
 
-def write_horizontal(
+def write_tag_camera(
     folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
 ) -> dict[str, int]:
-    """Write labels made of what the horizontal camera saw and, if kept, its images; returns what to tell of them.
+    """Write labels made of what the tag camera saw and, if kept, its images; returns what to tell of them.
 
     ``sense_states`` has left both beside ``images`` and ``tests``.
     """
     samples, held_out = settings.drive.samples, settings.grid.held_out
-    seen, test_seen = (_join_sightings(parts) for parts in (images, tests))
+    seen, test_seen = (_join_detections(parts) for parts in (images, tests))
     seen, first = seen.of(seen.view < samples), samples if held_out else 0
-    test_seen = Sightings(test_seen.view - first, test_seen.tag, test_seen.corner)
+    test_seen = Detections(test_seen.view - first, test_seen.tag, test_seen.corner)
     inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
-    camera, mount = camera_matrix(settings.horizontal), mounting(settings.horizontal)
-    if settings.horizontal.kept:
-        ahead = [[path.with_suffix(HORIZONTAL) for path in parts] for parts in (images, tests)]
-        write_images(folder / "horizontal.npy", ahead[0], (samples,))
-        write_images(folder / "test" / "horizontal.npy", ahead[1], test_shape, first)
+    camera, mount = camera_matrix(settings.tag_camera), mounting(settings.tag_camera)
+    if settings.tag_camera.kept:
+        ahead = [[path.with_suffix(TAG_CAMERA) for path in parts] for parts in (images, tests)]
+        write_images(folder / observation_file("tag_camera"), ahead[0], (samples,))
+        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both look at once
+        write_images(folder / grid_file("tag_camera"), ahead[1], test_shape, first)
     return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
 
 
@@ -137,7 +142,7 @@ def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
     for path in parts:
         part = read_part(path)
         counts["gl_renderer"] = part[RENDERER].item()
-        beside = path.with_suffix(SIGHTINGS)
+        beside = path.with_suffix(DETECTIONS)
         for stored in [part, read_part(beside)] if beside.is_file() else [part]:
             counts["images_drawn_twice"] += int(stored[TWICE])
             counts["images_that_differed"] += int(stored[DIFFERED])
@@ -156,11 +161,11 @@ def read_part(path: Path) -> dict[str, np.ndarray]:
         raise
 
 
-def _join_sightings(parts: Sequence[Path]) -> Sightings:
-    """Sightings of image files, their views numbered over all of them."""
+def _join_detections(parts: Sequence[Path]) -> Detections:
+    """Detections of image files, their views numbered over all of them."""
     found, before = [], 0
     for path in parts:
-        stored = read_part(path.with_suffix(SIGHTINGS))
+        stored = read_part(path.with_suffix(DETECTIONS))
         found.append((stored["view"] + before, stored["tag"], stored["corner"]))
         before += len(read_part(path)[IMAGE])
-    return Sightings(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+    return Detections(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))

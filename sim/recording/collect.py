@@ -27,20 +27,21 @@ from sim.recording.assemble import (
     read_part,
     take_held_out,
     write_drive,
-    write_horizontal,
     write_images,
+    write_tag_camera,
 )
-from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, work_folder
+from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, grid_file, work_folder
+from sim.recording.manifest import name_sensors
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import sense_part, side_files
 from sim.rng import stream
-from sim.robot.drive import Course, Segment, next_segment
+from sim.robot.drive import DriveMode, Segment, next_segment
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.sensors.camera_faults import spawn_streams
 from sim.sensors.camera_mount import draw_leans
 from sim.sensors.encoder import describe_odometry
-from sim.settings import SimSettings, UseSettings
+from sim.settings import DeploymentSettings, SimSettings
 
 CHUNK = 256
 """New observations in a chunk, at least; the last one ends with the drive."""
@@ -74,7 +75,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     if folder.is_dir():
         remove_files(folder, RECORDING)  # killed while they were written, or about to be written again
     work.mkdir(parents=True, exist_ok=True)
-    taught = settings.model_copy(update={"use": UseSettings()})  # the room as it is in training
+    taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
     build_s = time.perf_counter() - start
     test_pose = np.empty((0, 1, 3)) if settings.grid.held_out else lay_grid(world, settings)
@@ -93,6 +94,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
     write_scene(RoomWorld(taught).model, folder / "scene.glb")
     manifest = {
+        "sensors": name_sensors(settings.model_dump()),
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
         **counts,
@@ -109,7 +111,7 @@ def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> in
     """What a recording needs at least besides what there is of its parts; ``tests`` counts its test images, if they are
     not held out."""
     images = settings.drive.samples + settings.grid.held_out + tests
-    lidar, camera, ahead = settings.lidar, settings.camera, settings.horizontal
+    lidar, camera, ahead = settings.lidar, settings.camera, settings.tag_camera
     seen = 4 * lidar.headings * lidar.rays if settings.sensor == "lidar" else 3 * camera.rings * camera.sectors
     seen += ahead.height_px * ahead.width_px * (ahead.mounted and ahead.kept)
     there = sum(path.stat().st_size for path in list_files(work, COLLECTING))
@@ -126,7 +128,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
     points = points[world.free_space.is_reachable(points[:, 0])]
-    if settings.use.moved_m:
+    if settings.deployment.moved_m:
         points = points[RoomWorld(settings, drawn=False).is_free(points[:, 0])]
     if not len(points):
         raise InputError(f"grid.spacing_m {spacing} m must be smaller: it leaves no test position within reach")
@@ -141,30 +143,30 @@ def drive_chunk(
     if before is None:
         world.start(rng)
         segments = observations = 0
-        course = Course()
+        mode = DriveMode()
     else:
         world.set_state(before["world_state"])
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
-        course = Course(bool(before["continues"]), before["mode"].item(), int(before["side"]))
-    first, driven, dropped, carried = observations, list[dict[str, np.ndarray]](), 0, 0
+        mode = DriveMode(bool(before["continues"]), before["mode"].item(), int(before["side"]))
+    first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
     wanted = settings.drive.samples + settings.grid.held_out
     while observations - first < CHUNK and observations < wanted:
-        segment = next_segment(world, settings.drive, rng, course)
+        segment = next_segment(world, settings.drive, rng, mode)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
-        segments, course = segments + 1, segment.course
+        segments, mode = segments + 1, segment.mode
         dropped += segment.dropped
-        carried += segment.carried
+        relocated += segment.relocated
     return {
         **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
         "dropped": np.array(dropped),
-        "carried": np.array(carried),
+        "relocated": np.array(relocated),
         "segments": np.array(segments),
         "observations": np.array(observations),
-        "continues": np.array(course.continues),
-        "mode": np.array(course.mode),
-        "side": np.array(course.side),
+        "continues": np.array(mode.continues),
+        "mode": np.array(mode.kind),
+        "side": np.array(mode.side),
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }
@@ -204,7 +206,7 @@ def _make_parts(
     tests = _lay_out_tests(world, settings, test_pose, work, chance.test_lean)
     for part in tests:
         give(part)
-    taught = settings.model_copy(update={"use": UseSettings()})
+    taught = settings.model_copy(update={"deployment": DeploymentSettings()})
     drive = _drive(world, taught, (stream(seed, "drive"), chance.lean), work, give, progress)
     total = len(tests) + len(drive.images)
 
@@ -233,7 +235,7 @@ def _drive(
         chunk = _read_if_whole(path) or _drive_on(path, world, settings, rng, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
-        leans = draw_leans(settings.mount, len(chunk["state"]), lean)
+        leans = draw_leans(settings.camera_mount, len(chunk["state"]), lean)
         give(Part(settings, chunk["state"], images, leans))
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
@@ -261,7 +263,7 @@ def _lay_out_tests(
     parts = []
     for index, first in enumerate(range(0, len(poses), CHUNK)):
         some = poses[first : first + CHUNK]
-        leans = draw_leans(settings.mount, len(some), lean)
+        leans = draw_leans(settings.camera_mount, len(some), lean)
         parts.append(Part(settings, world.rest_states(some), work / f"test-{index:06d}.npz", leans))
     return parts
 
@@ -288,9 +290,15 @@ def _assemble(
     first = 0
     if settings.grid.held_out:
         test_pose, tests, first = take_held_out(settings, drive), drive.images, settings.drive.samples
-    write_images(folder / "test" / "observation.npy", tests, test_pose.shape[:2], first, sense_test)
-    if settings.horizontal.mounted:
-        counts |= write_horizontal(folder, settings, drive.images, tests, test_pose.shape[:2])
+    write_images(
+        folder / grid_file(next(iter(name_sensors(settings.model_dump())))),
+        tests,
+        test_pose.shape[:2],
+        first,
+        sense_test,
+    )
+    if settings.tag_camera.mounted:
+        counts |= write_tag_camera(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     return counts | drawn
 

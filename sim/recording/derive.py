@@ -13,13 +13,23 @@ import numpy as np
 
 from sim.errors import InputError
 from sim.files import link_file, write_array, write_blocks
-from sim.recording.format import Recording, Truth, finish_recording, open_recording, open_truth, remove_recording
+from sim.recording.format import (
+    Recording,
+    Truth,
+    finish_recording,
+    grid_file,
+    observation_file,
+    open_recording,
+    open_truth,
+    remove_recording,
+)
 from sim.rng import stream
 from sim.sensors.camera_faults import Develop, make_develop, spawn_streams
 from sim.sensors.encoder import describe_odometry, read_encoders
-from sim.settings import EncoderSettings, ImageSettings, SimSettings
+from sim.settings import EncoderSettings, ImageFaultSettings, SimSettings
 
-PER_SAMPLE = ("observation.npy", "truth/pose.npy", "truth/state.npy")
+PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
+OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy")
 """What other encoders change."""
@@ -33,12 +43,14 @@ AT_ONCE = 256
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
     """Settings of the recording of so many samples from which others of the same drive are derived: no faults."""
     drive = settings.drive.model_copy(update={"samples": samples})
-    return settings.model_copy(update={"encoder": EncoderSettings(), "image": ImageSettings(), "drive": drive})
+    return settings.model_copy(
+        update={"encoder": EncoderSettings(), "image_faults": ImageFaultSettings(), "drive": drive}
+    )
 
 
 def can_be_cut(settings: SimSettings) -> bool:
     """Whether a shorter recording is the beginning of this one: not where tests, tags or noise come after it."""
-    return not (settings.grid.held_out or settings.horizontal.mounted or settings.lidar.noise_m)
+    return not (settings.grid.held_out or settings.tag_camera.mounted or settings.lidar.noise_m)
 
 
 def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
@@ -66,20 +78,21 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     whole = samples == len(truth.pose)
     chance = spawn_streams(seed)
     faults = {
-        "observation.npy": make_develop(settings.image, chance.noise),
-        "test/observation.npy": make_develop(settings.image, chance.test_noise),
+        observation_file("fisheye"): make_develop(settings.image_faults, chance.noise),
+        grid_file("fisheye"): make_develop(settings.image_faults, chance.test_noise),
     }
-    for name in recording.manifest["sha256"]:
+    for name in recording.manifest.sha256:
+        per_sample = name in PER_SAMPLE or name.startswith(OBSERVATIONS)
         if fault := faults.get(name):
-            _develop_again(base / name, folder / name, fault, samples if name in PER_SAMPLE else None)
-        elif name in PER_SAMPLE + PER_READING and not whole:
+            _develop_again(base / name, folder / name, fault, samples if per_sample else None)
+        elif (per_sample or name in PER_READING) and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
-            write_array(folder / name, array[: samples if name in PER_SAMPLE else kept])
+            write_array(folder / name, array[: samples if per_sample else kept])
         elif name not in READ_AGAIN:
             link_file(base / name, folder / name)
-    manifest = {name: value for name, value in recording.manifest.items() if name not in {"schema", "sha256"}}
+    manifest = recording.manifest.model_dump(exclude={"number", "sha256"}, exclude_unset=True)
     if not whole:
-        for name in ("samples_dropped", "times_carried", *OF_IMAGES):  # known of the whole drive only
+        for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known of the whole drive only
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
@@ -91,13 +104,13 @@ def _read_again(
     recording: Recording, truth: Truth, kept: int, settings: SimSettings, seed: int, folder: Path
 ) -> dict[str, Any]:
     """Write the first readings of a drive as these encoders see them; returns what the manifest says of them."""
-    odometry, encoder = recording.manifest["odometry"], settings.encoder
+    odometry, encoder = recording.manifest.odometry, settings.encoder
     number, angle = truth.reading[:kept], truth.wheel_angle[:kept]
     ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
     write_array(folder / "reading.npy", np.column_stack([number, ticks]).astype(np.int64)[arrived])
     write_array(folder / "time.npy", recording.time[:kept][arrived])
     step_m = np.diff(angle.mean(axis=1) * odometry["wheel_radius_m"])[np.diff(number[:, 0]) == 0]
-    track_m = odometry["track_m"] / (1.0 + recording.manifest["settings"]["encoder"]["track_error"])
+    track_m = odometry["track_m"] / (1.0 + recording.manifest.settings["encoder"]["track_error"])
     return {
         "segments": int(number[-1, 0]) + 1,
         "readings": kept,
@@ -108,17 +121,17 @@ def _read_again(
 
 
 def _check(base: Recording, settings: SimSettings, seed: int) -> None:
-    other = SimSettings.model_validate(base.manifest["settings"])
+    other = SimSettings.model_validate(base.manifest.settings)
     samples, at = settings.drive.samples, base.folder
-    if (choose_drive(other, samples), base.manifest["seed"]) != (choose_drive(settings, samples), seed):
+    if (choose_drive(other, samples), base.manifest.seed) != (choose_drive(settings, samples), seed):
         raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
-    if other.image != ImageSettings():
+    if other.image_faults != ImageFaultSettings():
         raise InputError(f"{at} has faults in its images, which cannot be taken away: nothing can be derived from it")
     if other.drive.samples < samples:
         raise InputError(f"{at} has {other.drive.samples} samples, too few for drive.samples {samples}")
     if other.drive.samples > samples and not can_be_cut(settings):
         raise InputError(f"{at} has {other.drive.samples} samples, of which {samples} are no recording of their own")
-    if base.manifest["readings_lost"]:
+    if base.manifest.readings_lost:
         raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
 
 

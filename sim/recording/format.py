@@ -1,17 +1,19 @@
-"""The recording on disk: what the robot sensed, and apart from it the truth.
+"""The recording on disk: what the robot sensed, and apart from it the truth, if there is one.
 
-A folder with ``manifest.json`` (written last: without it the recording is not finished), ``observation.npy`` (N, ...),
-``reading.npy`` (R, 4), ``time.npy`` (R,), ``test/observation.npy`` (C, H, ...), ``scene.glb`` and ``truth/``; where the
-robot has a horizontal camera also ``labels/`` and perhaps ``horizontal.npy`` (N, rows, columns).
+A folder with ``manifest.json`` (written last: without it the recording is not finished); for each sensor
+``observations/<sensor>.npy`` (N, ...) and ``observations/<sensor>_time.npy`` (N,), and at test positions
+``test/<sensor>.npy`` (C, H, ...); ``reading.npy`` (R, 4) and ``time.npy`` (R,) of the encoders; ``labels/``, where
+a tag camera made some; ``scene.glb`` and ``truth/`` of a simulation.
 """
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from sim.errors import DamagedError, InputError, one_line
 from sim.files import (
@@ -25,15 +27,17 @@ from sim.files import (
     write_json,
 )
 from sim.occupancy import FreeSpace, load_free_space
+from sim.recording.manifest import READ, SCHEMA, Manifest, ObservationKind
 
-SCHEMA = 1
+_SENSOR = r"[a-z][a-z0-9_]{0,40}"
 RECORDING = re.compile(
-    r"manifest\.json|scene\.glb|(test/)?(observation|horizontal)\.npy|(reading|time)\.npy"
+    rf"manifest\.json|scene\.glb|(observations|test)/{_SENSOR}\.npy|(reading|time)\.npy"
+    r"|(test/)?(observation|horizontal)\.npy|labels/(test_)?sighting\.npz"  # of schema 1
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
-    r"|labels/((test_)?sighting|tag)\.npz|labels/(test_)?pose\.npy"
+    r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
 """Paths of all files that a recording's folder holds."""
-COLLECTING = re.compile(r"drive-\d+\.npz|(image|test)-\d+(\.tags|\.horizontal)?\.np[yz]")
+COLLECTING = re.compile(r"drive-\d+\.npz|(image|test)-\d+(\.tags|\.tag_camera|\.horizontal)?\.np[yz]")
 """The same of the folder in which a recording is made."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
@@ -45,26 +49,35 @@ class Recording:
     Attributes:
         folder: Where it lies.
         manifest: Settings, seeds, counts, odometry constants, checksums.
-        observation: Memory-mapped. Polar images (N, rings, sectors, 3) uint8, scans of a lidar (N, headings, rays)
-            or ways to landmarks (N, landmarks), both float32.
+        observation: Of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings, sectors, 3)
+            uint8, scans of a lidar (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
         test_observation: The same at test positions (C) and headings (H): (C, H, ...), memory-mapped.
-        horizontal: Grey images (N, rows, columns) uint8 of the horizontal camera, memory-mapped, where they were kept.
+        observation_time: Time of each observation (N,) [s]; NaN where an old recording does not tell.
+        readings: How many readings were kept, and why others were not; None: not checked yet.
+        others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera's are grey images.
     """
 
     folder: Path
-    manifest: Mapping[str, Any]
+    manifest: Manifest
     observation: np.ndarray
     reading: np.ndarray
     time: np.ndarray
     test_observation: np.ndarray
-    horizontal: np.ndarray | None = None
+    observation_time: np.ndarray | None = None
+    others: Mapping[str, np.ndarray] = field(default_factory=dict)
+    readings: dict[str, int] | None = None
+
+    @property
+    def kind(self) -> ObservationKind | None:
+        """What an observation of the first sensor is."""
+        return self.manifest.kind
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Poses measured by the horizontal camera, in a frame of their own; not a number where it saw too few tags.
+    """Poses measured by the tag camera, in a frame of their own; not a number where it saw too few tags.
 
     Attributes:
         pose: At each observation (N, 3): x, y [m], yaw [rad].
@@ -102,21 +115,60 @@ def open_recording(folder: Path) -> Recording:
     """
     manifest = read_manifest(folder)
     _check_files(folder, manifest, truth=False)
+    if not manifest.sensors:
+        raise InputError(f"{folder / 'manifest.json'}: sensors must name at least one sensor")
+    first, *others = manifest.sensors
+    reading, time = _open_array(folder / "reading.npy"), _open_array(folder / "time.npy")
+    observation = _open_array(folder / _observation_file(manifest, first), mapped=True)
+    stamps = folder / time_file(first)
     return Recording(
         folder=folder,
         manifest=manifest,
-        observation=_open_array(folder / "observation.npy", mapped=True),
-        reading=_open_array(folder / "reading.npy"),
-        time=_open_array(folder / "time.npy"),
-        test_observation=_open_array(folder / "test" / "observation.npy", mapped=True),
-        horizontal=_open_array(kept, mapped=True) if (kept := folder / "horizontal.npy").is_file() else None,
+        observation=observation,
+        reading=reading,
+        time=time,
+        test_observation=_open_array(folder / _grid_file(manifest, first), mapped=True),
+        observation_time=_open_array(stamps) if stamps.is_file() else stamp(reading[:, 1], time, len(observation)),
+        others={name: _open_array(folder / _observation_file(manifest, name), mapped=True) for name in others},
     )
+
+
+def observation_file(sensor: str) -> str:
+    """Path in a recording's folder of a sensor's observations."""
+    return f"observations/{sensor}.npy"
+
+
+def time_file(sensor: str) -> str:
+    """The same of their times."""
+    return f"observations/{sensor}_time.npy"
+
+
+def grid_file(sensor: str) -> str:
+    """The same of its observations at test positions."""
+    return f"test/{sensor}.npy"
+
+
+def stamp(observation: np.ndarray, time: np.ndarray, count: int) -> np.ndarray:
+    """Times of observations (count,) [s]: those of their first readings; NaN where there is none.
+
+    Args:
+        observation: The observation of each reading (R,).
+        time: Its time (R,) [s].
+        count: Observations.
+    """
+    found = np.full(count, np.nan)
+    if observation.shape == time.shape:
+        there = (observation >= 0) & (observation < count)
+        found[observation[there][::-1]] = time[there][::-1]
+    return found
 
 
 def open_truth(folder: Path) -> Truth:
     """Open a recording's truth, its files compared with their checksums; raises as ``open_recording`` does."""
-    _check_files(folder, read_manifest(folder), truth=True)
-    truth = folder / "truth"
+    manifest, truth = read_manifest(folder), folder / "truth"
+    if not has_truth(folder, manifest):
+        raise InputError(f"{folder} has no truth, and errors, labels from it and the room cannot be shown without")
+    _check_files(folder, manifest, truth=True)
     return Truth(
         pose=_open_array(truth / "pose.npy"),
         reading=_open_array(truth / "reading.npy"),
@@ -124,6 +176,12 @@ def open_truth(folder: Path) -> Truth:
         test_pose=_open_array(truth / "test_pose.npy"),
         free_space=load_free_space(truth / "free_space.npz"),
     )
+
+
+def has_truth(folder: Path, manifest: Manifest | None = None) -> bool:
+    """Whether a recording holds the truth; that of a real robot does not."""
+    names = (manifest or read_manifest(folder)).sha256
+    return (folder / "truth").is_dir() or any(name.startswith("truth/") for name in names)
 
 
 def open_labels(folder: Path) -> Labels | None:
@@ -149,19 +207,25 @@ def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
     return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
 
 
-def read_manifest(folder: Path) -> dict[str, Any]:
+def read_manifest(folder: Path) -> Manifest:
     """Read a recording's manifest; raises InputError where it is missing, broken or of another schema."""
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder} is no finished recording: it has no manifest.json")
     try:
-        manifest = read_json(path)
+        values = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
-    if manifest.get("schema") != SCHEMA:
-        raise InputError(f"{path}: schema {manifest.get('schema')!r}, but this version reads schema {SCHEMA}")
-    sums = manifest.get("sha256", {})
-    if not isinstance(sums, dict) or not all(RECORDING.fullmatch(name) for name in sums):
+    number = values.get("schema") if isinstance(values, dict) else None
+    if number not in READ:
+        raise InputError(f"{path}: schema {number!r}, but this version reads schema {SCHEMA}")
+    try:
+        manifest = Manifest.model_validate(values)
+    except ValidationError as error:
+        problem = error.errors(include_url=False)[0]
+        where = ".".join(map(str, problem["loc"]))
+        raise InputError(f"{path}: {where} cannot be used: {one_line(problem['msg'])}") from None
+    if not all(RECORDING.fullmatch(name) for name in manifest.sha256):
         raise InputError(f"{path}: sha256 must be a mapping from names of a recording's files")
     return manifest
 
@@ -177,7 +241,7 @@ def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
     checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name) and name != "manifest.json"}
-    write_json(folder / "manifest.json", {"schema": SCHEMA, **manifest, "sha256": checksums})
+    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA, "sha256": checksums})
 
 
 def check_recording(folder: Path) -> None:
@@ -194,14 +258,24 @@ def remove_recording(folder: Path) -> None:
             remove_files(place, ours)
 
 
-def _check_files(folder: Path, manifest: Mapping[str, Any], truth: bool) -> None:
+def _check_files(folder: Path, manifest: Manifest, truth: bool) -> None:
     """Compare the files of the truth, or all others, with the manifest's checksums."""
-    for name, expected in manifest.get("sha256", {}).items():
+    for name, expected in manifest.sha256.items():
         if name.startswith("truth/") == truth:
             try:
                 check_sha256(folder / name, expected)
             except DamagedError as error:
                 raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
+
+
+def _observation_file(manifest: Manifest, sensor: str) -> str:
+    if manifest.number > 1:
+        return observation_file(sensor)
+    return "observation.npy" if sensor == manifest.sensor else "horizontal.npy"
+
+
+def _grid_file(manifest: Manifest, sensor: str) -> str:
+    return grid_file(sensor) if manifest.number > 1 else "test/observation.npy"
 
 
 def _open_array(path: Path, mapped: bool = False) -> np.ndarray:

@@ -18,11 +18,11 @@ from sim.sensors.camera_faults import decode, encode
 from sim.sensors.camera_mount import drive_on
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.lidar import Lidar
-from sim.sensors.tag_camera import Horizontal
+from sim.sensors.tag_camera import TagCamera
 from sim.settings import SimSettings
 
-SIGHTINGS, HORIZONTAL = ".tags.npz", ".horizontal.npy"
-"""Beside an image file: tags that the horizontal camera saw from the same states, and its images, if they are kept."""
+DETECTIONS, TAG_CAMERA = ".tags.npz", ".tag_camera.npy"
+"""Beside an image file: tags that the tag camera saw from the same states, and its images, if they are kept."""
 IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
 """What the file of a part holds."""
 NONE_TWICE = {TWICE: np.array(0), DIFFERED: np.array(0)}
@@ -44,15 +44,15 @@ def sense_part(part: Part, beat: Beat) -> None:
         UnsteadyError: An image that was drawn twice came out different; nothing is written.
     """
     settings, path = part.settings, part.path
-    if settings.horizontal.mounted and not all(file.is_file() for file in side_files(settings, path)):
+    if settings.tag_camera.mounted and not all(file.is_file() for file in side_files(settings, path)):
 
         def look_around(rows: slice) -> np.ndarray:
             return _look_around(settings, part.states[rows], beat)
 
         images, counts = _draw_twice(look_around, part)
-        if settings.horizontal.kept:
-            write_arrays(path.with_suffix(HORIZONTAL), {IMAGE: images})
-        write_arrays(path.with_suffix(SIGHTINGS), {**vars(find_tags(images)), **counts})
+        if settings.tag_camera.kept:
+            write_arrays(path.with_suffix(TAG_CAMERA), {IMAGE: images})
+        write_arrays(path.with_suffix(DETECTIONS), {**vars(find_tags(images)), **counts})
     if path.is_file():
         return
     if settings.sensor == "lidar":
@@ -68,9 +68,9 @@ def sense_part(part: Part, beat: Beat) -> None:
 
 
 def side_files(settings: SimSettings, path: Path) -> list[Path]:
-    """The files beside the one of a part that hold what the horizontal camera saw."""
-    kept = [path.with_suffix(HORIZONTAL)] if settings.horizontal.kept else []
-    return [path.with_suffix(SIGHTINGS), *kept] if settings.horizontal.mounted else []
+    """The files beside the one of a part that hold what the tag camera saw."""
+    kept = [path.with_suffix(TAG_CAMERA)] if settings.tag_camera.kept else []
+    return [path.with_suffix(DETECTIONS), *kept] if settings.tag_camera.mounted else []
 
 
 def _draw_twice(draw: Callable[[slice], np.ndarray], part: Part) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -92,7 +92,7 @@ def draw_states(
     images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
     for number, (image, state) in enumerate(zip(images, states, strict=True)):
         lean = None if leans is None else leans[number]
-        image[:] = _expose(world, fisheye, state, lean, settings.mount.driven_m)
+        image[:] = _expose(world, fisheye, state, lean, settings.camera_mount.driven_m)
         beat()
     return images
 
@@ -126,22 +126,22 @@ def _open_lidar(settings: SimSettings) -> Lidar:
 
 
 def _look_around(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.ndarray:
-    """In a worker: grey images (n, rows, columns) of the horizontal camera at states (n, nq)."""
+    """In a worker: grey images (n, rows, columns) of the tag camera at states (n, nq)."""
     world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    horizontal = _open_horizontal(settings)  # pyright: ignore[reportArgumentType]
-    images = np.empty((len(states), settings.horizontal.height_px, settings.horizontal.width_px), np.uint8)
+    tag_camera = _open_tag_camera(settings)  # pyright: ignore[reportArgumentType]
+    images = np.empty((len(states), settings.tag_camera.height_px, settings.tag_camera.width_px), np.uint8)
     for image, state in zip(images, states, strict=True):
         world.data.qpos[:] = state
         mujoco.mj_kinematics(world.model, world.data)
-        image[:] = horizontal.look(world.data)
+        image[:] = tag_camera.look(world.data)
         beat()
     return images
 
 
 @lru_cache(maxsize=1)
-def _open_horizontal(settings: SimSettings) -> Horizontal:
-    """The horizontal camera of the scene of ``open_camera``."""
-    return Horizontal(open_camera(settings)[0].model, settings.horizontal)  # pyright: ignore[reportArgumentType]
+def _open_tag_camera(settings: SimSettings) -> TagCamera:
+    """The tag camera of the scene of ``open_camera``."""
+    return TagCamera(open_camera(settings)[0].model, settings.tag_camera)  # pyright: ignore[reportArgumentType]
 
 
 @lru_cache(maxsize=1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sim.robot.model import TRACK_M, WHEEL_RADIUS_M, wheel_speeds
+from sim.robot.model import CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, wheel_speeds
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import SimSettings
@@ -31,7 +31,7 @@ def calibrate(settings: SimSettings) -> tuple[float, float]:
 
 def run(world: RoomWorld, speed_mps: float, turn_rate_rps: float, duration_s: float) -> np.ndarray:
     """Drive with ramps at both ends, then stand for a moment; gives the yaw (n,) after each period [rad]."""
-    period = world.settings.drive.control_period_s
+    period = CONTROL_PERIOD_S
     periods, ramp = round((duration_s + RAMP_S) / period), round(RAMP_S / period)
     yaw = [world.pose()[2]]
     for i in range(periods + ramp):

@@ -1,11 +1,11 @@
 """The drive: turn in place, drive straight until something says stop, and again. Wheel angles, ranges and bumper only.
 
 Headings are drawn by chance, but a robot that only bounces about seldom finds a nook whose mouth is hardly wider than
-itself. So it turns into some of the openings that it passes; and now and then it searches for a while: after every
+itself. So it turns into some of the gaps that it passes; and now and then it searches for a while: after every
 segment it turns back to one side as far as it can, and stops wherever there is anything to turn into on that side.
 
 No position, no map: the same code could drive the real robot. Each call of `next_segment` starts and ends with the
-robot at rest and keeps only a `Course`, so that a drive can be cut off and continued after any segment.
+robot at rest and keeps only a `DriveMode`, so that a drive can be cut off and continued after any segment.
 """
 
 from collections.abc import Iterator
@@ -16,13 +16,13 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.model import RADIUS_M, wheel_speeds
+from sim.robot.gaps import Gaps
+from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, wheel_speeds
 from sim.robot.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, look, ramp, stand, turn, way
-from sim.robot.openings import Openings
 from sim.robot.range_finder import REACH_M
 from sim.settings import DriveSettings
 
-Ended = Literal["length", "opening", "range", "contact", "stall"]
+Ended = Literal["length", "gap", "range", "contact", "stall"]
 TOUCHED = ("contact", "stall")
 """After these the robot no longer stands where it last took a sample."""
 Mode = Literal["chance", "enter", "search"]
@@ -57,14 +57,14 @@ WEDGED = 20
 before a person has to carry it back to where it started."""
 
 
-class Course(NamedTuple):
+class DriveMode(NamedTuple):
     """Where the next segment is to go, and what it must know of the last."""
 
     continues: bool = False
     """The robot stands where the last segment ended."""
-    mode: Mode = "chance"
+    kind: Mode = "chance"
     side: int = 0
-    """Of the opening to enter, or on which it searches: 1 left, -1 right."""
+    """Of the gap to enter, or on which it searches: 1 left, -1 right."""
 
 
 class Sample(NamedTuple):
@@ -87,8 +87,8 @@ class Segment:
         continues: The first sample is where the last segment ended, before the turn: the same observation.
         ended: What ended it.
         dropped: How many samples were dropped as doubtful.
-        course: How to go on.
-        carried: How often the robot had to be carried out of a place before it.
+        mode: How to go on.
+        relocated: How often the robot was relocated before it.
     """
 
     state: np.ndarray
@@ -97,8 +97,8 @@ class Segment:
     continues: bool
     ended: Ended
     dropped: int
-    course: Course
-    carried: int = 0
+    mode: DriveMode
+    relocated: int = 0
 
     @property
     def pose(self) -> np.ndarray:
@@ -108,54 +108,54 @@ class Segment:
 
 def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
     """Drive for ever, one segment after another."""
-    course = Course()
+    mode = DriveMode()
     while True:
-        segment = next_segment(robot, settings, rng, course)
-        course = segment.course
+        segment = next_segment(robot, settings, rng, mode)
+        mode = segment.mode
         yield segment
 
 
-def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> Segment:
+def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Segment:
     """Turn to a clear heading and drive one straight segment of at least two samples.
 
     Args:
         robot: Stands still.
         settings: How to drive and when to look.
-        rng: Decides headings, when to enter or search, and how a robot that was carried stands.
-        course: The last segment's, or a new one.
+        rng: Decides headings, when to enter or search, and where a relocated robot is put.
+        mode: The last segment's, or a new one.
 
     Raises:
         WorkError: the robot is stuck.
     """
-    wedged = carried = 0
+    wedged = relocated = 0
     for _ in range(TRIES):
-        while (stop_m := _turn_to_clear(robot, settings, rng, course)) is None:
-            course = course._replace(continues=False)
+        while (stop_m := _turn_to_clear(robot, settings, rng, mode)) is None:
+            mode = mode._replace(continues=False)
             wedged += 1
             if wedged <= WEDGED:
                 back_off(robot, settings)
-            elif not carried:
+            elif not relocated:
                 robot.carry(rng)
-                wedged, carried = 0, 1
+                wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
-        segment = _go_straight(robot, settings, rng, stop_m, course)
+        segment = _go_straight(robot, settings, rng, stop_m, mode)
         if segment.ended in TOUCHED:
             back_off(robot, settings)
         if len(segment.time) >= 2:
-            return replace(segment, carried=carried)
-        course = segment.course._replace(continues=False)
+            return replace(segment, relocated=relocated)
+        mode = segment.mode._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
 
-def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, course: Course) -> float | None:
-    """Turn where the course says, and on until enough is clear ahead.
+def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> float | None:
+    """Turn where the mode says, and on until enough is clear ahead.
 
     Returns:
         The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear; None: it
         found nothing at all.
     """
-    angle, sense, further_rad = _aim(rng, course)
+    angle, sense, further_rad = _aim(rng, mode)
     turn(robot, settings, angle)
     for share in SHARES:
         enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
@@ -169,34 +169,34 @@ def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     return None
 
 
-def _aim(rng: np.random.Generator, course: Course) -> tuple[float, float, float]:
+def _aim(rng: np.random.Generator, mode: DriveMode) -> tuple[float, float, float]:
     """Angle to turn [rad]; the sense to go on where that is not clear; how far past what blocks it [rad]."""
-    if course.mode == "search":
-        return course.side * TOWARDS_RAD, -course.side, GRAZE_RAD
-    angle = course.side * np.pi / 2 if course.mode == "enter" else rng.uniform(-np.pi, np.pi)
+    if mode.kind == "search":
+        return mode.side * TOWARDS_RAD, -mode.side, GRAZE_RAD
+    angle = mode.side * np.pi / 2 if mode.kind == "enter" else rng.uniform(-np.pi, np.pi)
     return angle, np.sign(angle), FURTHER_RAD
 
 
 def _go_straight(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, course: Course
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode
 ) -> Segment:
-    """Drive straight until the length, an opening, the ranges, the bumper or a stall stop it, and take the samples.
+    """Drive straight until the length, an gap, the ranges, the bumper or a stall stop it, and take the samples.
 
     Args:
         robot: Stands still.
         settings: How fast, how far, when to look.
-        rng: Decides at which openings to stop, and how to go on.
+        rng: Decides at which gaps to stop, and how to go on.
         stop_m: Room to leave before the body [m].
-        course: Whether it continues the last segment, and on which side it searches.
+        mode: Whether it continues the last segment, and on which side it searches.
     """
-    period, spacing = settings.control_period_s, settings.spacing_m
+    period, spacing = CONTROL_PERIOD_S, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
     speed = way_m = slip_from_m = held_s = 0.0
-    seen_m, length_m, opening = np.inf, _draw_length(settings, rng), 0
-    if course.mode == "search":
-        openings, heed = Openings((course.side,), SHORTEST_M + stop_m), 1.0
+    seen_m, length_m, gap = np.inf, _draw_length(settings, rng), 0
+    if mode.kind == "search":
+        gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m), 1.0
     else:
-        openings, heed = Openings((1, -1) if settings.enter > 0.0 else (), None), settings.enter
+        gaps, heed = Gaps((1, -1) if settings.enter > 0.0 else (), None), settings.enter
     # Near rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + RADIUS_M + SEEN_M
@@ -205,9 +205,9 @@ def _go_straight(
         clear_m = look(robot, reach_m) - stop_m
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
             seen_m, slip_from_m = clear_m, way_m
-        for side in openings.beside(robot, way_m) if not opening else ():
+        for side in gaps.find(robot, way_m) if not gap else ():
             if rng.uniform() < heed:
-                opening, length_m = side, min(length_m, way_m + speed**2 / (2 * ACCELERATION_MPS2))
+                gap, length_m = side, min(length_m, way_m + speed**2 / (2 * ACCELERATION_MPS2))
         rest_m = min(length_m - way_m, clear_m)
         if ended := _why_stop(robot.bumped(), held_s, way_m - slip_from_m, clear_m, rest_m):
             break
@@ -234,10 +234,10 @@ def _go_straight(
         state=np.array([sample.state for sample in samples]),
         wheel_angle=np.array([sample.wheel_angle for sample in samples]),
         time=np.array([sample.time for sample in samples]),
-        continues=course.continues,
-        ended="opening" if ended == "length" and opening else ended,
+        continues=mode.continues,
+        ended="gap" if ended == "length" and gap else ended,
         dropped=max(taken - len(samples), 0),
-        course=_go_on(settings, rng, course, ended, opening),
+        mode=_go_on(settings, rng, mode, ended, gap),
     )
 
 
@@ -257,16 +257,16 @@ def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, res
     return None
 
 
-def _go_on(settings: DriveSettings, rng: np.random.Generator, course: Course, ended: Ended, opening: int) -> Course:
-    """Draw the next course; the next segment continues this one if the robot stands where its last sample is."""
+def _go_on(settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, ended: Ended, gap: int) -> DriveMode:
+    """Draw the next mode; the next segment continues this one if the robot stands where its last sample is."""
     continues, chance = ended not in TOUCHED, rng.uniform()
-    if course.mode == "search" and chance > 1 / SEARCHED:
-        return Course(continues, "search", course.side)
-    if course.mode != "search" and opening:
-        return Course(continues, "enter", opening)
-    if course.mode != "search" and chance < settings.search:
-        return Course(continues, "search", 1 if chance < settings.search / 2 else -1)
-    return Course(continues)
+    if mode.kind == "search" and chance > 1 / SEARCHED:
+        return DriveMode(continues, "search", mode.side)
+    if mode.kind != "search" and gap:
+        return DriveMode(continues, "enter", gap)
+    if mode.kind != "search" and chance < settings.search:
+        return DriveMode(continues, "search", 1 if chance < settings.search / 2 else -1)
+    return DriveMode(continues)
 
 
 def _sample(robot: Robot, way_m: float) -> Sample:

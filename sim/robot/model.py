@@ -4,14 +4,16 @@ import mujoco
 import numpy as np
 
 from sim.paths import ROBOT
-from sim.settings import CameraSettings, HorizontalSettings, RobotSettings
+from sim.settings import CameraSettings, RobotSettings, TagCameraSettings
 
 BASE = "base"
 WHEELS = ("left_wheel", "right_wheel")
 BUMPER = "bumper"
 CAMERA_SITE = "camera"
 CAMERA = "fisheye"
-HORIZONTAL_SITE = "horizontal"
+TIMESTEP_S, CONTROL_PERIOD_S = 0.005, 0.04
+"""Time between two steps of the physics, and between two decisions of the controller, a whole multiple of it [s]."""
+TAG_CAMERA_SITE = "tag_camera"
 
 RADIUS_M = 0.105
 """Radius of the round body about the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
@@ -36,13 +38,13 @@ def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
     return spec
 
 
-def mount_horizontal(robot: mujoco.MjSpec, settings: HorizontalSettings) -> None:
-    """Put the horizontal camera on the robot: a small box without mass, and a site whose x looks out and z up."""
+def mount_tag_camera(robot: mujoco.MjSpec, settings: TagCameraSettings) -> None:
+    """Put the tag camera on the robot: a small box without mass, and a site whose x looks out and z up."""
     base, place, half = robot.body(BASE), (settings.ahead_m, 0.0, settings.height_m), np.radians(settings.yaw_deg) / 2
     turned = (np.cos(half), 0.0, 0.0, np.sin(half))
-    base.add_site(name=HORIZONTAL_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
+    base.add_site(name=TAG_CAMERA_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
     base.add_geom(
-        name=HORIZONTAL_SITE,
+        name=TAG_CAMERA_SITE,
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=place,
         size=(0.012, 0.02, 0.012),

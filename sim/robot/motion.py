@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, wheel_speeds
+from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M, wheel_speeds
 from sim.robot.range_finder import clear_length
 from sim.settings import DriveSettings
 
@@ -58,7 +58,7 @@ def turn(
     Returns:
         False where a whole turn found nothing clear.
     """
-    period, start = settings.control_period_s, robot.wheel_angle()
+    period, start = CONTROL_PERIOD_S, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
     rate, highest = 0.0, settings.turn_rate_rps * caution
     deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
@@ -87,7 +87,7 @@ def back_off(robot: Robot, settings: DriveSettings) -> None:
 
 
 def stand(robot: Robot, settings: DriveSettings) -> None:
-    for _ in range(max(1, round(REST_S / settings.control_period_s))):
+    for _ in range(max(1, round(REST_S / CONTROL_PERIOD_S))):
         robot.step(wheel_speeds(0.0, 0.0))
 
 

@@ -3,10 +3,10 @@
 import mujoco
 
 from sim.errors import InputError, one_line
-from sim.robot.model import load_robot, mount_horizontal
+from sim.robot.model import TIMESTEP_S, load_robot, mount_tag_camera
 from sim.rooms.deployment import dim
 from sim.rooms.spec import PREFIX, freeze
-from sim.settings import SimSettings, UseSettings
+from sim.settings import DeploymentSettings, SimSettings
 
 AMBIENT = 0.4
 """Brightness of the light that comes from everywhere; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
@@ -24,19 +24,19 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
 
     Args:
         room: The room, without moving parts; it is not changed.
-        settings: Physics step, wheel error, camera height and the light in use are used.
+        settings: Wheel error, camera height and the light in use are used.
 
     Raises:
         InputError: the room and the robot do not go together, as where both have parts of one name.
     """
     spec = freeze(room)
-    _force_physics(spec, settings.robot.timestep_s)
+    _force_physics(spec)
     _force_picture(spec)
-    if settings.use != UseSettings():
-        dim(spec, settings.use)
+    if settings.deployment != DeploymentSettings():
+        dim(spec, settings.deployment)
     robot = load_robot(settings.robot, settings.camera)
-    if settings.horizontal.mounted:
-        mount_horizontal(robot, settings.horizontal)
+    if settings.tag_camera.mounted:
+        mount_tag_camera(robot, settings.tag_camera)
     robot.option = spec.option
     try:
         spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())
@@ -45,10 +45,10 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
         raise InputError(f"room: MuJoCo cannot put the robot into it: {one_line(error)}") from None
 
 
-def _force_physics(spec: mujoco.MjSpec, timestep_s: float) -> None:
+def _force_physics(spec: mujoco.MjSpec) -> None:
     defaults = mujoco.MjSpec()
     spec.option = defaults.option
-    spec.option.timestep = timestep_s
+    spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     # A state that went wrong must be seen, not silently set back to the start.

@@ -8,7 +8,7 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.occupancy import FreeSpace
-from sim.robot.model import BASE, BUMPER, RADIUS_M, WHEELS, robot_height
+from sim.robot.model import BASE, BUMPER, CONTROL_PERIOD_S, RADIUS_M, TIMESTEP_S, WHEELS, robot_height
 from sim.robot.range_finder import REACH_M, RangeFinder
 from sim.robot.scene import compile_scene
 from sim.rooms.build import build_room
@@ -39,14 +39,14 @@ class RoomWorld:
             drawn: Whether ``model`` holds what nothing can touch; physics is a third faster without.
         """
         still = freeze(build_room(settings.room) if room is None else room)
-        if settings.use.moved_m:
-            still = move_furniture(still, settings.use.moved_m, settings.use.seed)
+        if settings.deployment.moved_m:
+            still = move_furniture(still, settings.deployment.moved_m, settings.deployment.seed)
         self.settings = settings
         self.model = compile_scene(still if drawn else bare(still), settings)
         self.data = mujoco.MjData(self.model)
         self.room = still.compile()
         self._finder = RangeFinder(still, robot_height(settings.camera))
-        self._substeps = round(settings.drive.control_period_s / settings.robot.timestep_s)
+        self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
         self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
         self._bumper = self.model.sensor(PREFIX + BUMPER).adr[0]
         self._base = self.model.body(PREFIX + BASE).id
@@ -162,7 +162,7 @@ def _settle(settings: SimSettings) -> np.ndarray:
     """Positions (nq,) of the robot standing at rest on a level floor at the origin, heading +x."""
     model = compile_scene(empty_room(), settings)
     data = mujoco.MjData(model)
-    mujoco.mj_step(model, data, round(_SETTLE_S / settings.robot.timestep_s))
+    mujoco.mj_step(model, data, round(_SETTLE_S / TIMESTEP_S))
     rest = data.qpos.copy()
     rest[:2], rest[6], rest[7:] = 0.0, 0.0, 0.0
     rest[3:7] /= np.linalg.norm(rest[3:7])

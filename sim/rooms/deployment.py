@@ -5,7 +5,7 @@ import numpy as np
 
 from sim.errors import InputError
 from sim.rooms.free_space import collides
-from sim.settings import UseSettings
+from sim.settings import DeploymentSettings
 
 MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
 MOVABLE += ("plant", "stool")
@@ -45,14 +45,14 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
             body.pos = model.body_pos[number]
             pushed += bool(way.any())
     if not pushed:
-        raise InputError(f"use.moved_m {moved_m}: the room has no small piece that can be pushed so far")
+        raise InputError(f"deployment.moved_m {moved_m}: the room has no small piece that can be pushed so far")
     return spec
 
 
-def dim(room: mujoco.MjSpec, use: UseSettings) -> None:
+def dim(room: mujoco.MjSpec, deployment: DeploymentSettings) -> None:
     """Dim a scene's light: a material's glow is a lamp's where it has one colour, a window's or a screen's where it
     shows a picture."""
-    windows, lamps = use.light ** (1.0 / GAMMA), (use.light * use.lamps) ** (1.0 / GAMMA)
+    windows, lamps = deployment.light ** (1.0 / GAMMA), (deployment.light * deployment.lamps) ** (1.0 / GAMMA)
     headlight = room.visual.headlight
     headlight.ambient = np.multiply(headlight.ambient, windows)
     for light in room.lights:

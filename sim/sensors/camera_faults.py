@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.rng import stream
-from sim.settings import ImageSettings
+from sim.settings import ImageFaultSettings
 
 Develop = Callable[[np.ndarray], np.ndarray]
 """Images (n, rings, sectors, 3) uint8 without faults -> the same with them, in the order in which they were taken."""
@@ -32,7 +32,7 @@ def spawn_streams(seed: int) -> CameraStreams:
     return CameraStreams(*stream(seed, "camera").spawn(4))
 
 
-def make_develop(settings: ImageSettings, rng: np.random.Generator) -> Develop | None:
+def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Develop | None:
     """What turns images without faults into those of these settings; none where all are off.
 
     ``rng`` is drawn from once for each value, in order: the images of a shorter drive are the first of a longer one's.
@@ -42,7 +42,7 @@ def make_develop(settings: ImageSettings, rng: np.random.Generator) -> Develop |
     return lambda images: develop(images, settings, rng)
 
 
-def develop(images: np.ndarray, settings: ImageSettings, rng: np.random.Generator) -> np.ndarray:
+def develop(images: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
     """Images (n, rings, sectors, 3) uint8 with all faults of the settings."""
     light = smear(decode(images), settings.turn_deg)
     light = light * (vignette(images.shape[1], settings.vignetting) * settings.exposure).astype(np.float32)
@@ -87,7 +87,7 @@ def vignette(rings: int, lost: float) -> np.ndarray:
     return (1.0 + radius**2 * ((1.0 - lost) ** -0.5 - 1.0))[:, None, None] ** -2
 
 
-def add_noise(light: np.ndarray, settings: ImageSettings, rng: np.random.Generator) -> np.ndarray:
+def add_noise(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
     """Light (n, rings, sectors, 3) with noise of variance (shot^2 light + read^2) / pixels, normal and independent.
 
     The variance of a sensor pixel is affine in its light (Foi et al., "Practical Poissonian-Gaussian noise modeling and
@@ -120,4 +120,4 @@ _TO_LIGHT = _srgb_to_light(np.arange(256) / 255.0).astype(np.float32)
 _TO_CODE = np.searchsorted(_srgb_to_light((np.arange(255) + 0.5) / 255.0), np.arange(_STEPS + 1) / _STEPS).astype(
     np.uint8
 )
-_OFF = {name: field.default for name, field in ImageSettings.model_fields.items() if name != "sensor_px"}
+_OFF = {name: field.default for name, field in ImageFaultSettings.model_fields.items() if name != "sensor_px"}

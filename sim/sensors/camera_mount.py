@@ -3,13 +3,13 @@
 import numpy as np
 
 from sim.geometry import planar_pose
-from sim.settings import MountSettings
+from sim.settings import CameraMountSettings
 
 FRAMES = 5
 """Pictures of which an image is the mean where the robot drives while the shutter is open."""
 
 
-def draw_leans(settings: MountSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
+def draw_leans(settings: CameraMountSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
     """Lean to the right and ahead (count, 2) [rad] of the next images; none where the camera stands upright."""
     fixed = np.array([settings.roll_deg, settings.pitch_deg])
     if not fixed.any() and not settings.wobble_deg:

@@ -59,11 +59,8 @@ def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m:
     }
 
 
-def read_odometry(manifest: Mapping[str, Any]) -> Mapping[str, float]:
-    """Odometry constants of a recording; raises InputError naming the first that cannot be."""
-    odometry = manifest.get("odometry")
-    if not isinstance(odometry, Mapping):
-        odometry = {}
+def check_odometry(odometry: Mapping[str, Any]) -> Mapping[str, float]:
+    """Odometry constants as a manifest has them; raises InputError naming the first that cannot be."""
     for name, (low, high) in RANGES.items():
         value = odometry.get(name, 0.0 if low == 0.0 else None)
         if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:

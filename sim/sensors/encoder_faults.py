@@ -81,13 +81,13 @@ def slip_wheels(
     return _accumulate(wheel_angle, gap + noise)
 
 
-def disturb_gaps(wheel_angle: np.ndarray, gap_noise: float, rng: np.random.Generator) -> np.ndarray:
+def disturb_gaps(wheel_angle: np.ndarray, step_noise: float, rng: np.random.Generator) -> np.ndarray:
     """Angles (R, 2) whose consecutive gaps are multiplied by 1 + w n, n ~ N(0, 1) (paper, Sec. V-A).
 
     Both wheels share n, since the paper disturbs the distance that they measure together.
     """
     gap = np.diff(wheel_angle, axis=0)
-    return _accumulate(wheel_angle, gap * (1.0 + gap_noise * rng.standard_normal((len(gap), 1))))
+    return _accumulate(wheel_angle, gap * (1.0 + step_noise * rng.standard_normal((len(gap), 1))))
 
 
 def stick_wheel(wheel_angle: np.ndarray, stuck: float, rng: np.random.Generator) -> np.ndarray:
@@ -116,7 +116,7 @@ def _bias_of_radii(encoder: EncoderSettings, distance: Any) -> Any:
 
 def _bias_of_sticking(encoder: EncoderSettings, distance: Any) -> Any:
     """A wheel that counts nothing halves distances on that part of the drive; as measured, they are halved already."""
-    return encoder.stuck / (1.0 - 0.75 * encoder.stuck) * (distance / 2.0) ** 2
+    return encoder.stuck_fraction / (1.0 - 0.75 * encoder.stuck_fraction) * (distance / 2.0) ** 2
 
 
 FAULTS: tuple[Fault, ...] = (
@@ -136,20 +136,20 @@ FAULTS: tuple[Fault, ...] = (
         variance=lambda slip, gap, made_of: slip**2 * gap / 2.0,  # the mean of two wheels, each slip^2 gap
     ),
     Fault(
-        ("gap_noise",),
+        ("step_noise",),
         "noise w of each gap",
-        apply=lambda angle, encoder, radius_m, rng: disturb_gaps(angle, encoder.gap_noise, rng),
+        apply=lambda angle, encoder, radius_m, rng: disturb_gaps(angle, encoder.step_noise, rng),
         variance=lambda noise, gap, made_of: (noise * gap) ** 2 / made_of,  # (paper, Sec. V-A)
     ),
     Fault(
-        ("lost",),
+        ("dropout",),
         "part of the readings lost",
-        drops=lambda count, encoder, rng: lose_readings(count, encoder.lost, rng),
+        drops=lambda count, encoder, rng: lose_readings(count, encoder.dropout, rng),
     ),
     Fault(
-        ("stuck",),
+        ("stuck_fraction",),
         "part of the drive that one encoder sticks",
-        apply=lambda angle, encoder, radius_m, rng: stick_wheel(angle, encoder.stuck, rng),
+        apply=lambda angle, encoder, radius_m, rng: stick_wheel(angle, encoder.stuck_fraction, rng),
         bias=_bias_of_sticking,
     ),
     Fault(

@@ -1,4 +1,4 @@
-"""The horizontal camera: a pinhole on the robot that looks level, drawn in grey by MuJoCo.
+"""The tag camera: a pinhole on the robot that looks level, drawn in grey by MuJoCo.
 
 Its frame is OpenCV's: x to the right, y down, z ahead. The image's middle is the principal point; nothing is distorted.
 """
@@ -12,15 +12,15 @@ import numpy as np
 from sim.sensors.cube_faces import Face
 from sim.sensors.fisheye import ROBOT, UNSEEN, aim, dim_headlight, make_scene
 from sim.sensors.offscreen import Offscreen
-from sim.settings import HorizontalSettings
+from sim.settings import TagCameraSettings
 
-SITE = "robot/horizontal"
+SITE = "robot/tag_camera"
 TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera's frame to its mount's, whose x looks out and z up: right is -y, down -z, ahead x."""
 
 
-class Horizontal:
-    """The horizontal camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
+class TagCamera:
+    """The tag camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
     The robot itself is not drawn.
 
@@ -32,7 +32,7 @@ class Horizontal:
         WorkError: No OpenGL context can be opened; the text names the cure.
     """
 
-    def __init__(self, model: mujoco.MjModel, settings: HorizontalSettings) -> None:
+    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings) -> None:
         self._model, self._site = model, model.site(SITE).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
@@ -66,14 +66,14 @@ class Horizontal:
         self.close()
 
 
-def camera_matrix(settings: HorizontalSettings) -> np.ndarray:
+def camera_matrix(settings: TagCameraSettings) -> np.ndarray:
     """Intrinsic matrix (3, 3) [px], pixel middles at whole numbers."""
     focal = settings.width_px / 2 / np.tan(np.radians(settings.field_of_view_deg) / 2)
     middle = (settings.width_px - 1) / 2, (settings.height_px - 1) / 2
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
 
 
-def mounting(settings: HorizontalSettings) -> np.ndarray:
+def mounting(settings: TagCameraSettings) -> np.ndarray:
     """The camera's pose in the robot's frame (4, 4)."""
     yaw = np.radians(settings.yaw_deg)
     c, s = np.cos(yaw), np.sin(yaw)

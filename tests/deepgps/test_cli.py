@@ -175,7 +175,7 @@ def test_every_figure_can_be_computed_again_from_the_error_field(finished):
     run, _ = finished
     metrics = json.loads((run / "metrics.json").read_text())
     field = np.load(run / "error_field.npz")
-    assert set(metrics["methods"]) == {"deepgps", "posenet", "odometry", "knn"}
+    assert set(metrics["methods"]) == {"deepgps", "posenet", "dead_reckoned_labels", "knn"}
     for name, values in metrics["methods"].items():
         worst = np.linalg.norm(field[name] - field["truth"][:, None], axis=-1).max(axis=1)
         assert values["rms_m"] == pytest.approx(np.sqrt((worst**2).mean()))

@@ -25,8 +25,8 @@ LEARN = {
     "fold": {"restarts": 0},
 }
 METHODS_OF = {
-    "room": ("deepgps", "deepgps_aware", "deepgps_turns", "posenet", "odometry", "knn"),
-    "lidar": ("deepgps", "pca_knn"),
+    "room": ("deepgps", "deepgps_noise_aware", "deepgps_with_turns", "posenet", "dead_reckoned_labels", "knn"),
+    "obstacles": ("deepgps", "pca_knn"),
     "landmarks": ("explicit", "explicit_mds"),
 }
 ALIKE = "all 74 observations look alike"
@@ -58,29 +58,29 @@ def read_each_segment_once(arrays: Arrays) -> None:
 
 
 def see_nothing(arrays: Arrays) -> None:
-    arrays["observation.npy"][:] = 0
+    arrays["observations/landmarks.npy"][:] = 0
 
 
 def see_the_same(arrays: Arrays) -> None:
-    arrays["observation.npy"][:] = arrays["observation.npy"][0]
+    arrays["observations/landmarks.npy"][:] = arrays["observations/landmarks.npy"][0]
 
 
 def see_nothing_in_use(arrays: Arrays) -> None:
-    arrays["test/observation.npy"][:] = 0
+    arrays["test/landmarks.npy"][:] = 0
 
 
 def see_nothing_half_of_the_time(arrays: Arrays) -> None:
-    arrays["observation.npy"][::2] = 0
+    arrays["observations/landmarks.npy"][::2] = 0
 
 
 def try_nowhere(arrays: Arrays) -> None:
-    arrays["test/observation.npy"] = arrays["test/observation.npy"][:0]
+    arrays["test/landmarks.npy"] = arrays["test/landmarks.npy"][:0]
     arrays["truth/test_pose.npy"] = arrays["truth/test_pose.npy"][:0]
 
 
 def see_two(arrays: Arrays) -> None:
     keep_readings(arrays, arrays["reading.npy"][:, 1] < 2)
-    for name in ("observation.npy", "truth/pose.npy"):
+    for name in ("observations/landmarks.npy", "truth/pose.npy"):
         arrays[name] = arrays[name][:2]
 
 
@@ -95,18 +95,19 @@ def see(name: str, number: float) -> Callable[[Arrays], None]:
 def write(folder: Path, world: str, spoil: Callable[[Arrays], None], odometry: dict | None = None) -> None:
     """Write a recording of a short drive that sees images, scans or ways to landmarks, spoiled."""
     make_toy(folder, samples=60)
-    names = ("observation.npy", "reading.npy", "time.npy", "test/observation.npy", "truth/pose.npy")
+    names = ("observations/landmarks.npy", "reading.npy", "time.npy", "test/landmarks.npy", "truth/pose.npy")
     arrays = {name: np.load(folder / name) for name in (*names, "truth/test_pose.npy")}
     if world == "room":
-        arrays["observation.npy"] = make_images(arrays["truth/pose.npy"], 4, 16)
-        arrays["test/observation.npy"] = make_images(arrays["truth/test_pose.npy"], 4, 16)
-    elif world == "lidar":
-        for name in ("observation.npy", "test/observation.npy"):
+        arrays["observations/landmarks.npy"] = make_images(arrays["truth/pose.npy"], 4, 16)
+        arrays["test/landmarks.npy"] = make_images(arrays["truth/test_pose.npy"], 4, 16)
+    elif world == "obstacles":
+        for name in ("observations/landmarks.npy", "test/landmarks.npy"):
             arrays[name] = arrays[name][..., None, :]
     spoil(arrays)
     for name, array in arrays.items():
         write_array(folder / name, array)
-    manifest = {"settings": {}, "segments": 1, "distance_driven_m": 1.0}
+    kind = {"room": "polar_image", "obstacles": "scan", "landmarks": "vector"}[world]
+    manifest = {"sensors": {"landmarks": kind}, "segments": 1, "distance_driven_m": 1.0}
     finish_recording(folder, {"odometry": {**ODOMETRY, **(odometry or {})}, **manifest})
 
 
@@ -137,10 +138,13 @@ def learn(run: Path, world: str, method: str) -> str:
         (see_nothing_in_use, ""),
         (see_nothing_half_of_the_time, ""),
         (see_two, ""),
-        (see("observation.npy", np.nan), "observation.npy: 1 of 74 observations hold NaN"),
-        (see("observation.npy", 1e30), "observation.npy: 1 of 74 observations hold NaN, infinity or a number beyond"),
-        (see("test/observation.npy", np.inf), "test/observation.npy: 1 of 150 observations hold NaN, infinity"),
-        (try_nowhere, "test/observation.npy holds no observation"),
+        (see("observations/landmarks.npy", np.nan), "observations/landmarks.npy: 1 of 74 observations hold NaN"),
+        (
+            see("observations/landmarks.npy", 1e30),
+            "observations/landmarks.npy: 1 of 74 observations hold NaN, infinity or a number beyond",
+        ),
+        (see("test/landmarks.npy", np.inf), "test/landmarks.npy: 1 of 150 observations hold NaN, infinity"),
+        (try_nowhere, "test/landmarks.npy holds no observation"),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
@@ -159,7 +163,13 @@ def test_every_method_ends_with_a_result_or_one_line(
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("ticks_per_rev", 0), ("ticks_per_rev", "4096"), ("wheel_radius_m", 1e308), ("track_m", 0.0), ("gap_noise", -1.0)],
+    [
+        ("ticks_per_rev", 0),
+        ("ticks_per_rev", "4096"),
+        ("wheel_radius_m", 1e308),
+        ("track_m", 0.0),
+        ("step_noise", -1.0),
+    ],
 )
 def test_odometry_constants_that_cannot_be_are_named(name: str, value: object, tmp_path: Path):
     write(tmp_path / "recording", "landmarks", lambda arrays: None, {name: value})

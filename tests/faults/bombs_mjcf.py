@@ -158,7 +158,7 @@ ROOMS: dict[str, Write] = {
     ),
     "height field by its size": _above(
         '<asset><hfield name="h" nrow="100000" ncol="100000" size="1 1 1 1"/></asset>',
-        '<asset><hfield name="h" nrow="#" ncol="2" size="1 1 1 1"/></asset>',
+        '<asset><hfield name="h" nrow="#00" ncol="2" size="1 1 1 1"/></asset>',
         '<asset><hfield name="h" nrow="2147483647" ncol="2147483647" size="1 1 1 1"/></asset>',
     ),
     "picture that unpacks to 1 GB, as texture": _picture('<texture name="t" type="2d" file="bomb.png"/>', ""),

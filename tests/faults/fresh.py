@@ -17,7 +17,7 @@ FAULTS = (
     ("--world", "room", "--room.mjcf", "typo.xml"),
     ("--world", "room", "--room.mjcf", "wrong.xml"),
     ("--grid.spacing_m", "50"),
-    ("--methods", "explicit", "deepgps", "odometry", "pca_knn"),
+    ("--methods", "explicit", "deepgps", "dead_reckoned_labels", "pca_knn"),
 )
 MINE = (
     *("thesis.txt", "recording/mine.npy", "deepgps/notes.md", "figures/mine.png", "notes.123.part", "movie.part"),

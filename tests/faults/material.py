@@ -47,7 +47,7 @@ STAGES = {
 STUDY = {
     "scenario": "landmarks.yaml",
     "methods": ["deepgps", "posenet"],
-    "axes": {"encoder.gap_noise": [0, 0.1]},
+    "axes": {"encoder.step_noise": [0, 0.1]},
     "report": "compare",
 }
 

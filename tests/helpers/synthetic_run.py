@@ -23,7 +23,7 @@ FURNITURE = {
     "desk": (1.0, -0.9, 1.2, 0.6, 0.75, (165, 130, 90)),
 }
 # error in the middle of the room [m], share of lost places
-METHODS = {"deepgps": (0.02, 0.01), "posenet": (0.025, 0.02), "knn": (0.04, 0.05), "odometry": (0.18, 0.3)}
+METHODS = {"deepgps": (0.02, 0.01), "posenet": (0.025, 0.02), "knn": (0.04, 0.05), "dead_reckoned_labels": (0.18, 0.3)}
 
 
 def write_synthetic_run(folder: Path, samples: int = 200, seed: int = 0, spacing_m: float = 0.16) -> Path:
@@ -171,14 +171,15 @@ def _write_recording(folder, space, pose, reading, time, wheel_angle, test_pose)
     save_free_space(folder / "truth" / "free_space.npz", space)
     _write_scene(folder / "scene.glb")
     manifest = {
+        "sensors": {"fisheye": "polar_image"},
         "odometry": {"wheel_radius_m": WHEEL_RADIUS_M, "track_m": TRACK_M, "ticks_per_rev": TICKS_PER_REV},
         "settings": {"camera": {"rings": 32, "sectors": 128, "field_of_view_deg": 190.0, "height_m": 0.35}},
     }
     arrays = {
-        "observation.npy": make_images(pose),
+        "observations/fisheye.npy": make_images(pose),
         "reading.npy": reading,
         "time.npy": time,
-        "test/observation.npy": make_images(test_pose[:4]),
+        "test/fisheye.npy": make_images(test_pose[:4]),
         "truth/pose.npy": pose,
         "truth/reading.npy": reading[:, :2],
         "truth/wheel_angle.npy": wheel_angle,

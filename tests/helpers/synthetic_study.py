@@ -21,7 +21,7 @@ STUDY = Study.model_validate(
         "scenario": "living_room",
         "methods": METHODS,
         "cases": [{"room.seed": room} for room in ROOMS],
-        "axes": {"encoder.gap_noise": NOISES},
+        "axes": {"encoder.step_noise": NOISES},
         "seeds": [0, 1],
         "report": "curves",
     }
@@ -42,7 +42,7 @@ def write_synthetic_study(folder: Path, study: Study = STUDY, failed: tuple[int,
 
 def write_synthetic_outcome(folder: Path, plan: Plan) -> None:
     """Write what one run leaves and a viewer shows: its recording's truth, its error field, its metrics."""
-    noise, room, seed = plan.scenario.encoder.gap_noise, plan.scenario.room.seed, plan.scenario.seed
+    noise, room, seed = plan.scenario.encoder.step_noise, plan.scenario.room.seed, plan.scenario.seed
     run, recording, space = folder / "runs" / plan.run, folder / "recordings" / plan.recording, make_room(room)
     test_pose = make_grid(make_free_space(), spacing_m=0.5)
     size = {"deepgps": 0.01 + noise, "posenet": 0.01}

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sim.apriltag.detector import CORNERS, Sightings
+from sim.apriltag.detector import CORNERS, Detections
 
 HALF = np.array((3.0, 2.5))
 CAMERA = np.array([[400.0, 0.0, 399.5], [0.0, 400.0, 224.5], [0.0, 0.0, 1.0]])
@@ -12,9 +12,9 @@ SIZE = np.array((800, 450))
 
 
 class Scene(NamedTuple):
-    """Sightings with the true poses of tags (T, 4, 4) and views (V, 4, 4) in the room's frame."""
+    """Detections with the true poses of tags (T, 4, 4) and views (V, 4, 4) in the room's frame."""
 
-    sightings: Sightings
+    detections: Detections
     tag: np.ndarray
     view: np.ndarray
 
@@ -31,7 +31,7 @@ def make_scene(tags: int = 36, views: int = 160, noise_px: float = 0.2, seed: in
             if corner is not None:
                 found.append((number, which, corner + rng.normal(0, noise_px, (4, 2))))
     numbers, which, corner = zip(*found, strict=True)
-    return Scene(Sightings(np.array(numbers), np.array(which), np.array(corner)), tag, view)
+    return Scene(Detections(np.array(numbers), np.array(which), np.array(corner)), tag, view)
 
 
 def project(tag: np.ndarray, view: np.ndarray) -> np.ndarray | None:

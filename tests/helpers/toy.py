@@ -30,17 +30,17 @@ def make_toy(folder: Path, samples: int = 1200, endpoint: bool = False, seed: in
     (folder / "truth").mkdir()
     save_free_space(folder / "truth" / "free_space.npz", space)
     arrays = {
-        "observation.npy": observe(pose, landmark),
+        "observations/landmarks.npy": observe(pose, landmark),
         "reading.npy": reading,
         "time.npy": np.arange(len(reading), dtype=float),
-        "test/observation.npy": observe(test_pose[:, 0], landmark)[:, None],
+        "test/landmarks.npy": observe(test_pose[:, 0], landmark)[:, None],
         "truth/pose.npy": pose,
         "truth/reading.npy": reading[:, :2],
         "truth/wheel_angle.npy": reading[:, 2:] / ODOMETRY["ticks_per_rev"] * 2.0 * np.pi,
         "truth/test_pose.npy": test_pose,
         "truth/state.npy": pose,
     }
-    write_recording(folder, arrays, {"odometry": ODOMETRY, "settings": {}})
+    write_recording(folder, arrays, {"sensors": {"landmarks": "vector"}, "odometry": ODOMETRY})
     return open_recording(folder)
 
 

@@ -13,8 +13,8 @@ from dm_env import StepType, test_utils
 
 from sim.environment import RoomEnvironment
 from sim.errors import InputError, WorkError
-from sim.robot.model import wheel_speeds
-from sim.settings import CameraSettings, EncoderSettings, MountSettings, SimSettings
+from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
+from sim.settings import CameraMountSettings, CameraSettings, EncoderSettings, SimSettings
 
 SETTINGS = SimSettings(camera=CameraSettings(rings=8, sectors=32, face_px=16))
 
@@ -54,7 +54,7 @@ def test_driving_counts_ticks_forward_and_turning_counts_them_apart(environment:
 def test_dm_control_sees_the_same_state(environment: RoomEnvironment) -> None:
     environment.reset()
     environment.step(np.array([3.0, 3.0]))
-    assert environment.physics.time() == pytest.approx(SETTINGS.drive.control_period_s)
+    assert environment.physics.time() == pytest.approx(CONTROL_PERIOD_S)
     np.testing.assert_array_equal(
         environment.physics.named.data.xpos["robot/base"], environment.physics.data.ptr.body("robot/base").xpos
     )
@@ -73,7 +73,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     assert roll() == roll()
 
 
-@pytest.mark.parametrize("fault", ["slip_per_m", "gap_noise", "lost", "stuck"])
+@pytest.mark.parametrize("fault", ["slip_per_m", "step_noise", "dropout", "stuck_fraction"])
 def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None:
     settings = SimSettings(encoder=EncoderSettings.model_validate({fault: 0.1}))
     with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment"):
@@ -82,11 +82,11 @@ def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None
 
 def test_faults_of_the_camera_are_refused() -> None:
     with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
-        RoomEnvironment(SimSettings(mount=MountSettings(roll_deg=1.0)), np.random.default_rng(0))
+        RoomEnvironment(SimSettings(camera_mount=CameraMountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
 
 def test_an_episode_shorter_than_a_step_is_refused() -> None:
-    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least drive\.control_period_s 0\.04 s"):
+    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least the control period, 0\.04 s"):
         RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
 
 

@@ -61,7 +61,7 @@ def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
 
 def _choose(scenario: Scenario, samples: int) -> Scenario:
     sim = choose_drive(scenario.sim, samples)
-    return scenario.model_copy(update={"encoder": sim.encoder, "image": sim.image, "drive": sim.drive})
+    return scenario.model_copy(update={"encoder": sim.encoder, "image_faults": sim.image_faults, "drive": sim.drive})
 
 
 def _name_drive(scenario: Scenario) -> str:

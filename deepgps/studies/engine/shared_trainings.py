@@ -47,7 +47,7 @@ def leave_trainings(scenario: Scenario, run: Path) -> None:
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
     """Eight hexadecimal digits of all that decides a training without ticks: settings, seed, images, places, and which
     images follow one another, from which features are chosen."""
-    sums = {name: value for name, value in recording.manifest["sha256"].items() if not name.startswith(NOT_LEARNED)}
+    sums = {name: value for name, value in recording.manifest.sha256.items() if not name.startswith(NOT_LEARNED)}
     read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
     return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
 

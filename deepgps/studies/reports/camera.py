@@ -18,18 +18,18 @@ from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read
 CLEAN = "no fault"
 # how a strength is written, by the setting's name
 TITLES = {
-    "image.read_noise": "read noise {:g}",
-    "image.shot_noise": "shot noise {:g}",
-    "image.exposure": "exposure x {:g}",
-    "image.vignetting": "vignetting {:g}",
-    "image.turn_deg": "turned {:g}° meanwhile",
-    "mount.driven_m": "driven {:g} m meanwhile",
-    "mount.roll_deg": "leans {:g}° to the right",
-    "mount.pitch_deg": "leans {:g}° ahead",
-    "mount.wobble_deg": "wobbles by {:g}°",
-    "use.light": "all light x {:g}",
-    "use.lamps": "lamps x {:g}",
-    "use.moved_m": "furniture moved {:g} m",
+    "image_faults.read_noise": "read noise {:g}",
+    "image_faults.shot_noise": "shot noise {:g}",
+    "image_faults.exposure": "exposure x {:g}",
+    "image_faults.vignetting": "vignetting {:g}",
+    "image_faults.turn_deg": "turned {:g}° meanwhile",
+    "camera_mount.driven_m": "driven {:g} m meanwhile",
+    "camera_mount.roll_deg": "leans {:g}° to the right",
+    "camera_mount.pitch_deg": "leans {:g}° ahead",
+    "camera_mount.wobble_deg": "wobbles by {:g}°",
+    "deployment.light": "all light x {:g}",
+    "deployment.lamps": "lamps x {:g}",
+    "deployment.moved_m": "furniture moved {:g} m",
 }
 WHEN = {True: "use alone", False: "training and use"}
 NOTE = (

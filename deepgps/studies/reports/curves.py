@@ -14,9 +14,9 @@ from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
 
-TITLES = {"encoder.gap_noise": "noise w of each gap between readings", "drive.samples": "training images"}
+TITLES = {"encoder.step_noise": "noise w of each gap between readings", "drive.samples": "training images"}
 # What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
-PAPER_SHARE = {"encoder.gap_noise": 0.02}
+PAPER_SHARE = {"encoder.step_noise": 0.02}
 PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
 KNEE = 1.25
 DECADES = 10.0

@@ -70,11 +70,11 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """RMS at w = 0.10, and at 16 and 4 ticks relative to a perfect encoder, of both ways to learn."""
     figures = {}
-    for method, prefix in (("deepgps", ""), ("deepgps_aware", "aware_")):
+    for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
         title = title_of(method)
         for sweep in find_sweeps(rows):
             found = sweep.by_value(method)
-            if sweep.names == ("gap_noise",) and 0.1 in found:
+            if sweep.names == ("step_noise",) and 0.1 in found:
                 group = found[0.1]
                 worst = max(row["rms_m"] for row in group)
                 figures[f"{prefix}rms_w"] = Figure(f"RMS at w = 0.10, {title}", mean(group, "rms_m"), "cm", worst=worst)

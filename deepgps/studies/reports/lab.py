@@ -24,7 +24,7 @@ PAPER = {
 }
 NOTE = (
     "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels "
-    "are what the horizontal camera measured from AprilTags, in images alone: PoseNet learned from them, and the "
+    "are what the tag camera measured from AprilTags, in images alone: PoseNet learned from them, and the "
     "first errors are against them, as in the paper. The others are against the simulator's truth, which the "
     "paper could not know. Unlabelled: training and test samples that show too few tags; PoseNet does not learn "
     "from them, and errors against labels leave them out. Label RMS: the labels' own error. The last lines are "

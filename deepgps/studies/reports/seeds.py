@@ -48,7 +48,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """What the detector measures against the truth: a point for each map."""
     picture = Picture(figsize=(9, 4), layout="constrained")
-    signs = {"fold_bent": "way that is bent", "fold_doubled": "places on one another"}
+    signs = {"length_error_fraction": "wrong lengths", "overlap_fraction": "overlap"}
     for index, (sign, title) in enumerate(signs.items()):
         axes = picture.add_subplot(1, 2, index + 1)
         for start, group in _by_start(rows, varied).items():

@@ -31,9 +31,9 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
     )
     log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
     _log_distances(stream, recording, truth)
-    if recording.observation.ndim == 4:
+    if recording.kind == "polar_image":
         _log_images(stream, recording, seen, recording.time[first])
-    elif recording.observation.ndim == 3:
+    elif recording.kind == "scan":
         _log_scans(stream, recording, seen, recording.time[first])
 
 
@@ -68,8 +68,8 @@ def log_path(
 
 def find_cameras(recording: Recording) -> list[str]:
     """Names of the pictures that a recording has: none of scans and of distances to landmarks."""
-    images = ["fisheye", "polar"] if recording.observation.ndim == 4 else []
-    return [*images, *(["horizontal"] if recording.horizontal is not None else [])]
+    images = ["fisheye", "polar"] if recording.kind == "polar_image" else []
+    return [*images, *(["tag_camera"] if "tag_camera" in recording.others else [])]
 
 
 def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -114,9 +114,9 @@ def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarr
     pictures: dict[str, tuple[bytes, ...]] = dict(
         zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True)
     )
-    if recording.horizontal is not None:
-        grey = (np.repeat(recording.horizontal[observation][..., None], 3, axis=2) for observation in seen)
-        pictures["drive/horizontal"] = tuple(playback.encode_jpeg(image) for image in grey)
+    if "tag_camera" in recording.others:
+        grey = (np.repeat(recording.others["tag_camera"][observation][..., None], 3, axis=2) for observation in seen)
+        pictures["drive/tag_camera"] = tuple(playback.encode_jpeg(image) for image in grey)
     for path, blobs in pictures.items():
         stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
         stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
@@ -139,12 +139,12 @@ def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarra
 
 def _find_track_m(recording: Recording) -> float:
     """The true distance of the wheels; odometry knows it as wrong as was set."""
-    wrong = recording.manifest["settings"].get("encoder", {}).get("track_error", 0.0)
-    return float(recording.manifest["odometry"]["track_m"]) / (1.0 + wrong)
+    wrong = recording.manifest.settings.get("encoder", {}).get("track_error", 0.0)
+    return float(recording.manifest.odometry["track_m"]) / (1.0 + wrong)
 
 
 def _camera(recording: Recording) -> CameraSettings:
-    return CameraSettings.model_validate(recording.manifest["settings"]["camera"])
+    return CameraSettings.model_validate(recording.manifest.settings["camera"])
 
 
 def turn_up(yaw: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from sim.occupancy import FreeSpace
 CAMERAS = {
     "fisheye": "Fisheye",
     "polar": "Polar image, zenith at the top",
-    "horizontal": "Horizontal camera",
+    "tag_camera": "Tag camera",
 }
 RECENT_S, TRAIL_S = 60.0, 120.0
 

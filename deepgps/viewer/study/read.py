@@ -6,18 +6,18 @@ from contextlib import suppress
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 from pydantic import ValidationError
 
 from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
-from deepgps.studies.table import Row, read_setting
+from deepgps.studies.table import Row, read_rows, read_setting
 from deepgps.viewer.study.sliders import Step
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, check_sum, read_arrays, sha256
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
+from sim.renamed import translate_study
 
 
 def is_study(folder: Path) -> bool:
@@ -37,11 +37,11 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
     except DamagedError as error:
         raise DamagedError(f"{error}; deepgps study with the same study and --out writes it again") from None
     try:
-        study = Study.model_validate(read_yaml(folder / "study.yaml"))
+        study = Study.model_validate(translate_study(read_yaml(folder / "study.yaml")))
     except ValidationError as error:
         raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
     try:
-        rows = pq.read_table(path).to_pylist()
+        rows = read_rows(path)
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
     if not rows or not {"run", "recording", "seed", "samples", "method", "failure"} <= set(rows[0]):

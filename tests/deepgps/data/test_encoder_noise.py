@@ -10,18 +10,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data.encoder_noise import (
-    DOUBTED,
+    DISAGREEMENT,
     expect_errors,
-    find_believed,
     find_wrong,
+    keep_inliers,
     predict_rms,
-    trust_pairs,
-    trust_places,
+    weigh_pairs,
+    weigh_places,
 )
 from deepgps.data.segments import read_segments
 from deepgps.learning import losses
-from deepgps.learning.batches import draw
+from deepgps.learning.batches import sample_batch
 from sim.recording.format import Recording
+from sim.recording.manifest import Manifest
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings
 
@@ -43,7 +44,7 @@ def drive(encoder: EncoderSettings, seed: int = 0) -> tuple[Recording, np.ndarra
         place, observation = angle[-1][-1], observation + GAPS
     ticks, arrived = read_encoders(np.concatenate(angle), RADIUS_M, encoder, np.random.default_rng(seed))
     table = np.column_stack([reading, ticks])[arrived]
-    manifest = {"odometry": describe_odometry(encoder, RADIUS_M, TRACK_M), "settings": {}}
+    manifest = Manifest(odometry=dict(describe_odometry(encoder, RADIUS_M, TRACK_M)))
     images = np.zeros((observation + 1, 2))
     recording = Recording(Path("made-up"), manifest, images, table, np.arange(len(table), dtype=float), images[:0])
     return recording, np.array(way)
@@ -62,13 +63,13 @@ def measure(recording: Recording, way: np.ndarray) -> np.ndarray:
     [
         EncoderSettings(ticks_per_rev=16),
         EncoderSettings(ticks_per_rev=4),
-        EncoderSettings(gap_noise=0.1),
+        EncoderSettings(step_noise=0.1),
         EncoderSettings(slip_per_m=0.03),
         EncoderSettings(radius_error_left=0.05),
         EncoderSettings(radius_error_left=0.02, radius_error_right=0.02),
-        EncoderSettings(stuck=0.3),
-        EncoderSettings(gap_noise=0.1, lost=0.5),
-        EncoderSettings(ticks_per_rev=8, gap_noise=0.05, slip_per_m=0.02, radius_error_right=0.01),
+        EncoderSettings(stuck_fraction=0.3),
+        EncoderSettings(step_noise=0.1, dropout=0.5),
+        EncoderSettings(ticks_per_rev=8, step_noise=0.05, slip_per_m=0.02, radius_error_right=0.01),
     ],
     ids=["16 ticks", "4 ticks", "gaps", "slip", "one wheel", "both wheels", "stuck", "lost", "all"],
 )
@@ -83,27 +84,27 @@ def test_a_perfect_encoder_leaves_nothing_to_expect():
     segments = expect_errors(recording, read_segments(recording))
     assert predict_rms(segments, EncoderSettings()) < 1e-5
     assert segments.variance is not None and segments.weight is not None
-    assert segments.weight.eq(1.0).all() and find_believed(segments).count.equal(segments.count)
-    assert trust_pairs(segments.variance, segments.rounding_m2).min() > 0.9999
+    assert segments.weight.eq(1.0).all() and keep_inliers(segments).count.equal(segments.count)
+    assert weigh_pairs(segments.variance, segments.rounding_m2).min() > 0.9999
     assert not find_wrong(segments, measure(recording, way)).any()
 
 
-@pytest.mark.parametrize("stuck", [0.05, 0.2, 0.4])
-def test_a_wheel_that_sticks_is_found_without_the_truth(stuck: float):
-    encoder = EncoderSettings(stuck=stuck, gap_noise=0.1, slip_per_m=0.005, radius_error_left=0.03)
+@pytest.mark.parametrize("stuck_fraction", [0.05, 0.2, 0.4])
+def test_a_wheel_that_sticks_is_found_without_the_truth(stuck_fraction: float):
+    encoder = EncoderSettings(stuck_fraction=stuck_fraction, step_noise=0.1, slip_per_m=0.005, radius_error_left=0.03)
     recording, way = drive(encoder)
     segments = expect_errors(recording, read_segments(recording))
     assert segments.weight is not None
     steady = measure(drive(replace_stuck(encoder))[0], way)
     wrong = np.abs(measure(recording, way) - steady) > 0.2
     doubted = segments.weight.numpy() < 0.5
-    assert wrong.sum() == pytest.approx(stuck * SEGMENTS, abs=2)
+    assert wrong.sum() == pytest.approx(stuck_fraction * SEGMENTS, abs=2)
     assert doubted[wrong].all() and (doubted & ~wrong).sum() <= 3
-    assert len(find_believed(segments).count) == SEGMENTS - doubted.sum()
+    assert len(keep_inliers(segments).count) == SEGMENTS - doubted.sum()
 
 
 def replace_stuck(encoder: EncoderSettings) -> EncoderSettings:
-    return encoder.model_copy(update={"stuck": 0.0})
+    return encoder.model_copy(update={"stuck_fraction": 0.0})
 
 
 def test_wheels_of_different_size_are_no_reason_to_doubt():
@@ -118,14 +119,14 @@ def test_what_is_left_from_the_mean_is_that_of_random_walks():
     walk = np.concatenate([np.zeros((20_000, 1)), np.cumsum(rng.normal(0.0, step, (20_000, 11)), axis=1)], axis=1)
     left = (walk - walk.mean(axis=1, keepdims=True)).var(axis=0)
     variance = torch.from_numpy(np.concatenate([[0.0], np.cumsum(step**2)]))[None]
-    trust = trust_places(variance, torch.ones(1, 12, dtype=torch.bool), 0.0)[0].numpy()
+    trust = weigh_places(variance, torch.ones(1, 12, dtype=torch.bool), 0.0)[0].numpy()
     np.testing.assert_allclose(trust, 1.0 / np.sqrt(1.0 + left / 0.003**2), rtol=0.03)
 
 
 def test_padding_changes_no_trust():
     variance = torch.tensor([[0.0, 0.01, 0.02, 0.0]])
-    short = trust_places(variance[:, :3], torch.ones(1, 3, dtype=torch.bool), 1e-4)
-    padded = trust_places(variance, torch.tensor([[True, True, True, False]]), 1e-4)
+    short = weigh_places(variance[:, :3], torch.ones(1, 3, dtype=torch.bool), 1e-4)
+    padded = weigh_places(variance, torch.tensor([[True, True, True, False]]), 1e-4)
     torch.testing.assert_close(padded[:, :3], short)
 
 
@@ -133,7 +134,7 @@ def test_padding_changes_no_trust():
 @settings(max_examples=25, deadline=None)
 def test_pairs_farther_apart_are_trusted_less(seed: int, rounding: float):
     variance = torch.rand(2, 6, generator=torch.Generator().manual_seed(seed)).cumsum(dim=1)
-    trust = trust_pairs(variance, rounding)
+    trust = weigh_pairs(variance, rounding)
     torch.testing.assert_close(trust, trust.mT)
     assert (trust[:, 0].diff(dim=1) <= 0).all() and (trust > 0).all() and (trust <= 1).all()
 
@@ -155,7 +156,7 @@ def test_doubted_segments_are_drawn_as_rarely_as_they_are_believed():
     recording, _ = drive(EncoderSettings())
     segments = read_segments(recording)
     weight = torch.ones(SEGMENTS)
-    weight[:300] = (DOUBTED / 40.0) ** 2
-    batch = draw(replace(segments, weight=weight), 20_000, 2, torch.Generator().manual_seed(0))
+    weight[:300] = (DISAGREEMENT / 40.0) ** 2
+    batch = sample_batch(replace(segments, weight=weight), 20_000, 2, torch.Generator().manual_seed(0))
     share = (batch.index[:, 0] < 300 * GAPS).float().mean().item()
     assert share == pytest.approx(0.01 / 1.01, abs=0.003)

@@ -184,7 +184,8 @@ def test_rings_are_filled_equally_often_even_where_many_rays_end_at_the_reach():
 def test_a_heading_is_drawn_among_those_kept(tmp_path: Path):
     toy = make_toy(tmp_path / "toy", samples=300)
     count = len(toy.observation)
-    recording = replace(toy, observation=scans(count))
+    manifest = toy.manifest.model_copy(update={"sensors": {"lidar": "scan"}})
+    recording = replace(toy, observation=scans(count), manifest=manifest)
     chosen = LearnSettings.model_validate({"features": {"components": 8, "principal": 32, "noise": 0}})
     material = prepare(recording, chosen, 0, tmp_path / "run")
     assert material.inputs.table.shape == (count, 2, 8)

@@ -6,7 +6,7 @@ import pytest
 from deepgps.alignment import fit_alignment
 from deepgps.data.labels import read_places
 from sim.apriltag.bundle_adjustment import TagMap
-from sim.apriltag.detector import Sightings
+from sim.apriltag.detector import Detections
 from sim.apriltag.labels import find_level, flatten, write_labels
 from sim.errors import WorkError
 from sim.recording.collect import collect
@@ -15,16 +15,16 @@ from sim.settings import (
     CameraSettings,
     DriveSettings,
     GridSettings,
-    HorizontalSettings,
     RoomSettings,
     SimSettings,
+    TagCameraSettings,
 )
 from tests.helpers.synthetic_tags import CAMERA, make_scene
 
 LAB = SimSettings(
     room=RoomSettings(kind="lab", seed=10),
     camera=CameraSettings(rings=8, sectors=32, face_px=16),
-    horizontal=HorizontalSettings(mounted=True, kept=True),
+    tag_camera=TagCameraSettings(mounted=True, kept=True),
     drive=DriveSettings(samples=80, strategy="endpoint", lengths="random", longest_m=2.0),
     grid=GridSettings(held_out=20),
 )
@@ -55,19 +55,19 @@ def test_labels_agree_with_the_truth_up_to_a_motion(lab: Path):
 
 
 def test_the_manifest_counts_what_has_no_label(lab: Path):
-    labels, recording = open_labels(lab), open_recording(lab)
+    labels, manifest = open_labels(lab), open_recording(lab).manifest.model_dump()
     assert labels is not None
-    assert recording.manifest["unlabelled"] == np.isnan(labels.pose[:, 0]).sum()
-    assert recording.manifest["test_unlabelled"] == np.isnan(labels.test_pose[..., 0]).sum()
-    assert recording.manifest["tags_placed"] <= 82
+    assert manifest["unlabelled"] == np.isnan(labels.pose[:, 0]).sum()
+    assert manifest["test_unlabelled"] == np.isnan(labels.test_pose[..., 0]).sum()
+    assert manifest["tags_placed"] <= 82
 
 
 def test_test_samples_are_of_the_same_drive_and_the_images_are_kept(lab: Path):
     recording, truth = open_recording(lab), open_truth(lab)
     assert recording.observation.shape[0] == len(truth.pose) == 80
     assert recording.test_observation.shape[:2] == truth.test_pose.shape[:2] == (20, 1)
-    assert recording.horizontal is not None and recording.horizontal.shape == (80, 540, 960)
-    assert np.load(lab / "test" / "horizontal.npy", mmap_mode="r").shape == (20, 1, 540, 960)
+    assert recording.others["tag_camera"].shape == (80, 540, 960)
+    assert np.load(lab / "test" / "tag_camera.npy", mmap_mode="r").shape == (20, 1, 540, 960)
     assert recording.reading[:, 1].max() < 80
     assert truth.free_space.is_free(truth.test_pose[:, 0, :2]).mean() > 0.9
 
@@ -88,7 +88,7 @@ def test_without_labels_they_learn_from_the_truth(small_recording: Path):
 
 def test_labels_of_made_up_views_place_all_tags(tmp_path: Path):
     scene = make_scene(views=80)
-    counts = write_labels(tmp_path, scene.sightings, scene.sightings, (80, 80, 1), CAMERA, np.eye(4))
+    counts = write_labels(tmp_path, scene.detections, scene.detections, (80, 80, 1), CAMERA, np.eye(4))
     assert counts["tags_placed"] == 36
 
 
@@ -114,6 +114,6 @@ def test_in_the_level_frame_the_robot_stands_upright_on_the_floor():
 
 def test_images_that_show_no_tags_are_refused(tmp_path: Path):
     scene = make_scene(views=80)
-    nothing = Sightings(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2)))
+    nothing = Detections(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2)))
     with pytest.raises(WorkError, match="labels: no test image shows tags enough to tell where it was taken"):
-        write_labels(tmp_path, scene.sightings, nothing, (80, 1, 1), CAMERA, np.eye(4))
+        write_labels(tmp_path, scene.detections, nothing, (80, 1, 1), CAMERA, np.eye(4))

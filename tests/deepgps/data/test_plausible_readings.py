@@ -16,6 +16,7 @@ from deepgps.data.plausible_readings import (
 from deepgps.data.segments import Segments, read_segments
 from sim.errors import InputError
 from sim.recording.format import Recording, open_recording
+from sim.recording.manifest import Manifest
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings
 from tests.helpers.synthetic_run import TICKS_PER_REV, TRACK_M, WHEEL_RADIUS_M, make_drive, make_free_space
@@ -32,7 +33,7 @@ def check(reading: np.ndarray, time: np.ndarray = TIME) -> CheckedReadings:
 
 def measure(reading: np.ndarray, odometry: dict = ODOMETRY) -> Segments:
     empty = np.zeros((0, 2))
-    return read_segments(Recording(Path("made-up"), {"odometry": odometry}, empty, reading, TIME, empty))
+    return read_segments(Recording(Path("made-up"), Manifest(odometry=odometry), empty, reading, TIME, empty))
 
 
 def assert_same(found: np.ndarray, expected: np.ndarray) -> None:
@@ -57,12 +58,12 @@ def choose(rng: np.random.Generator, most: int = 12) -> np.ndarray:
     [
         {},
         {"slip_per_m": 0.3},
-        {"gap_noise": 0.3},
-        {"gap_noise": 1.0},
-        {"lost": 0.9},
-        {"stuck": 0.9},
+        {"step_noise": 0.3},
+        {"step_noise": 1.0},
+        {"dropout": 0.9},
+        {"stuck_fraction": 0.9},
         {"radius_error_left": 0.2},
-        {"gap_noise": 0.3, "lost": 0.5, "slip_per_m": 0.05, "stuck": 0.2},
+        {"step_noise": 0.3, "dropout": 0.5, "slip_per_m": 0.05, "stuck_fraction": 0.2},
     ],
     ids=str,
 )
@@ -186,7 +187,7 @@ def test_ticks_near_the_end_of_64_bits_give_the_same_distances(offset: int):
     assert np.allclose(found.distance, expected.distance, rtol=0, atol=1e-6)
     empty = np.zeros((0, 2))
     path, known = (
-        dead_reckon(Recording(Path("made-up"), {"odometry": ODOMETRY}, empty, table, TIME, empty))
+        dead_reckon(Recording(Path("made-up"), Manifest(odometry=ODOMETRY), empty, table, TIME, empty))
         for table in (checked.reading, READING)
     )
     assert np.allclose(path, known, rtol=0, atol=1e-9)

@@ -6,20 +6,23 @@ import pytest
 import torch
 
 from deepgps.data.dead_reckoning import dead_reckon, travel
-from deepgps.data.segments import find_owners, read_segments, spread
-from deepgps.learning.batches import draw
+from deepgps.data.segments import find_owners, read_segments, subsample
+from deepgps.learning.batches import sample_batch
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.recording.manifest import Manifest
 from tests.helpers.toy import ODOMETRY, SPACING_M, make_toy
 
 # 1000 ticks a revolution of a wheel of radius 1 / (2 pi): one tick is a millimetre.
-MILLIMETRES = {"odometry": {"wheel_radius_m": 1.0 / (2.0 * np.pi), "track_m": 0.2, "ticks_per_rev": 1000}}
+MILLIMETRES = {"wheel_radius_m": 1.0 / (2.0 * np.pi), "track_m": 0.2, "ticks_per_rev": 1000}
 
 
-def recording_of(reading: list[list[int]], manifest: dict | None = None) -> Recording:
+def recording_of(reading: list[list[int]], odometry: dict | None = None) -> Recording:
     table = np.array(reading, np.int64)
     empty = np.zeros((0, 2))
-    return Recording(Path("made-up"), manifest or MILLIMETRES, empty, table, np.zeros(len(table)), empty)
+    return Recording(
+        Path("made-up"), Manifest(odometry=odometry or MILLIMETRES), empty, table, np.zeros(len(table)), empty
+    )
 
 
 def test_distances_are_the_mean_of_both_wheels_since_the_first_reading():
@@ -47,7 +50,7 @@ def test_missing_odometry_is_named():
     with pytest.raises(
         InputError, match=r"manifest: odometry.ticks_per_rev must be a number from 1 to .*, and is None"
     ):
-        travel(np.zeros((1, 2)), {"odometry": {"wheel_radius_m": 0.03, "track_m": 0.1}})
+        travel(np.zeros((1, 2)), {"wheel_radius_m": 0.03, "track_m": 0.1})
 
 
 def test_toy_distances_are_whole_spacings(tmp_path: Path):
@@ -88,7 +91,7 @@ def test_way_between_segments_lies_before_the_turn():
 
 def test_draws_are_different_readings_of_one_segment(tmp_path: Path):
     segments = read_segments(make_toy(tmp_path / "toy"))
-    batch = draw(segments, 50, 8, torch.Generator().manual_seed(0))
+    batch = sample_batch(segments, 50, 8, torch.Generator().manual_seed(0))
     index, along, valid = batch.index, batch.target, batch.valid
     assert index.shape == along.shape == valid.shape == (50, 8)
     rows = [set(row.tolist()) for row in segments.index]
@@ -101,7 +104,7 @@ def test_draws_are_different_readings_of_one_segment(tmp_path: Path):
 def test_each_reading_is_drawn_equally_often():
     reading = [[0, k, k, k] for k in range(10)] + [[1, 10 + k, k, k] for k in range(30)]
     segments = read_segments(recording_of(reading))
-    index = draw(segments, 4000, 1, torch.Generator().manual_seed(0)).index
+    index = sample_batch(segments, 4000, 1, torch.Generator().manual_seed(0)).index
     often = torch.bincount(index.flatten(), minlength=40)
     assert often.min() > 60 and often.max() < 145
 
@@ -114,20 +117,20 @@ def test_owners_of_a_turning_place_are_both_segments():
 
 
 def test_ticks_become_metres():
-    assert np.allclose(travel(np.array([[65536, 0]]), {"odometry": ODOMETRY}), [[2.0 * np.pi * 0.033, 0.0]])
+    assert np.allclose(travel(np.array([[65536, 0]]), ODOMETRY), [[2.0 * np.pi * 0.033, 0.0]])
 
 
 def test_a_short_recording_is_kept_whole(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=300)
     segments = read_segments(recording)
-    kept, chosen = spread(segments, 300, 300)
+    kept, chosen = subsample(segments, 300, 300)
     assert kept is segments
     assert chosen.tolist() == list(range(300))
 
 
 def test_of_a_long_recording_whole_segments_are_kept_spread_evenly(tmp_path: Path):
     segments = read_segments(make_toy(tmp_path / "toy", samples=3000))
-    kept, chosen = spread(segments, 3000, 1000)
+    kept, chosen = subsample(segments, 3000, 1000)
     assert 900 < len(chosen) <= 1000
     thirds = torch.histc(chosen.float(), 3, 0, 3000)
     assert thirds.min() > 250

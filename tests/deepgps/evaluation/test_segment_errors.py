@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,25 +19,26 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def measure(folder: Path, encoder: EncoderSettings) -> dict[str, float]:
     recording, truth = open_recording(folder), open_truth(folder)
     ticks, arrived = read_encoders(truth.wheel_angle, 0.033, encoder, np.random.default_rng(0))
-    odometry = {**ODOMETRY, "ticks_per_rev": encoder.ticks_per_rev, "gap_noise": encoder.gap_noise}
-    recording.manifest.update(odometry=odometry, settings={"encoder": encoder.model_dump(mode="json")})
+    odometry = {**ODOMETRY, "ticks_per_rev": encoder.ticks_per_rev, "step_noise": encoder.step_noise}
+    settings = {"encoder": encoder.model_dump(mode="json")}
+    manifest = recording.manifest.model_copy(update={"odometry": odometry, "settings": settings})
     reading = np.column_stack([recording.reading[:, :2], ticks])[arrived]
-    return judge_encoders(type(recording)(**{**vars(recording), "reading": reading}), truth)
+    return judge_encoders(replace(recording, reading=reading, manifest=manifest), truth)
 
 
 def test_no_fault_gives_no_error(folder: Path):
     found = measure(folder, EncoderSettings(ticks_per_rev=65536))
     assert found["segment_rms_m"] < 1e-4 and found["segment_expected_m"] < 1e-4
-    assert found["segments_wrong"] == found["segments_doubted"] == 0
+    assert found["segments_wrong"] == found["segments_down_weighted"] == 0
 
 
 def test_noise_is_measured_as_expected(folder: Path):
-    found = measure(folder, EncoderSettings(ticks_per_rev=65536, gap_noise=0.2))
+    found = measure(folder, EncoderSettings(ticks_per_rev=65536, step_noise=0.2))
     assert found["segment_rms_m"] == pytest.approx(found["segment_expected_m"], rel=0.35)
     assert found["segment_rms_m"] > 0.02 and found["segments_wrong"] <= 2
 
 
 def test_a_stuck_encoder_is_counted_and_found(folder: Path):
-    found = measure(folder, EncoderSettings(ticks_per_rev=65536, stuck=0.25))
+    found = measure(folder, EncoderSettings(ticks_per_rev=65536, stuck_fraction=0.25))
     assert found["segments_wrong"] >= 5
-    assert found["wrong_doubted"] == found["segments_wrong"] <= found["segments_doubted"]
+    assert found["wrong_doubted"] == found["segments_wrong"] <= found["segments_down_weighted"]

@@ -26,8 +26,8 @@ def scale_ticks(recording: Recording, factor: float) -> Recording:
 
 
 def set_encoders(recording: Recording, **faults: object) -> Recording:
-    settings = {**recording.manifest["settings"], "encoder": faults}
-    return replace(recording, manifest={**recording.manifest, "settings": settings})
+    settings = {**recording.manifest.settings, "encoder": faults}
+    return replace(recording, manifest=recording.manifest.model_copy(update={"settings": settings}))
 
 
 def test_sound_encoders_are_wrong_by_a_tick_at_most(drive: tuple[Recording, Truth]) -> None:
@@ -69,8 +69,8 @@ def test_a_path_without_turns_is_as_wrong_as_its_ticks(drive: tuple[Recording, T
 def test_faults_that_were_set_are_listed_and_no_others(drive: tuple[Recording, Truth]) -> None:
     recording, _ = drive
     assert list_faults(recording) == ["No fault was set: 4096 ticks per revolution, and each of them true."]
-    faulty = list_faults(set_encoders(recording, gap_noise=0.1, lost=0.0, slip_per_m=0.02, ticks_per_rev=4096))
-    assert faulty[2:] == ["| encoder.gap_noise | **0.1** | 0.0 |", "| encoder.slip_per_m | **0.02** | 0.0 |"]
+    faulty = list_faults(set_encoders(recording, step_noise=0.1, dropout=0.0, slip_per_m=0.02, ticks_per_rev=4096))
+    assert faulty[2:] == ["| encoder.step_noise | **0.1** | 0.0 |", "| encoder.slip_per_m | **0.02** | 0.0 |"]
 
 
 def test_the_picture_shows_every_segment() -> None:

@@ -5,8 +5,8 @@ import torch
 from deepgps.data.features import fit_features
 from deepgps.data.segments import read_segments
 from deepgps.initial_map import dense
-from deepgps.initial_map.dense import find_first_map, find_nooks, lay_over, take_nooks
-from deepgps.initial_map.isomap import find_links
+from deepgps.initial_map.dense import adopt_regions, find_initial_map, find_regions, lay_over
+from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.pose_graph import relax
 from deepgps.settings import FeatureSettings
 from tests.deepgps.initial_map.test_pose_graph import error
@@ -24,7 +24,7 @@ def toy(tmp_path_factory: pytest.TempPathFactory):
 
 def test_the_map_is_exact_to_a_centimetre(toy):
     features, segments, place = toy
-    found = find_first_map(features, segments, torch.Generator().manual_seed(0))
+    found = find_initial_map(features, segments, torch.Generator().manual_seed(0))
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
@@ -33,23 +33,23 @@ def test_of_several_maps_the_cheapest_is_kept(toy, monkeypatch: pytest.MonkeyPat
     costs = iter([3.0, 1.0, 2.0, 4.0])
     made = []
 
-    def pretend(places, segments, links):
+    def pretend(places, segments, closures):
         made.append(places)
         return places, next(costs)
 
     monkeypatch.setattr(dense, "relax", pretend)
-    monkeypatch.setattr(dense, "take_nooks", lambda places, cost, *_: (places, cost))
-    monkeypatch.setattr(dense, "find_doors", lambda *_: [])
-    found = find_first_map(features, segments, torch.Generator().manual_seed(0))
+    monkeypatch.setattr(dense, "adopt_regions", lambda places, cost, *_: (places, cost))
+    monkeypatch.setattr(dense, "find_weak_parts", lambda *_: [])
+    found = find_initial_map(features, segments, torch.Generator().manual_seed(0))
     assert found is made[1] and len(made) == len(dense.NEIGHBOURS)
 
 
 def test_what_swings_on_a_hinge_is_tried_last(toy, monkeypatch: pytest.MonkeyPatch):
     features, segments, _ = toy
-    monkeypatch.setattr(dense, "swing_doors", lambda places, *_: places + 1.0)
-    swung = find_first_map(features, segments, torch.Generator().manual_seed(0))
-    monkeypatch.setattr(dense, "swing_doors", lambda places, *_: places)
-    assert np.array_equal(swung, find_first_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
+    monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places + 1.0)
+    swung = find_initial_map(features, segments, torch.Generator().manual_seed(0))
+    monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places)
+    assert np.array_equal(swung, find_initial_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
 
 
 def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
@@ -63,31 +63,31 @@ def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
 
 def test_a_nook_turned_over_is_taken_from_another_map_in_any_frame(toy):
     features, segments, place = toy
-    links = find_links(features, segments, (3,))[0]
+    closures = find_loop_closures(features, segments, (3,))[0]
     bent = turn_over(place, np.quantile(place, 0.8, axis=0))
     wrong = np.linalg.norm(bent - place, axis=1) > 0.05
     other = place[:, ::-1] @ np.array([[0.6, -0.8], [0.8, 0.6]]) + [4.0, -1.0]
     laid = lay_over(other, bent)
     assert 10 < wrong.sum() < len(place) / 4
     assert np.linalg.norm(laid - place, axis=1).max() < 1e-6
-    nooks = find_nooks(bent, laid, segments, links)
-    assert np.mean(wrong[np.concatenate(nooks)]) == 1.0 and len(np.concatenate(nooks)) > 0.5 * wrong.sum()
-    _, dear = relax(bent, segments, links, 2.0)
-    found, cost = take_nooks(bent, dear, other, segments, links)
+    regions = find_regions(bent, laid, segments, closures)
+    assert np.mean(wrong[np.concatenate(regions)]) == 1.0 and len(np.concatenate(regions)) > 0.5 * wrong.sum()
+    _, dear = relax(bent, segments, closures, 2.0)
+    found, cost = adopt_regions(bent, dear, other, segments, closures)
     assert cost <= dear
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
 def test_nothing_is_taken_from_an_equal_map_nor_from_a_worse_one(toy):
     features, segments, place = toy
-    links = find_links(features, segments, (3,))[0]
-    right, cost = relax(place, segments, links)
-    assert not find_nooks(right, lay_over(right, right), segments, links)
-    kept, same = take_nooks(right, cost, turn_over(place, np.quantile(place, 0.8, axis=0)), segments, links)
+    closures = find_loop_closures(features, segments, (3,))[0]
+    right, cost = relax(place, segments, closures)
+    assert not find_regions(right, lay_over(right, right), segments, closures)
+    kept, same = adopt_regions(right, cost, turn_over(place, np.quantile(place, 0.8, axis=0)), segments, closures)
     assert same <= cost and np.sqrt(np.mean(error(kept, place) ** 2)) < 0.01
 
 
 def test_same_generator_same_map(toy):
     features, segments, _ = toy
-    first, second = (find_first_map(features, segments, torch.Generator().manual_seed(3)) for _ in range(2))
+    first, second = (find_initial_map(features, segments, torch.Generator().manual_seed(3)) for _ in range(2))
     assert np.array_equal(first, second)

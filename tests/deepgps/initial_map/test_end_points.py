@@ -9,7 +9,14 @@ from deepgps.alignment import fit_alignment
 from deepgps.data.features import normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map import end_points
-from deepgps.initial_map.end_points import _solve, find_end_map, find_look_alikes, find_mixture, fit_mixture, relax_ends
+from deepgps.initial_map.end_points import (
+    _solve,
+    find_end_point_map,
+    find_look_alikes,
+    find_mixture,
+    fit_mixture,
+    relax_ends,
+)
 from deepgps.learning.trainer import make_generator
 from sim.errors import InputError
 from sim.recording.format import open_truth
@@ -36,16 +43,16 @@ def test_bars_and_look_alikes_bring_places_back():
     i, j = np.nonzero((apart < 0.12) & (np.arange(400)[:, None] < np.arange(400)))
     rng = np.random.default_rng(1)
     false = rng.integers(0, 400, (2, 20))
-    links = (
+    closures = (
         np.concatenate([i, false[0]]),
         np.concatenate([j, false[1]]),
         np.concatenate([apart[i, j], np.full(20, 0.05)]),
     )
     start = place + 0.15 * np.sin(2 * place[:, ::-1]) + rng.normal(0, 0.02, place.shape)
-    found, cost = relax_ends(start, segments, links)
+    found, cost = relax_ends(start, segments, closures)
     assert np.median(error(start, place)) > 0.05
-    assert np.median(error(found, place)) < 0.07  # look-alikes pull places together
-    assert cost < relax_ends(rng.uniform(-1, 1, place.shape), segments, links)[1]
+    assert np.median(error(found, place)) < 0.07  # loop closures pull places together
+    assert cost < relax_ends(rng.uniform(-1, 1, place.shape), segments, closures)[1]
 
 
 def test_the_mixture_takes_the_contraction_back():
@@ -69,7 +76,7 @@ def test_a_map_of_ends_is_unfolded(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=700, endpoint=True)
     segments, place = read_segments(recording), open_truth(recording.folder).pose[:, :2]
     features = normalise(recording.observation)[1]
-    found = find_end_map(features, segments, make_generator(0, "start"))
+    found = find_end_point_map(features, segments, make_generator(0, "start"))
     known = np.isfinite(found).all(axis=1)
     assert known.mean() > 0.95
     assert np.median(error(found[known], place[known])) < 0.3
@@ -77,9 +84,9 @@ def test_a_map_of_ends_is_unfolded(tmp_path: Path):
 
 def test_the_map_does_not_depend_on_where_the_places_are_numbered_from(tmp_path: Path):
     place, segments = make_ends(60)
-    links = find_look_alikes(torch.from_numpy(place).float(), segments, (5,))[0]
-    found, cost = relax_ends(place, segments, links)
-    shifted, same = relax_ends(place + 5.0, segments, links)
+    closures = find_look_alikes(torch.from_numpy(place).float(), segments, (5,))[0]
+    found, cost = relax_ends(place, segments, closures)
+    shifted, same = relax_ends(place + 5.0, segments, closures)
     np.testing.assert_allclose(shifted, found + 5.0, rtol=0, atol=1e-6)
     assert same == pytest.approx(cost)
 
@@ -96,9 +103,9 @@ def test_chunks_change_nothing(monkeypatch: pytest.MonkeyPatch):
     features = torch.from_numpy(np.cos(place @ np.random.default_rng(1).normal(size=(2, 40)) * 2)).float()
     whole, mixture = find_look_alikes(features, segments, (4, 8)), find_mixture(features)
     monkeypatch.setattr(end_points, "CHUNK", 37)
-    for links, same in zip(find_look_alikes(features, segments, (4, 8)), whole, strict=True):
-        assert [part.tolist() for part in links[:2]] == [part.tolist() for part in same[:2]]
-        np.testing.assert_allclose(links[2], same[2], rtol=1e-3)
+    for closures, same in zip(find_look_alikes(features, segments, (4, 8)), whole, strict=True):
+        assert [part.tolist() for part in closures[:2]] == [part.tolist() for part in same[:2]]
+        np.testing.assert_allclose(closures[2], same[2], rtol=1e-3)
     np.testing.assert_allclose(find_mixture(features).toarray(), mixture.toarray(), atol=1e-3)
 
 

@@ -5,11 +5,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.fold_detector import Signs, find_signs
-from deepgps.settings import FoldSettings
+from deepgps.initial_map.fold_detector import LENGTH_ERROR_LIMIT, OVERLAP_LIMIT, FoldScore, score_folding
 from tests.helpers.toy import make_toy
-
-LIMITS = FoldSettings()
 
 
 @pytest.fixture(scope="module")
@@ -19,8 +16,8 @@ def toy(tmp_path_factory: pytest.TempPathFactory):
     return place, torch.tensor(recording.observation), read_segments(recording)
 
 
-def signs(place: np.ndarray, toy) -> Signs:
-    return find_signs(place, toy[1], toy[2], torch.Generator().manual_seed(0))
+def signs(place: np.ndarray, toy) -> FoldScore:
+    return score_folding(place, toy[1], toy[2], torch.Generator().manual_seed(0))
 
 
 def fold_at(place: np.ndarray, x: float) -> np.ndarray:
@@ -29,19 +26,19 @@ def fold_at(place: np.ndarray, x: float) -> np.ndarray:
 
 
 def test_the_right_map_shows_no_sign(toy):
-    assert signs(toy[0], toy) == Signs(0.0, 0.0)
+    assert signs(toy[0], toy) == FoldScore(0.0, 0.0)
 
 
 def test_noise_of_a_few_centimetres_is_no_fold(toy):
     noisy = toy[0] + np.random.default_rng(0).normal(0.0, 0.02, toy[0].shape)
-    assert not signs(noisy, toy).folded(LIMITS)
+    assert not signs(noisy, toy).folded
 
 
 @pytest.mark.parametrize("x", [-0.5, 0.0, 0.7])
 def test_a_folded_map_is_found_by_both_signs(toy, x: float):
     found = signs(fold_at(toy[0], x), toy)
-    assert found.bent > LIMITS.bent
-    assert found.doubled > LIMITS.doubled
+    assert found.length_error_fraction > LENGTH_ERROR_LIMIT
+    assert found.overlap_fraction > OVERLAP_LIMIT
 
 
 def test_a_fold_that_no_segment_crosses_is_still_found(toy):
@@ -50,9 +47,9 @@ def test_a_fold_that_no_segment_crosses_is_still_found(toy):
     sides = [{bool(right[i]) for i in row[:count]} for row, count in zip(segments.index, segments.count, strict=True)]
     keep = torch.tensor([len(side) == 1 for side in sides])
     apart = Segments(segments.index[keep], segments.distance[keep], segments.count[keep], 0)
-    found = find_signs(fold_at(place, 0.0), features, apart, torch.Generator().manual_seed(0))
-    assert found.bent == 0.0
-    assert found.doubled > LIMITS.doubled
+    found = score_folding(fold_at(place, 0.0), features, apart, torch.Generator().manual_seed(0))
+    assert found.length_error_fraction == 0.0
+    assert found.overlap_fraction > OVERLAP_LIMIT
 
 
 @given(angle=st.floats(-4, 4), x=st.floats(-20, 20), mirrored=st.booleans())
@@ -62,15 +59,15 @@ def test_signs_do_not_see_rigid_motion(toy, angle: float, x: float, mirrored: bo
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     moved = (folded * [1.0, -1.0] if mirrored else folded) @ turn + [x, 0.0]
     there, back = signs(folded, toy), signs(moved, toy)
-    assert there.bent == pytest.approx(back.bent, abs=0.02)
-    assert there.doubled == pytest.approx(back.doubled, abs=0.02)
+    assert there.length_error_fraction == pytest.approx(back.length_error_fraction, abs=0.02)
+    assert there.overlap_fraction == pytest.approx(back.overlap_fraction, abs=0.02)
 
 
 def test_a_map_of_another_size_is_bent(toy):
-    assert signs(0.7 * toy[0], toy).bent > 0.9
+    assert signs(0.7 * toy[0], toy).length_error_fraction > 0.9
 
 
 def test_the_worst_sign_decides():
-    assert Signs(2.0 * LIMITS.bent, 0.0).folded(LIMITS)
-    assert Signs(0.0, 2.0 * LIMITS.doubled).folded(LIMITS)
-    assert not Signs(0.9 * LIMITS.bent, 0.9 * LIMITS.doubled).folded(LIMITS)
+    assert FoldScore(2.0 * LENGTH_ERROR_LIMIT, 0.0).folded
+    assert FoldScore(0.0, 2.0 * OVERLAP_LIMIT).folded
+    assert not FoldScore(0.9 * LENGTH_ERROR_LIMIT, 0.9 * OVERLAP_LIMIT).folded

@@ -5,7 +5,7 @@ import torch
 from deepgps.alignment import fit_alignment
 from deepgps.data.features import fit_features
 from deepgps.data.segments import read_segments
-from deepgps.initial_map.isomap import find_links, has_lines, map_by_paths, scale_classically
+from deepgps.initial_map.isomap import find_loop_closures, has_lines, map_by_paths, scale_classically
 from deepgps.settings import FeatureSettings
 from sim.errors import InputError
 from tests.deepgps.data.test_segments import recording_of
@@ -32,8 +32,8 @@ def test_scaling_euclidean_distances_gives_the_places_back():
 
 def test_the_map_is_not_folded(toy):
     features, segments, place = toy
-    links = find_links(features, segments, (3,))[0]
-    found = map_by_paths(len(features), segments, links, torch.Generator().manual_seed(0))
+    closures = find_loop_closures(features, segments, (3,))[0]
+    found = map_by_paths(len(features), segments, closures, torch.Generator().manual_seed(0))
     error = np.linalg.norm(fit_alignment(found, place, "E2").apply(found) - place, axis=1)
     # Paths zigzag a little; a fold would cost a good part of the 2 m.
     assert np.sqrt(np.mean(error**2)) < 0.2
@@ -42,7 +42,7 @@ def test_the_map_is_not_folded(toy):
 
 def test_links_join_places_that_lie_together(toy):
     features, segments, place = toy
-    first, second, length = find_links(features, segments, (3,))[0]
+    first, second, length = find_loop_closures(features, segments, (3,))[0]
     apart = np.linalg.norm(place[first] - place[second], axis=1)
     assert len(first) > 500
     assert np.mean(apart > 0.3) < 0.01
@@ -53,8 +53,10 @@ def test_links_join_places_that_lie_together(toy):
 
 def test_same_generator_same_map(toy):
     features, segments, _ = toy
-    links = find_links(features, segments, (3,))[0]
-    first, second = (map_by_paths(len(features), segments, links, torch.Generator().manual_seed(3)) for _ in range(2))
+    closures = find_loop_closures(features, segments, (3,))[0]
+    first, second = (
+        map_by_paths(len(features), segments, closures, torch.Generator().manual_seed(3)) for _ in range(2)
+    )
     assert np.array_equal(first, second)
 
 
@@ -68,4 +70,4 @@ def test_lines_need_three_readings():
 def test_segments_that_do_not_hang_together_are_refused():
     segments = read_segments(recording_of([[0, 0, 0, 0], [0, 1, 9, 9]]))
     with pytest.raises(InputError, match="segments do not hang together"):
-        map_by_paths(4, segments, find_links(torch.eye(4), segments, (3,))[0], torch.Generator())
+        map_by_paths(4, segments, find_loop_closures(torch.eye(4), segments, (3,))[0], torch.Generator())

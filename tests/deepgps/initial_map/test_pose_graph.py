@@ -7,21 +7,21 @@ import torch
 from deepgps.alignment import fit_alignment
 from deepgps.data.features import fit_features
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.isomap import Links, find_links, map_by_paths
+from deepgps.initial_map.isomap import LoopClosures, find_loop_closures, map_by_paths
 from deepgps.initial_map.pose_graph import relax
 from deepgps.settings import FeatureSettings
 from tests.helpers.toy import make_toy
 
 
 @pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Segments, Links, np.ndarray]:
+def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Segments, LoopClosures, np.ndarray]:
     recording = make_toy(tmp_path_factory.mktemp("pose_graph") / "toy")
     segments = read_segments(recording)
     generator = torch.Generator().manual_seed(0)
     _, features = fit_features(recording.observation, segments, FeatureSettings(components=10), generator)
-    links = find_links(features, segments, (3,))[0]
+    closures = find_loop_closures(features, segments, (3,))[0]
     place = np.load(recording.folder / "truth" / "pose.npy")[:, :2]
-    return map_by_paths(len(features), segments, links, generator), segments, links, place
+    return map_by_paths(len(features), segments, closures, generator), segments, closures, place
 
 
 def error(found: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -34,15 +34,15 @@ def along(found: np.ndarray, segments: Segments, row: int) -> np.ndarray:
 
 
 def test_a_rough_map_becomes_exact_to_a_centimetre(toy):
-    rough, segments, links, place = toy
-    found, _ = relax(rough, segments, links)
+    rough, segments, closures, place = toy
+    found, _ = relax(rough, segments, closures)
     assert np.sqrt(np.mean(error(rough, place) ** 2)) > 0.05
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
 def test_distances_on_a_segment_are_those_driven(toy):
-    rough, segments, links, _ = toy
-    found, _ = relax(rough, segments, links)
+    rough, segments, closures, _ = toy
+    found, _ = relax(rough, segments, closures)
     for row in range(len(segments.count)):
         # A turning place lies on two bars, which meet only nearly.
         driven = segments.distance[row, : int(segments.count[row])].numpy()
@@ -60,40 +60,40 @@ def test_a_few_false_look_alikes_are_not_believed(toy):
 
 
 def test_turning_the_rough_map_turns_the_exact_one(toy):
-    rough, segments, links, _ = toy
+    rough, segments, closures, _ = toy
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
-    (one, cost), (other, same) = (relax(places, segments, links) for places in (rough, rough @ turn.T + [3.0, -2.0]))
+    (one, cost), (other, same) = (relax(places, segments, closures) for places in (rough, rough @ turn.T + [3.0, -2.0]))
     assert np.allclose(one @ turn.T + [3.0, -2.0], other, atol=1e-4)
     assert same == pytest.approx(cost, rel=1e-3)
 
 
 def test_a_right_map_stays(toy):
-    _, segments, links, place = toy
-    assert error(relax(place, segments, links)[0], place).max() < 0.06
+    _, segments, closures, place = toy
+    assert error(relax(place, segments, closures)[0], place).max() < 0.06
 
 
 def test_observations_on_no_segment_stay_where_they_are(toy):
-    rough, segments, links, _ = toy
+    rough, segments, closures, _ = toy
     more = np.concatenate([rough, [[7.0, 8.0]]])
-    assert np.array_equal(relax(more, segments, links)[0][-1], [7.0, 8.0])
+    assert np.array_equal(relax(more, segments, closures)[0][-1], [7.0, 8.0])
 
 
 def test_a_right_map_costs_less_than_a_bent_one(toy):
-    _, segments, links, place = toy
+    _, segments, closures, place = toy
     bent = place.copy()
     bent[place[:, 0] > place[:, 0].mean(), 1] *= -1.0
-    assert relax(place, segments, links)[1] < 0.9 * relax(bent, segments, links)[1]
+    assert relax(place, segments, closures)[1] < 0.9 * relax(bent, segments, closures)[1]
 
 
 def test_what_is_nowhere_stays_there_and_moves_nothing_else(toy):
-    rough, segments, links, _ = toy
+    rough, segments, closures, _ = toy
     row = 3
     lost = segments.index[row, : int(segments.count[row])].numpy()
-    gone = np.isin(links[0], lost) | np.isin(links[1], lost)
+    gone = np.isin(closures[0], lost) | np.isin(closures[1], lost)
     places = rough.copy()
     places[lost] = np.nan
-    found, _ = relax(places, segments, links)
-    same, _ = relax(places, segments, (links[0][~gone], links[1][~gone], links[2][~gone]))
+    found, _ = relax(places, segments, closures)
+    same, _ = relax(places, segments, (closures[0][~gone], closures[1][~gone], closures[2][~gone]))
     assert np.isnan(found[lost]).all() and np.isfinite(np.delete(found, lost, axis=0)).all()
     assert np.array_equal(found, same, equal_nan=True)
 

@@ -10,7 +10,7 @@ import torch
 from deepgps.alignment import fit_alignment
 from deepgps.data.features import normalise
 from deepgps.data.segments import read_segments
-from deepgps.initial_map.wheel_turns import find_hand, read_turns, straighten
+from deepgps.initial_map.wheel_turns import find_chirality, read_turns, straighten
 from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, open_truth
@@ -52,8 +52,8 @@ def test_a_mirrored_map_is_told_by_its_turns_even_where_the_path_is_lost(toy: Re
     turns, segments = read_turns(recording), read_segments(recording)
     for angle in (0.0, 1.0, -2.5):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        assert find_hand(place @ turn.T + 3.0, segments, turns) == 1
-        assert find_hand(place @ turn.T * [1.0, -1.0], segments, turns) == -1
+        assert find_chirality(place @ turn.T + 3.0, segments, turns) == 1
+        assert find_chirality(place @ turn.T * [1.0, -1.0], segments, turns) == -1
 
 
 def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
@@ -68,11 +68,11 @@ def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
 
 def test_learning_with_turns_gives_a_map_that_is_not_mirrored(toy: Recording, tmp_path: Path):
     place = open_truth(toy.folder).pose[:, :2]
-    learned = fit_method("deepgps_turns", toy, SETTINGS, 0, tmp_path / "turns")(toy.observation)
+    learned = fit_method("deepgps_with_turns", toy, SETTINGS, 0, tmp_path / "turns")(toy.observation)
     assert error(learned, place, "SE2") < 0.06
     # the same drive with left and right exchanged is learned as its mirror image, which distances alone cannot tell
     swapped = replace(toy, reading=toy.reading[:, [0, 1, 3, 2]])
-    mirrored = fit_method("deepgps_turns", swapped, SETTINGS, 0, tmp_path / "swapped")(toy.observation)
+    mirrored = fit_method("deepgps_with_turns", swapped, SETTINGS, 0, tmp_path / "swapped")(toy.observation)
     assert error(mirrored * [1.0, -1.0], place, "SE2") < 0.06 < error(mirrored, place, "SE2")
     alone = [
         fit_method("deepgps", one, SETTINGS, 0, tmp_path / f"alone{n}")(toy.observation)

@@ -31,15 +31,15 @@ def stop(label, done, total, tables=None):
     if done > 10:
         raise Cut
 
-find = deepgps.FIRST_MAP["paths"]
+find = deepgps.INITIAL_MAPS["paths"]
 
 def find_and_keep(*given):
     places = find(*given)
     places.tofile(folder / "first_map")
     return places
 
-# The weights of so short a training would hide the last digits of the first map, in which the trouble starts.
-deepgps.FIRST_MAP["paths"] = find_and_keep
+# The weights of so short a training would hide the last digits of the initial map, in which the trouble starts.
+deepgps.INITIAL_MAPS["paths"] = find_and_keep
 settings = LearnSettings.model_validate({
     "network": {"width": 16, "layers": 1}, "fold": {"restarts": 0}, "start": "paths",
     "train": {"steps": 20, "segments": 4, "samples": 4, "checkpoint_steps": 5},

@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from deepgps.alignment import fit_alignment
-from deepgps.data.segments import Segments, read_segments, spread
+from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.learning.batches import Batch
 from deepgps.learning.imitation import imitate_first
-from deepgps.learning.lifting import find_plane, flatten_later
+from deepgps.learning.lifting import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
 from deepgps.methods.positioner import Positioner
@@ -69,13 +69,13 @@ def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatc
     recording = make_toy(tmp_path / "toy", samples=2400)
     looked_at = []
 
-    def spread_less(segments: Segments, observations: int) -> tuple[Segments, torch.Tensor]:
-        kept, chosen = spread(segments, observations, 800)
+    def subsample_less(segments: Segments, observations: int) -> tuple[Segments, torch.Tensor]:
+        kept, chosen = subsample(segments, observations, 800)
         looked_at.append(len(chosen))
         return kept, chosen
 
-    monkeypatch.setattr("deepgps.methods.deepgps.spread", spread_less)
-    monkeypatch.setattr("deepgps.data.features.spread", spread_less)
+    monkeypatch.setattr("deepgps.methods.deepgps.subsample", subsample_less)
+    monkeypatch.setattr("deepgps.data.features.subsample", subsample_less)
     error = measure(fit_method("deepgps", recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
     assert max(looked_at) <= 800
     assert np.sqrt(np.mean(error**2)) < 0.05
@@ -106,10 +106,13 @@ def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
     assert np.median(measure(positioner, recording)) < 0.06
 
 
-def test_a_fold_restarts_training_and_the_best_attempt_is_kept(toy: Recording, tmp_path: Path):
+def test_a_fold_restarts_training_and_the_best_attempt_is_kept(
+    toy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     train = SETTINGS.train.model_copy(update={"steps": 40})
-    strict = SETTINGS.fold.model_copy(update={"bent": 1e-9, "restarts": 1})
-    settings = SETTINGS.model_copy(update={"train": train, "fold": strict, "start": "random"})
+    monkeypatch.setattr("deepgps.initial_map.fold_detector.LENGTH_ERROR_LIMIT", 1e-9)
+    once_more = SETTINGS.fold.model_copy(update={"restarts": 1})
+    settings = SETTINGS.model_copy(update={"train": train, "fold": once_more, "start": "random"})
     labels = []
     fit_method("deepgps", toy, settings, 0, tmp_path / "run" / "deepgps", lambda label, *_: labels.append(label))
     training = json.loads((tmp_path / "run" / "deepgps" / "training.json").read_text())
@@ -147,8 +150,8 @@ def test_a_plane_in_space_is_found():
 def test_the_penalty_is_the_distance_from_the_plane_and_grows():
     points = torch.tensor([[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 0.5], [0, 0, -0.5]])
     batch = Batch(torch.arange(6), torch.zeros(6), torch.ones(6, dtype=torch.bool))
-    loss = flatten_later(lambda out, batch, done: out.sum() * 0.0, LiftSettings(flatten_from=0.2, flatten_to=0.4))
-    values = [loss(points, batch, done).item() for done in (0.1, 0.3, 0.9)]
+    loss = flatten_later(lambda out, batch, done: out.sum() * 0.0, LiftSettings())
+    values = [loss(points, batch, done).item() for done in (FLATTEN_FROM, (FLATTEN_FROM + FLATTEN_TO) / 2.0, 0.9)]
     assert values == pytest.approx([0.0, 0.5 / 6.0, 1.0 / 6.0])
 
 

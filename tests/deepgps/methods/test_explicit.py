@@ -78,7 +78,7 @@ def test_the_truth_solves_the_equations(which: str, request: pytest.FixtureReque
     recording: Recording = request.getfixturevalue(which)
     truth, segments = open_truth(recording.folder), read_segments(recording)
     landmark = np.load(recording.folder / "truth" / "landmark.npy")
-    reach_m = recording.manifest["settings"]["landmarks"]["reach_m"] or np.inf
+    reach_m = recording.manifest.settings["landmarks"]["reach_m"] or np.inf
     equations = set_up(np.asarray(recording.observation), reach_m, segments)
     unknown = np.concatenate([truth.pose[:, :2], landmark]).ravel()
     assert np.abs(equations.residual(unknown)).max() < 1e-5

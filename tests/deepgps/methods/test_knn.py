@@ -1,6 +1,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from deepgps.methods.fit import fit_method
 from deepgps.settings import LearnSettings
@@ -18,8 +19,9 @@ def test_neighbours_interpolate_true_positions(tmp_path: Path):
     assert np.abs(known - truth.pose[:50, :2]).max() < 0.05
 
 
-def test_one_neighbour_is_a_stored_place(tmp_path: Path):
+def test_one_neighbour_is_a_stored_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("deepgps.methods.knn.NEIGHBOURS", 1)
     recording = make_toy(tmp_path / "toy", samples=500)
-    positioner = fit_method("knn", recording, LearnSettings(neighbours=1), 0, tmp_path / "run" / "knn")
+    positioner = fit_method("knn", recording, LearnSettings(), 0, tmp_path / "run" / "knn")
     stored = {tuple(place) for place in open_truth(recording.folder).pose[:, :2].tolist()}
     assert all(tuple(place) in stored for place in positioner(recording.test_observation[:, 0]).tolist())

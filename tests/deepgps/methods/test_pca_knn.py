@@ -16,12 +16,12 @@ from sim.settings import DriveSettings, GridSettings, LidarSettings, SimSettings
 from tests.helpers.toy import make_toy
 
 SETTINGS = SimSettings(
-    world="lidar",
+    world="obstacles",
     lidar=LidarSettings(rays=64, headings=4),
     drive=DriveSettings(spacing_m=0.04, samples=1500),
     grid=GridSettings(spacing_m=0.2, headings=3),
 )
-LEARN = LearnSettings(pca=PcaSettings(components=20, headings=64))
+LEARN = LearnSettings(pca=PcaSettings(headings=64))
 
 
 def quiet(label: str, done: int, total: int) -> None:
@@ -72,11 +72,11 @@ def test_it_is_saved_whole_and_counts_what_it_stores(recording: Recording, tmp_p
     scans = np.asarray(recording.test_observation[:, 0])
     assert np.array_equal(first(scans), again(scans))
     text = (tmp_path / "pca_knn" / "training.json").read_text()
-    assert f'"parameters": {1500 * 64 * 20 + 1500 * 2 + 64 * 20 + 64}' in text
+    assert f'"parameters": {1500 * 64 * 64 + 1500 * 2 + 64 * 64 + 64}' in text
 
 
 def test_other_observations_are_refused(recording: Recording, tmp_path: Path):
-    with pytest.raises(InputError, match="holds no scans; pca_knn needs world lidar or sensor lidar"):
+    with pytest.raises(InputError, match="holds no scans; pca_knn needs world obstacles or sensor lidar"):
         fit_method("pca_knn", make_toy(tmp_path / "toy", samples=50), LEARN, 0, tmp_path / "pca_knn")
     positioner = fit_method("pca_knn", recording, LEARN, 0, tmp_path / "scans")
     with pytest.raises(InputError, match=r"observations of shape \(1, 32\), but trained on scans of 64 rays"):

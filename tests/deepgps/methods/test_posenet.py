@@ -23,9 +23,10 @@ def test_noisy_labels_are_off_by_what_was_asked_and_the_same_for_one_seed(tmp_pa
     recording = make_toy(tmp_path / "toy")
     told = []
     monkeypatch.setattr(posenet, "prepare", lambda *_: None)
-    monkeypatch.setattr(posenet, "fit_positions", lambda material, index, label, *rest: told.append(label))
+    monkeypatch.setattr(posenet, "fit_positions", lambda data, index, label, *rest: told.append(label))
     for seed, noise in ((0, 0.01), (0, 0.01), (1, 0.01), (0, 0.0)):
-        posenet.fit_noisy(recording, LearnSettings(label_noise_m=noise), seed, tmp_path, ignore)
+        monkeypatch.setattr(posenet, "LABEL_NOISE_M", noise)
+        posenet.fit_noisy(recording, LearnSettings(), seed, tmp_path, ignore)
     truth = torch.from_numpy(open_truth(recording.folder).pose[:, :2])
     first, again, other, exact = (label - truth for label in told)
     assert torch.equal(first, again)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from deepgps.methods.positioner import load_positioner, save_positioner
-from deepgps.methods.trilateration import LandmarkPositioner, find_seen, triangulate
+from deepgps.methods.trilateration import LandmarkPositioner, find_seen, trilaterate
 from sim.errors import InputError
 
 RNG = np.random.default_rng(0)
@@ -23,14 +23,14 @@ def distances(point: np.ndarray, landmark: np.ndarray = LANDMARK) -> np.ndarray:
 def test_exact_distances_give_the_points_in_any_frame(chosen: list[int], turn: float):
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     landmark = LANDMARK[chosen] @ rotation.T + [3.0, -1.0]
-    found = triangulate(landmark, distances(POINT, LANDMARK[chosen]), np.inf)
+    found = trilaterate(landmark, distances(POINT, LANDMARK[chosen]), np.inf)
     spread = np.linalg.svd(landmark - landmark.mean(axis=0), compute_uv=False)[-1]
     assert np.abs(found - (POINT @ rotation.T + [3.0, -1.0])).max() < 1e-5 / min(1.0, spread**2)
 
 
 def test_noisy_distances_give_the_least_squares_that_scipy_finds():
     noisy = distances(POINT) + RNG.normal(0.0, 0.02, (len(POINT), len(LANDMARK)))
-    found = triangulate(LANDMARK, noisy, np.inf)
+    found = trilaterate(LANDMARK, noisy, np.inf)
     for place, measured in zip(found, noisy, strict=True):
         solution = least_squares(
             lambda p, x=measured: np.linalg.norm(p - LANDMARK, axis=1) - x, place + 0.01, xtol=1e-12
@@ -44,14 +44,14 @@ def test_landmarks_beyond_the_reach_do_not_count():
     seen = find_seen(short, reach_m)
     assert np.array_equal(seen, short < np.float32(reach_m)) and not seen.all()
     enough = seen.sum(axis=1) >= 4
-    assert np.abs(triangulate(LANDMARK, short, reach_m) - POINT)[enough].max() < 1e-4
+    assert np.abs(trilaterate(LANDMARK, short, reach_m) - POINT)[enough].max() < 1e-4
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few_landmarks_give_a_finite_point_that_fits(count: int):
     short = distances(POINT)
     short[:, count:] = 5.0
-    found = triangulate(LANDMARK, short, 5.0)
+    found = trilaterate(LANDMARK, short, 5.0)
     assert np.isfinite(found).all()
     if count == 1:
         assert np.abs(distances(found)[:, 0] - short[:, 0]).max() < 1e-6
@@ -61,7 +61,7 @@ def test_wrong_landmarks_do_not_make_points_run_away():
     rng = np.random.default_rng(1)
     for _ in range(20):
         wrong, measured = rng.uniform(-1, 1, (5, 2)), rng.uniform(0.1, 2.0, (200, 5))
-        found = triangulate(wrong, measured, np.inf)
+        found = trilaterate(wrong, measured, np.inf)
         assert (np.linalg.norm(found - wrong.mean(axis=0), axis=1) <= measured.max(axis=1) + 1e-9).all()
 
 

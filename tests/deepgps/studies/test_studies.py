@@ -70,7 +70,7 @@ def test_runs_share_one_recording_and_can_be_viewed(finished):
         assert (run / "recording").resolve() == recording.resolve()
         metrics = read_json(run / "metrics.json")["methods"]["deepgps"]
         assert 0.0 <= metrics["flipped"] <= 0.5
-        assert set(metrics["fold"]) >= {"found", "bent", "doubled"}
+        assert set(metrics["fold"]) >= {"found", "length_error_fraction", "overlap_fraction"}
     assert find_recording(runs[0]).stat().st_size > 10_000
     assert "deepgps view" in said
 
@@ -112,7 +112,7 @@ def test_a_run_that_fails_is_listed_and_the_others_are_done(grown):
 
 
 def test_a_recording_is_shared_by_what_does_not_change_it(tmp_path):
-    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    axes = {"learn.seed": [0, 1], "encoder.step_noise": [0.0, 0.1]}
     plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
     assert len({plan.run for plan in plans}) == 8
     assert len({plan.recording for plan in plans}) == 4
@@ -145,13 +145,13 @@ def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
 
 def test_a_case_may_name_its_own_scenario(tmp_path):
     cases = [{"scenario": "landmarks", "drive.samples": 500}, {}]
-    study = write_study(tmp_path, cases=cases, axes={"encoder.gap_noise": [0.0, 0.1]})
+    study = write_study(tmp_path, cases=cases, axes={"encoder.step_noise": [0.0, 0.1]})
     plans = plan_runs(load_study(str(study), tiny=False))
     assert [plan.scenario.name for plan in plans] == ["landmarks"] * 2 + ["mini"] * 2
     rows = gather(plans, {plan.run: "not run" for plan in plans}, tmp_path)
     assert [row["scenario"] for row in rows] == ["landmarks"] * 2 + ["mini"] * 2
-    assert set(varied_in(rows[0])) == {"scenario", "drive.samples", "encoder.gap_noise"}
-    assert varied_in(rows[0])[-1] == "encoder.gap_noise"  # the axis
+    assert set(varied_in(rows[0])) == {"scenario", "drive.samples", "encoder.step_noise"}
+    assert varied_in(rows[0])[-1] == "encoder.step_noise"  # the axis
 
 
 @pytest.mark.parametrize("varied", [{"cases": [{"scenario": "other.yaml"}]}, {"axes": {"scenario": ["other.yaml"]}}])
@@ -164,18 +164,18 @@ def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(varied,
 
 
 def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
-    axes = {"encoder.gap_noise": [0.1, 0.0], "drive.samples": [40, 60]}
+    axes = {"encoder.step_noise": [0.1, 0.0], "drive.samples": [40, 60]}
     plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
     drives = find_drives(plans)
     assert len(drives) == 8
     assert {digest_recording(drive) for drive in drives.values()} == {plan.recording for plan in (plans[6], plans[7])}
     for plan in plans:
         drive = drives[plan.recording]
-        assert (drive.seed, drive.drive.samples, drive.encoder.gap_noise) == (plan.scenario.seed, 60, 0.0)
+        assert (drive.seed, drive.drive.samples, drive.encoder.step_noise) == (plan.scenario.seed, 60, 0.0)
 
 
 def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
-    axes = {"learn.seed": [0, 1], "encoder.gap_noise": [0.0, 0.1]}
+    axes = {"learn.seed": [0, 1], "encoder.step_noise": [0.0, 0.1]}
     study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5], target={})), tiny=False)
     plans = plan_runs(study)
 
@@ -183,7 +183,7 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
         return [scenario.seed for scenario in list_undriven(study, plans, tmp_path, fresh)]
 
     assert list_seeds() == [0, 5]
-    drive = next(plan for plan in plans if plan.scenario.seed == 0 and plan.scenario.encoder.gap_noise == 0.0)
+    drive = next(plan for plan in plans if plan.scenario.seed == 0 and plan.scenario.encoder.step_noise == 0.0)
     write_json(tmp_path / "recordings" / drive.recording / "manifest.json", {})
     assert list_seeds() == [5], "that with noise is derived"
     for plan in plans:
@@ -197,7 +197,7 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
 
 @pytest.mark.slow
 def test_killed_among_derived_recordings_only_what_is_missing_is_made_and_a_seed_adds_only_itself(tmp_path):
-    axes = {"encoder.gap_noise": [0.0, 0.1], "drive.samples": [40, 60]}
+    axes = {"encoder.step_noise": [0.0, 0.1], "drive.samples": [40, 60]}
     study, out = write_study(tmp_path, cases=[{}], axes=axes, target={}), tmp_path / "out"
     process = start(study, out)
     wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
@@ -224,7 +224,7 @@ def test_killed_among_derived_recordings_only_what_is_missing_is_made_and_a_seed
 def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
     (tmp_path / "broken.xml").write_text("<mujoco")
     cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {}]
-    axes = {"encoder.gap_noise": [0.0, 0.1]}
+    axes = {"encoder.step_noise": [0.0, 0.1]}
     process = start(write_study(tmp_path, cases=cases, axes=axes, target={}), tmp_path / "out")
     _, errors = process.communicate(timeout=120)
     assert drop_progress(errors)[0].startswith("failed: 2 of 4 runs failed;")
@@ -333,7 +333,7 @@ def test_runs_are_counted_before_any_is_planned(tmp_path):
 
 
 def test_thousands_of_runs_are_planned_as_one_by_one_and_progress_is_told(tmp_path):
-    axes = {"encoder.gap_noise": [number / 1000 for number in range(400)]}
+    axes = {"encoder.step_noise": [number / 1000 for number in range(400)]}
     study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 1, 2, 3, 4])), tiny=False)
     told = []
     plans = plan_runs(study, lambda label, done, total, look=None: told.append((label, done, total)))

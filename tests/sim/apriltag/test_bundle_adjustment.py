@@ -3,7 +3,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim.apriltag.bundle_adjustment import TagMap, chain_tags, find_doubt, reconstruct, solve_views
-from sim.apriltag.detector import CORNERS, Sightings
+from sim.apriltag.detector import CORNERS, Detections
 from sim.errors import WorkError
 from tests.helpers.synthetic_tags import CAMERA, Scene, make_scene
 
@@ -15,7 +15,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def tags(scene: Scene) -> TagMap:
-    return reconstruct(scene.sightings, CAMERA)
+    return reconstruct(scene.detections, CAMERA)
 
 
 def points(pose: np.ndarray) -> np.ndarray:
@@ -39,7 +39,7 @@ def test_tags_are_placed_to_millimetres(scene, tags):
 
 def test_views_are_solved_to_a_centimetre(scene, tags):
     turn, shift = move(points(tags.pose), points(scene.tag))
-    view, pose = solve_views(scene.sightings, tags, CAMERA)
+    view, pose = solve_views(scene.detections, tags, CAMERA)
     assert len(view) > 80
     error = np.linalg.norm(pose[:, :3, 3] @ turn.T + shift - scene.view[view, :3, 3], axis=1)
     assert np.median(error) < 0.004
@@ -48,44 +48,44 @@ def test_views_are_solved_to_a_centimetre(scene, tags):
 
 def test_with_hardly_any_noise_everything_is_exact():
     scene = make_scene(noise_px=1e-3, views=80, seed=3)
-    tags = reconstruct(scene.sightings, CAMERA)
+    tags = reconstruct(scene.detections, CAMERA)
     turn, shift = move(points(tags.pose), points(scene.tag[tags.tag]))
     np.testing.assert_allclose(points(tags.pose) @ turn.T + shift, points(scene.tag[tags.tag]), atol=1e-4)
 
 
 def test_which_tag_fixes_the_frame_does_not_matter(scene, tags):
     """Numbers turned around: another tag is the first, and places differ by a rigid motion only."""
-    seen = scene.sightings
-    other = reconstruct(Sightings(seen.view, 35 - seen.tag, seen.corner), CAMERA)
+    seen = scene.detections
+    other = reconstruct(Detections(seen.view, 35 - seen.tag, seen.corner), CAMERA)
     turn, shift = move(points(other.pose[::-1]), points(tags.pose))
     apart = np.linalg.norm(points(other.pose[::-1]) @ turn.T + shift - points(tags.pose), axis=1)
     assert apart.max() < 5e-4
 
 
 def test_the_rough_map_takes_the_right_of_two_candidates(scene):
-    rough = chain_tags(scene.sightings, CAMERA)
+    rough = chain_tags(scene.detections, CAMERA)
     turn, shift = move(points(rough.pose), points(scene.tag[rough.tag]))
     error = np.linalg.norm(points(rough.pose) @ turn.T + shift - points(scene.tag[rough.tag]), axis=1)
     assert np.median(error) < 0.3
 
 
 def test_a_tag_that_is_somewhere_else_is_left_out_of_a_view(scene, tags):
-    view = int(np.bincount(scene.sightings.view).argmax())
-    mine = scene.sightings.of(scene.sightings.view == view)
+    view = int(np.bincount(scene.detections.view).argmax())
+    mine = scene.detections.of(scene.detections.view == view)
     wrong = mine.corner.copy()
     wrong[0] += 40.0
     before = solve_views(mine, tags, CAMERA)[1][0]
-    after = solve_views(Sightings(mine.view, mine.tag, wrong), tags, CAMERA)[1][0]
+    after = solve_views(Detections(mine.view, mine.tag, wrong), tags, CAMERA)[1][0]
     assert np.linalg.norm(before[:3, 3] - after[:3, 3]) < 0.03
 
 
 def test_a_view_of_one_tag_is_not_solved(scene, tags):
-    one = scene.sightings.of(np.arange(1))
+    one = scene.detections.of(np.arange(1))
     assert len(solve_views(one, tags, CAMERA)[0]) == 0
 
 
 def test_tags_never_seen_together_are_refused(scene):
-    seen = scene.sightings
+    seen = scene.detections
     alone = seen.of(np.unique(seen.view, return_index=True)[1])
     with pytest.raises(WorkError, match="no two tags are seen together in 3 views, so none can be placed"):
         reconstruct(alone, CAMERA)
@@ -93,7 +93,7 @@ def test_tags_never_seen_together_are_refused(scene):
 
 def test_no_tags_at_all_are_refused():
     with pytest.raises(WorkError, match="no two tags are seen together"):
-        reconstruct(Sightings(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2))), CAMERA)
+        reconstruct(Detections(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2))), CAMERA)
 
 
 def test_third_tags_speak_against_a_wrong_pair_and_against_no_other():

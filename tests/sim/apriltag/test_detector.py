@@ -5,10 +5,10 @@ import pytest
 
 from sim.apriltag.detector import CORNERS, SIDE_M, TAGS, draw_tag, find_tags
 from sim.robot.world import RoomWorld
-from sim.sensors.tag_camera import Horizontal, camera_matrix, mounting
-from sim.settings import HorizontalSettings, RoomSettings, SimSettings
+from sim.sensors.tag_camera import TagCamera, camera_matrix, mounting
+from sim.settings import RoomSettings, SimSettings, TagCameraSettings
 
-SETTINGS = SimSettings(room=RoomSettings(kind="lab", seed=10), horizontal=HorizontalSettings(mounted=True))
+SETTINGS = SimSettings(room=RoomSettings(kind="lab", seed=10), tag_camera=TagCameraSettings(mounted=True))
 
 
 def test_every_tag_is_found_in_its_own_picture():
@@ -59,14 +59,14 @@ def test_tags_are_seen_where_they_hang(world: RoomWorld):
     """The corners found in drawn images lie within half a pixel of the projection of the true ones."""
     rng, space = np.random.default_rng(0), world.free_space
     row, column = np.nonzero(space.reachable)
-    camera, mount = camera_matrix(SETTINGS.horizontal), mounting(SETTINGS.horizontal)
+    camera, mount = camera_matrix(SETTINGS.tag_camera), mounting(SETTINGS.tag_camera)
     base, errors = world.model.body("robot/base").id, []
-    with Horizontal(world.model, SETTINGS.horizontal) as horizontal:
+    with TagCamera(world.model, SETTINGS.tag_camera) as tag_camera:
         for _ in range(12):
             cell = rng.integers(len(row))
             place = space.origin + np.array([column[cell], row[cell]]) * space.cell_m
             world.place(np.array([*place, rng.uniform(-np.pi, np.pi)]))
-            image = horizontal.look(world.data)
+            image = tag_camera.look(world.data)
             assert image.shape == (540, 960) and image.dtype == np.uint8
             robot = np.eye(4)
             robot[:3, :3], robot[:3, 3] = world.data.xmat[base].reshape(3, 3), world.data.xpos[base]
@@ -91,6 +91,6 @@ def compare(world: RoomWorld, found, camera_world: np.ndarray, camera: np.ndarra
 
 
 def test_the_camera_adds_nothing_that_collides_or_weighs(world: RoomWorld):
-    bare = RoomWorld(SETTINGS.model_copy(update={"horizontal": HorizontalSettings()}), drawn=True)
+    bare = RoomWorld(SETTINGS.model_copy(update={"tag_camera": TagCameraSettings()}), drawn=True)
     assert mujoco.mj_getTotalmass(world.model) == pytest.approx(mujoco.mj_getTotalmass(bare.model), abs=1e-12)
     assert (world.model.geom_contype != 0).sum() == (bare.model.geom_contype != 0).sum()

@@ -118,13 +118,13 @@ def test_the_recording_is_whole_and_observes_what_the_world_shows(folder: Path, 
     assert np.array_equal(recording.test_observation, world.observe(truth.test_pose))
     assert recording.test_observation.shape == (81, 2, 20)
     assert (np.diff(recording.time) >= 0).all()
-    assert recording.manifest["samples"] == len(truth.pose)
+    assert recording.manifest.samples == len(truth.pose)
 
 
 def test_same_seed_same_bytes_another_seed_other_landmarks(folder: Path, recording: Recording, tmp_path: Path):
     collect(SETTINGS, 3, tmp_path / "again", quiet)
     again = open_recording(tmp_path / "again")
-    assert again.manifest["sha256"] == recording.manifest["sha256"]
+    assert again.manifest.sha256 == recording.manifest.sha256
     placed = SETTINGS.model_copy(update={"landmarks": SETTINGS.landmarks.model_copy(update={"seed": 3})})
     assert np.array_equal(LandmarkWorld(placed, 9).landmark, LandmarkWorld(SETTINGS, 3).landmark)
     assert not np.array_equal(LandmarkWorld(SETTINGS, 9).landmark, LandmarkWorld(SETTINGS, 3).landmark)

@@ -11,10 +11,10 @@ from deepgps.data.segments import read_segments
 from sim.errors import InputError
 from sim.planar.obstacles import PASSAGE, LidarWorld, collect, place_obstacles
 from sim.recording.format import Truth, check_recording, open_recording, open_truth
-from sim.settings import DriveSettings, GridSettings, LidarSettings, MapSettings, SimSettings
+from sim.settings import DriveSettings, GridSettings, LidarSettings, ObstaclesSettings, SimSettings
 
 SETTINGS = SimSettings(
-    world="lidar",
+    world="obstacles",
     lidar=LidarSettings(rays=64, headings=4),
     drive=DriveSettings(spacing_m=0.04, samples=600),
     grid=GridSettings(spacing_m=0.2, headings=3),
@@ -87,7 +87,7 @@ def test_obstacles_leave_passages_and_one_seed_gives_one_map():
     gap = np.maximum(box[:, None, 0] - box[None, :, 1], box[None, :, 0] - box[:, None, 1]).max(axis=-1)
     assert len(box) == 20
     assert ((gap <= 0) | (gap >= PASSAGE)).all()
-    placed = SETTINGS.model_copy(update={"map": MapSettings(seed=3)})
+    placed = SETTINGS.model_copy(update={"obstacles": ObstaclesSettings(seed=3)})
     assert np.array_equal(LidarWorld(placed, 9).box, WORLD.box)
     assert not np.array_equal(LidarWorld(SETTINGS, 9).box, WORLD.box)
 
@@ -105,7 +105,7 @@ def test_the_drive_keeps_clear_of_obstacles_and_segments_are_straight(truth: Tru
     assert min(lengths[:-1]) >= 3
 
 
-def test_the_robot_is_carried_and_nothing_tells_it_where(folder: Path, truth: Truth):
+def test_the_robot_is_relocated_and_nothing_tells_it_where(folder: Path, truth: Truth):
     segment, observation = truth.reading.T
     turns = np.flatnonzero(np.diff(segment))
     shared = observation[turns] == observation[turns + 1]
@@ -128,7 +128,7 @@ def test_the_recording_is_whole_and_observes_what_the_world_shows(folder: Path, 
 
 def test_same_seed_same_bytes(folder: Path, tmp_path: Path):
     collect(SETTINGS, 3, tmp_path / "again", quiet)
-    assert open_recording(tmp_path / "again").manifest["sha256"] == open_recording(folder).manifest["sha256"]
+    assert open_recording(tmp_path / "again").manifest.sha256 == open_recording(folder).manifest.sha256
 
 
 def test_reach_and_noise_are_those_of_the_settings(folder: Path, tmp_path: Path):
@@ -141,8 +141,8 @@ def test_reach_and_noise_are_those_of_the_settings(folder: Path, tmp_path: Path)
 
 
 def test_a_map_without_room_is_one_clear_line(tmp_path: Path):
-    full = SETTINGS.model_copy(update={"map": MapSettings(clearance_m=0.95, obstacles=50)})
+    full = SETTINGS.model_copy(update={"obstacles": ObstaclesSettings(clearance_m=0.95, count=50)})
     with pytest.raises(InputError, match="map: the obstacles leave no room for the robot"):
         collect(full, 3, tmp_path / "full", quiet)
-    with pytest.raises(ValueError, match=r"drive.spacing_m 0.5 m must be at most a quarter .* lidar world, 1.96 m"):
-        SimSettings(world="lidar", drive=DriveSettings(spacing_m=0.5))
+    with pytest.raises(ValueError, match=r"drive.spacing_m 0.5 m must be at most a quarter .* obstacles world, 1.96 m"):
+        SimSettings(world="obstacles", drive=DriveSettings(spacing_m=0.5))

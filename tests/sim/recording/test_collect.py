@@ -21,7 +21,7 @@ from sim.robot.world import RoomWorld
 from sim.sensors.camera_faults import decode
 from sim.sensors.encoder import ticks_to_distance
 from sim.sensors.fisheye import Fisheye
-from sim.settings import GridSettings, Group, MountSettings, SimSettings, UseSettings
+from sim.settings import CameraMountSettings, DeploymentSettings, GridSettings, Group, SimSettings
 
 
 def arrays(folder) -> dict[str, bytes]:
@@ -39,8 +39,8 @@ def test_a_recording_is_whole(small_recording, small_settings):
     assert truth.pose.shape == (300, 3)
     assert recording.test_observation.shape == (*truth.test_pose.shape[:2], 8, 32, 3)
     assert [path.name for path in small_recording.parent.iterdir()] == ["recording"]
-    assert recording.manifest["settings"] == small_settings.model_dump(mode="json")
-    assert recording.manifest["gl_renderer"]
+    assert recording.manifest.settings == small_settings.model_dump(mode="json")
+    assert recording.manifest.gl_renderer
     assert set(recording.reading[:, 1]) == set(range(300))
 
 
@@ -56,7 +56,7 @@ def test_readings_run_in_order_and_turning_places_have_two(small_recording):
 
 def test_encoder_distances_agree_with_the_truth(small_recording):
     recording, truth = open_recording(small_recording), open_truth(small_recording)
-    odometry = recording.manifest["odometry"]
+    odometry = recording.manifest.odometry
     wheels = ticks_to_distance(recording.reading[:, 2:], odometry["wheel_radius_m"], odometry["ticks_per_rev"])
     way = wheels.mean(axis=1)
     for segment in np.unique(recording.reading[:, 0]):
@@ -99,11 +99,11 @@ def test_another_seed_drives_elsewhere_and_lost_readings_are_counted(small_setti
     settings = small_settings.model_copy(
         update={
             "drive": small_settings.drive.model_copy(update={"samples": 60, "strategy": "endpoint"}),
-            "encoder": small_settings.encoder.model_copy(update={"lost": 0.3}),
+            "encoder": small_settings.encoder.model_copy(update={"dropout": 0.3}),
         }
     )
     collect(settings, 1, tmp_path / "other", lambda *_: None, workers=1)
-    other, manifest = open_recording(tmp_path / "other"), read_manifest(tmp_path / "other")
+    other, manifest = open_recording(tmp_path / "other"), read_manifest(tmp_path / "other").model_dump()
     truth = open_truth(tmp_path / "other")
     assert len(other.reading) == manifest["readings"] - manifest["readings_lost"] < len(truth.reading)
     assert manifest["readings_lost"] > 0
@@ -132,7 +132,7 @@ def collect_again(settings: SimSettings, folder: Path) -> dict[str, Any]:
     """Make a recording from what there is of its parts; returns its manifest."""
     collect(settings, 0, folder / "recording", lambda *_: None)
     assert not (folder / "recording.collecting").exists()
-    return read_manifest(folder / "recording")
+    return read_manifest(folder / "recording").model_dump()
 
 
 @pytest.mark.parametrize("damage", [flip, lambda path: path.write_bytes(path.read_bytes()[:-1]), Path.unlink])
@@ -144,8 +144,8 @@ def test_damaged_parts_are_made_again_to_the_same_bytes(
     for name in names:
         damage(tmp_path / "recording.collecting" / name)
     manifest = collect_again(small_settings, tmp_path)
-    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
-    assert manifest["images_drawn_twice"] == read_manifest(small_recording)["images_drawn_twice"] == 3
+    assert manifest["sha256"] == read_manifest(small_recording).model_dump()["sha256"]
+    assert manifest["images_drawn_twice"] == read_manifest(small_recording).model_dump()["images_drawn_twice"] == 3
     told = [record.message for record in caplog.records]
     assert len(told) == (0 if damage is Path.unlink else 3)
     for line, name in zip(told, sorted(names), strict=False):
@@ -168,7 +168,7 @@ def test_a_part_that_changes_after_it_was_checked_is_found_when_it_is_assembled(
 
     monkeypatch.setattr(collecting, "write_drive", flip_first)
     manifest = collect_again(small_settings, tmp_path)
-    assert manifest["sha256"] == read_manifest(small_recording)["sha256"]
+    assert manifest["sha256"] == read_manifest(small_recording).model_dump()["sha256"]
     assert [name in record.message for record in caplog.records] == [True]
 
 
@@ -193,7 +193,10 @@ def test_files_of_others_in_its_folders_stay(parts, small_settings, small_record
     collect(small_settings, 0, tmp_path / "recording", lambda *_: None)
     assert [path.read_text() for path in theirs] == ["a user's"] * 2
     assert is_whole(tmp_path / "recording")
-    assert read_manifest(tmp_path / "recording")["sha256"] == read_manifest(small_recording)["sha256"]
+    assert (
+        read_manifest(tmp_path / "recording").model_dump()["sha256"]
+        == read_manifest(small_recording).model_dump()["sha256"]
+    )
 
 
 def test_what_cannot_fit_is_refused_before_anything_is_driven(parts, small_settings, tmp_path, monkeypatch):
@@ -262,7 +265,7 @@ def test_a_renderer_that_dies_hangs_or_errs_is_replaced_and_the_bytes_are_the_sa
     monkeypatch.setattr(renderers, "PATIENCE", 2.0)
     monkeypatch.setattr(collecting, "sense_part", draw)
     collect(small_settings, 0, tmp_path / "again", lambda *_: None, workers=2)
-    manifest, sound = read_manifest(tmp_path / "again"), read_manifest(small_recording)
+    manifest, sound = read_manifest(tmp_path / "again").model_dump(), read_manifest(small_recording).model_dump()
     assert manifest["sha256"] == sound["sha256"]
     assert (manifest["renderer_deaths"], manifest["images_that_differed"]) == (deaths, differed)
     assert (sound["renderer_deaths"], sound["images_that_differed"], sound["images_drawn_twice"]) == (0, 0, 3)
@@ -299,11 +302,11 @@ def test_a_grid_without_a_position_is_one_clear_line(small_settings):
 @pytest.mark.slow
 def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_settings, tmp_path):
     plain = change(small_settings, 30, grid=GridSettings(spacing_m=0.1, headings=1))
-    settings = plain.model_copy(update={"use": UseSettings(light=0.5, moved_m=0.5)})
+    settings = plain.model_copy(update={"deployment": DeploymentSettings(light=0.5, moved_m=0.5)})
     for name, group in (("plain", plain), ("used", settings)):
         collect(group, 0, tmp_path / name, lambda *_: None, workers=1)
     ours, before = arrays(tmp_path / "used"), arrays(tmp_path / "plain")
-    tests = {"test/observation.npy", "truth/test_pose.npy"}
+    tests = {"test/fisheye.npy", "truth/test_pose.npy"}
     assert {name for name in before if ours[name] != before[name]} == tests
     truth, old = open_truth(tmp_path / "used"), open_truth(tmp_path / "plain")
     known = {tuple(pose) for pose in old.test_pose[:, 0]}
@@ -320,9 +323,9 @@ def test_what_changes_between_training_and_use_leaves_training_as_it_was(small_s
 def test_a_mounted_camera_s_faults_are_drawn_the_same_again_and_for_a_shorter_drive(
     small_settings, small_recording, tmp_path
 ):
-    mount = MountSettings(roll_deg=2.0, wobble_deg=1.0, driven_m=0.05)
+    mount = CameraMountSettings(roll_deg=2.0, wobble_deg=1.0, driven_m=0.05)
     for name, samples in (("one", 30), ("longer", 40)):
-        collect(change(small_settings, samples, mount=mount), 0, tmp_path / name, lambda *_: None, workers=1)
+        collect(change(small_settings, samples, camera_mount=mount), 0, tmp_path / name, lambda *_: None, workers=1)
     one, longer, sound = (open_recording(folder) for folder in (tmp_path / "one", tmp_path / "longer", small_recording))
     np.testing.assert_array_equal(one.observation, longer.observation[:30])
     np.testing.assert_array_equal(one.test_observation, longer.test_observation)

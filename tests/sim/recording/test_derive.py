@@ -10,12 +10,12 @@ from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES, can_be_cut, choose_drive, derive
 from sim.recording.format import check_recording, read_manifest
 from sim.settings import (
+    CameraMountSettings,
     DriveSettings,
     EncoderSettings,
     GridSettings,
-    ImageSettings,
+    ImageFaultSettings,
     LandmarksSettings,
-    MountSettings,
     SimSettings,
 )
 
@@ -26,8 +26,8 @@ FAULTY = EncoderSettings(
     radius_error_right=-0.01,
     track_error=0.03,
     slip_per_m=0.01,
-    gap_noise=0.1,
-    lost=0.2,
+    step_noise=0.1,
+    dropout=0.2,
 )
 PLANE = SimSettings(
     world="landmarks",
@@ -56,8 +56,8 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def read_what_must_agree(folder: Path) -> dict:
     """The manifest without what tells of the making."""
-    manifest = read_manifest(folder)
-    making = {"collect_s", "derived_from", "samples_dropped", "times_carried", "renderer_deaths", *OF_IMAGES}
+    manifest = read_manifest(folder).model_dump()
+    making = {"collect_s", "derived_from", "samples_dropped", "times_relocated", "renderer_deaths", *OF_IMAGES}
     return {name: value for name, value in manifest.items() if name not in making}
 
 
@@ -71,7 +71,7 @@ def test_derived_is_as_collected_in_the_plane(samples: int, encoder: EncoderSett
     check_recording(tmp_path / "derived")
 
 
-DARK = ImageSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noise=0.1, turn_deg=8.0)
+DARK = ImageFaultSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noise=0.1, turn_deg=8.0)
 
 
 @pytest.mark.slow
@@ -79,17 +79,17 @@ DARK = ImageSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noise=0.
 def test_faults_of_images_are_derived_as_they_are_collected(
     samples: int, small_recording: Path, small_settings: SimSettings, tmp_path: Path
 ):
-    settings = change(small_settings, samples, FAULTY).model_copy(update={"image": DARK})
+    settings = change(small_settings, samples, FAULTY).model_copy(update={"image_faults": DARK})
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
     derive(small_recording, settings, 0, tmp_path / "derived")
     assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
     check_recording(tmp_path / "derived")
-    sound, faulty = (read_manifest(folder)["sha256"] for folder in (small_recording, tmp_path / "derived"))
-    assert all(sound[name] != faulty[name] for name in ("observation.npy", "test/observation.npy"))
+    sound, faulty = (read_manifest(folder).sha256 for folder in (small_recording, tmp_path / "derived"))
+    assert all(sound[name] != faulty[name] for name in ("observations/fisheye.npy", "test/fisheye.npy"))
     with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
         derive(tmp_path / "derived", change(settings, 64, FAULTY), 0, tmp_path / "again")
     with pytest.raises(InputError, match="more than encoder, image and drive"):
-        leaning = settings.model_copy(update={"mount": MountSettings(roll_deg=1.0)})
+        leaning = settings.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=1.0)})
         derive(small_recording, leaning, 0, tmp_path / "again")
 
 
@@ -109,7 +109,7 @@ def test_derived_is_as_collected_in_a_room(
 def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):
     landmarks.collect(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
     derive(tmp_path / "base", change(PLANE, 400, FAULTY), 0, tmp_path / "derived")
-    for name in ("observation.npy", "test/observation.npy", "truth/pose.npy"):
+    for name in ("observations/landmarks.npy", "test/landmarks.npy", "truth/pose.npy"):
         assert (tmp_path / "base" / name).samefile(tmp_path / "derived" / name)
     for path in sorted((tmp_path / "base").rglob("*.np?")):
         path.unlink()
@@ -119,7 +119,8 @@ def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_
 def test_what_a_killed_process_left_is_replaced_and_what_stands_stays(plane: Path, tmp_path: Path):
     settings, folder = change(PLANE, 64, FAULTY), tmp_path / "derived"
     (folder / "truth").mkdir(parents=True)
-    (folder / "observation.npy").write_bytes(b"half")
+    (folder / "observations").mkdir()
+    (folder / "observations" / "landmarks.npy").write_bytes(b"half")
     derive(plane, settings, 0, folder)
     check_recording(folder)
     written = (folder / "manifest.json").stat().st_mtime_ns
@@ -148,7 +149,7 @@ def test_a_recording_with_losses_is_no_base(tmp_path: Path):
 
 
 def test_a_drive_whose_tests_follow_it_is_shared_at_its_own_length_alone(tmp_path: Path):
-    for name, field, value in (("grid", "held_out", 10), ("horizontal", "mounted", True), ("lidar", "noise_m", 0.01)):
+    for name, field, value in (("grid", "held_out", 10), ("tag_camera", "mounted", True), ("lidar", "noise_m", 0.01)):
         group = getattr(PLANE, name).model_copy(update={field: value})
         assert not can_be_cut(PLANE.model_copy(update={name: group}))
     noisy = PLANE.model_copy(update={"lidar": PLANE.lidar.model_copy(update={"noise_m": 0.01})})

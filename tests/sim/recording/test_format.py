@@ -20,10 +20,10 @@ def space() -> FreeSpace:
 def folder(tmp_path, space):
     rng = np.random.default_rng(0)
     arrays = {
-        "observation.npy": rng.integers(0, 256, (5, 4, 8, 3), np.uint8),
+        "observations/fisheye.npy": rng.integers(0, 256, (5, 4, 8, 3), np.uint8),
         "reading.npy": np.arange(28).reshape(7, 4),
         "time.npy": np.arange(7.0),
-        "test/observation.npy": rng.integers(0, 256, (2, 4, 4, 8, 3), np.uint8),
+        "test/fisheye.npy": rng.integers(0, 256, (2, 4, 4, 8, 3), np.uint8),
         "truth/pose.npy": rng.normal(size=(5, 3)),
         "truth/reading.npy": np.arange(14).reshape(7, 2),
         "truth/wheel_angle.npy": rng.normal(size=(7, 2)),
@@ -32,13 +32,13 @@ def folder(tmp_path, space):
     for name, array in arrays.items():
         write_array(tmp_path / name, array)
     save_free_space(tmp_path / "truth" / "free_space.npz", space)
-    finish_recording(tmp_path, {"seed": 3})
+    finish_recording(tmp_path, {"seed": 3, "sensors": {"fisheye": "polar_image"}})
     return tmp_path
 
 
 def test_a_recording_comes_back_as_it_was(folder):
     recording, truth = open_recording(folder), open_truth(folder)
-    assert recording.manifest["seed"] == 3
+    assert recording.manifest.seed == 3
     assert recording.reading[6].tolist() == [24, 25, 26, 27]
     assert isinstance(recording.observation, np.memmap)
     assert truth.wheel_angle.shape == (7, 2)
@@ -47,7 +47,17 @@ def test_a_recording_comes_back_as_it_was(folder):
 
 def test_what_is_sensed_does_not_hold_the_truth(folder):
     fields = vars(open_recording(folder))
-    sensed = {"folder", "manifest", "observation", "reading", "time", "test_observation", "horizontal"}
+    sensed = {
+        "observation_time",
+        "others",
+        "readings",
+        "folder",
+        "manifest",
+        "observation",
+        "reading",
+        "time",
+        "test_observation",
+    }
     assert set(fields) == sensed
 
 
@@ -64,11 +74,11 @@ def test_free_space_is_looked_up_by_cell(space, tmp_path):
 
 @pytest.mark.parametrize("at", range(0, 1000, 137))
 def test_a_flipped_bit_is_found(folder, at):
-    path = folder / "observation.npy"
+    path = folder / "observations" / "fisheye.npy"
     data = bytearray(path.read_bytes())
     data[at % len(data)] ^= 4
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"observation\.npy is damaged: it differs from its checksum"):
+    with pytest.raises(InputError, match=r"fisheye\.npy is damaged: it differs from its checksum"):
         check_recording(folder)
 
 
@@ -79,14 +89,14 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
     with pytest.raises(InputError, match=r"time\.npy is missing"):
         open_recording(folder)
     write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "schema": 99})
-    with pytest.raises(InputError, match="schema 99, but this version reads schema 1"):
+    with pytest.raises(InputError, match="schema 99, but this version reads schema 2"):
         open_recording(folder)
     (folder / "manifest.json").write_text('{"schema"')
     with pytest.raises(InputError, match="is not JSON"):
         open_recording(folder)
 
 
-@pytest.mark.parametrize("name", ["test/observation.npy", "time.npy"])
+@pytest.mark.parametrize("name", ["test/fisheye.npy", "time.npy"])
 @pytest.mark.parametrize("left", [0, 100])
 def test_a_cut_array_is_refused(folder, name, left):
     path = folder / name

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sim.errors import WorkError
-from sim.robot.drive import DOUBT_M, TOUCHED, Course, Segment, _go_straight, drive, next_segment
-from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.drive import DOUBT_M, TOUCHED, DriveMode, Segment, _go_straight, drive, next_segment
+from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
@@ -38,7 +38,7 @@ def same(a: Segment, b: Segment) -> bool:
         np.array_equal(a.state, b.state)
         and np.array_equal(a.wheel_angle, b.wheel_angle)
         and np.array_equal(a.time, b.time)
-        and (a.continues, a.ended, a.dropped, a.course) == (b.continues, b.ended, b.dropped, b.course)
+        and (a.continues, a.ended, a.dropped, a.mode) == (b.continues, b.ended, b.dropped, b.mode)
     )
 
 
@@ -61,14 +61,14 @@ def test_drive_needs_no_truth():
 
 def test_resumed_drive_is_the_uninterrupted_one():
     rng, world = np.random.default_rng(SEED), make_world(furnished())
-    before = [next_segment(world, world.settings.drive, rng, Course())]
-    before.append(next_segment(world, world.settings.drive, rng, before[-1].course))
-    state, chance, course = world.state(), rng.bit_generator.state, before[-1].course
+    before = [next_segment(world, world.settings.drive, rng, DriveMode())]
+    before.append(next_segment(world, world.settings.drive, rng, before[-1].mode))
+    state, chance, mode = world.state(), rng.bit_generator.state, before[-1].mode
     fresh, generator = make_world(furnished()), np.random.default_rng()
     fresh.set_state(state)
     generator.bit_generator.state = chance
-    resumed = [next_segment(fresh, fresh.settings.drive, generator, course)]
-    resumed.append(next_segment(fresh, fresh.settings.drive, generator, resumed[-1].course))
+    resumed = [next_segment(fresh, fresh.settings.drive, generator, mode)]
+    resumed.append(next_segment(fresh, fresh.settings.drive, generator, resumed[-1].mode))
     whole = take(make_world(furnished()), 4)
     assert all(same(a, b) for a, b in zip(before + resumed, whole, strict=True))
 
@@ -81,7 +81,7 @@ def test_seed_decides_the_drive():
 @pytest.mark.parametrize(("spacing_m", "speed_mps"), [(0.08, 0.22), (0.03, 0.1)])
 def test_samples_are_spaced_as_asked(spacing_m, speed_mps):
     segments = take(make_world(walls(), spacing_m=spacing_m, speed_mps=speed_mps), 5)
-    period_m = speed_mps * DriveSettings().control_period_s + 1e-4
+    period_m = speed_mps * CONTROL_PERIOD_S + 1e-4
     for segment in segments:
         way = ways(segment)
         late = way[1:-1] - spacing_m * np.arange(1, len(way) - 1)
@@ -128,7 +128,7 @@ def test_turning_place_is_one_observation():
 def test_stands_still_at_the_ends_of_a_segment():
     world = make_world(walls())
     for _ in range(3):
-        next_segment(world, world.settings.drive, np.random.default_rng(SEED), Course())
+        next_segment(world, world.settings.drive, np.random.default_rng(SEED), DriveMode())
         body, wheel = world.data.qvel[:6], world.data.qvel[6:]
         assert np.abs(body).max() < 1e-3
         assert np.abs(wheel).max() < 0.02
@@ -144,7 +144,7 @@ def test_contact_ends_a_segment_and_drops_its_last_samples():
     for segment in touched:
         assert len(segment.time) >= 2
         assert segment.pose[-1, 1] < 0.8 - 0.02 - RADIUS_M
-        assert not segment.course.continues
+        assert not segment.mode.continues
     assert sum(segment.dropped for segment in touched) >= len(touched)
     after = [this for last, this in itertools.pairwise(segments) if last.ended == "contact"]
     assert after and not any(segment.continues for segment in after)
@@ -188,7 +188,7 @@ class Toy:
 
 @pytest.mark.parametrize("fault", ["blocked", "slipping"])
 def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
-    segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), Course(True))
+    segment = next_segment(Toy(fault, 0.7), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "stall"
     assert segment.dropped >= 1
     assert segment.state[-1, 0] < 0.7
@@ -197,7 +197,7 @@ def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
 
 
 def test_toy_without_fault_stops_before_the_wall():
-    segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), Course(True))
+    segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "range"
     assert ways(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
 
@@ -217,25 +217,25 @@ def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
     for name, side in (("left", 1), ("right", -1)):
         add_box(room, name, (0.0, side * (RADIUS_M - pinch_m + 0.02), 0.3), (0.02, 0.02, 0.3))
     world, rng = make_world(room, (0.0, 0.0, 1.5)), np.random.default_rng(SEED)
-    first = next_segment(world, world.settings.drive, rng, Course(continues=True))
+    first = next_segment(world, world.settings.drive, rng, DriveMode(continues=True))
     assert not first.continues  # it rolled away from where the last segment ended
     for _ in range(2):
-        last = next_segment(world, world.settings.drive, rng, Course())
+        last = next_segment(world, world.settings.drive, rng, DriveMode())
     assert np.hypot(*last.pose[-1, :2]) > 0.5
 
 
-def test_robot_wedged_for_good_is_carried_to_the_start():
+def test_robot_wedged_for_good_is_relocated_to_the_start():
     room = walls()
     for name, x, y in (("a", 1, 0), ("b", -1, 0), ("c", 0, 1), ("d", 0, -1)):
         add_box(room, name, (1.2 + 0.158 * x, -0.6 + 0.158 * y, 0.5), (0.05 + 0.1 * abs(y), 0.05 + 0.1 * abs(x), 0.5))
     world, rng = make_world(room, (1.2, -0.6, 0.0)), np.random.default_rng(SEED)
-    segment = next_segment(world, world.settings.drive, rng, Course(continues=True))
-    assert (segment.carried, segment.continues) == (1, False)
+    segment = next_segment(world, world.settings.drive, rng, DriveMode(continues=True))
+    assert (segment.relocated, segment.continues) == (1, False)
     assert np.hypot(*(segment.pose[0, :2] - world.free_space.start)) < 0.01
-    assert next_segment(world, world.settings.drive, rng, segment.course).carried == 0
+    assert next_segment(world, world.settings.drive, rng, segment.mode).relocated == 0
 
 
-def test_neither_wheels_nor_clock_notice_that_the_robot_is_carried():
+def test_neither_wheels_nor_clock_notice_that_the_robot_is_relocated():
     world = make_world(walls(), (1.0, 0.5, 0.3))
     for _ in range(50):
         world.step(np.array((3.0, 4.0)))
@@ -290,17 +290,17 @@ def cupboard(mouth_m: float) -> mujoco.MjSpec:
 def test_turns_into_an_opening_that_it_passes():
     world = make_world(cupboard(0.3), (-1.5, -0.2, 0.0), enter=1.0)
     settings, rng = world.settings.drive, np.random.default_rng(SEED)
-    past = _go_straight(world, settings, rng, settings.stop_distance_m, Course())
-    assert past.ended == "opening"
-    assert past.course == Course(True, "enter", 1)
+    past = _go_straight(world, settings, rng, settings.stop_distance_m, DriveMode())
+    assert past.ended == "gap"
+    assert past.mode == DriveMode(True, "enter", 1)
     assert past.pose[-1, 0] == pytest.approx(0.0, abs=0.08)
-    inside = next_segment(world, settings, rng, past.course)
+    inside = next_segment(world, settings, rng, past.mode)
     assert inside.pose[-1, 1] > HALF_Y - 0.3
 
 
 def test_without_chance_to_enter_or_search_it_never_stops_at_openings():
     segments = take(make_world(cupboard(0.3), enter=0.0, search=0.0), 12)
-    assert all(segment.ended != "opening" and segment.course.mode == "chance" for segment in segments)
+    assert all(segment.ended != "gap" and segment.mode.kind == "chance" for segment in segments)
 
 
 def test_enters_a_nook_that_chance_seldom_finds():

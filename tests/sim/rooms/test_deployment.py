@@ -12,23 +12,23 @@ from sim.rooms.free_space import collides
 from sim.rooms.spec import freeze
 from sim.sensors.camera_faults import decode
 from sim.sensors.fisheye import Fisheye
-from sim.settings import CameraSettings, RoomSettings, SimSettings, UseSettings
+from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 
 ROOM = RoomSettings(kind="office", width_m=4.0, depth_m=3.5, seed=2)
 CAMERA = CameraSettings(rings=16, sectors=64, face_px=32)
 
 
-def draw(use: UseSettings) -> np.ndarray:
-    world = RoomWorld(SimSettings(room=ROOM, camera=CAMERA, use=use))
+def draw(use: DeploymentSettings) -> np.ndarray:
+    world = RoomWorld(SimSettings(room=ROOM, camera=CAMERA, deployment=use))
     world.place(np.array((0.3, -0.2, 0.4)))  # it need not be free to look
     with Fisheye(world.model, CAMERA) as fisheye:
         return fisheye.polar(world.data).astype(int)
 
 
 def test_dimmed_light_brightens_no_pixel():
-    bright = draw(UseSettings())
-    half, dark = draw(UseSettings(light=0.5)), draw(UseSettings(light=0.0))
-    lamps, no_lamps = draw(UseSettings(lamps=0.5)), draw(UseSettings(lamps=0.0))
+    bright = draw(DeploymentSettings())
+    half, dark = draw(DeploymentSettings(light=0.5)), draw(DeploymentSettings(light=0.0))
+    lamps, no_lamps = draw(DeploymentSettings(lamps=0.5)), draw(DeploymentSettings(lamps=0.0))
     assert dark.max() == 0
     for brighter, dimmer in ((bright, half), (bright, lamps), (lamps, no_lamps), (no_lamps, dark)):
         assert (dimmer <= brighter).all()
@@ -43,7 +43,7 @@ def test_dimmed_light_brightens_no_pixel():
 
 def test_lamps_go_out_and_windows_stay():
     spec = build_room(ROOM)
-    model = RoomWorld(SimSettings(room=ROOM, use=UseSettings(lamps=0.0))).model
+    model = RoomWorld(SimSettings(room=ROOM, deployment=DeploymentSettings(lamps=0.0))).model
     before = {material.name: (material.emission, any(material.textures)) for material in spec.materials}
     glowing = {name: pictured for name, (emission, pictured) in before.items() if emission > 0}
     assert set(glowing.values()) == {True, False}
@@ -93,7 +93,9 @@ def test_a_piece_that_is_shut_in_stays():
         wall = spec.worldbody.add_body(name=f"wall_{number}", pos=(x, y, 0))
         wall.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.5, 1) if x else (0.5, 0.1, 1))
     # far enough to stand beyond the walls, where nothing is: but they are in the way
-    with pytest.raises(InputError, match=r"use\.moved_m 1\.5: the room has no small piece that can be pushed so far"):
+    with pytest.raises(
+        InputError, match=r"deployment\.moved_m 1\.5: the room has no small piece that can be pushed so far"
+    ):
         move_furniture(spec, 1.5, 0)
     spec.worldbody.add_body(name="stool_0", pos=(9, 9, 0)).add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 0.1, 1))
     moved = move_furniture(spec, 1.5, 0)

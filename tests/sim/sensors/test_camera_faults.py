@@ -18,11 +18,11 @@ from sim.sensors.camera_faults import (
     spawn_streams,
     vignette,
 )
-from sim.settings import ImageSettings
+from sim.settings import ImageFaultSettings
 
 RINGS, SECTORS = 8, 32
 EVERY = np.arange(256, dtype=np.uint8)
-FAULTY = ImageSettings(exposure=0.7, vignetting=0.4, read_noise=0.05, shot_noise=0.1, sensor_px=60, turn_deg=9.0)
+FAULTY = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.05, shot_noise=0.1, sensor_px=60, turn_deg=9.0)
 
 
 def draw_images(count: int = 3, seed: int = 0) -> np.ndarray:
@@ -49,15 +49,15 @@ def test_the_code_is_the_nearest_one():
 
 
 def test_what_is_off_changes_nothing():
-    assert make_develop(ImageSettings(), np.random.default_rng(0)) is None
-    assert make_develop(ImageSettings(sensor_px=100), np.random.default_rng(0)) is None
+    assert make_develop(ImageFaultSettings(), np.random.default_rng(0)) is None
+    assert make_develop(ImageFaultSettings(sensor_px=100), np.random.default_rng(0)) is None
     images = draw_images()
-    np.testing.assert_array_equal(develop(images, ImageSettings(), np.random.default_rng(0)), images)
+    np.testing.assert_array_equal(develop(images, ImageFaultSettings(), np.random.default_rng(0)), images)
 
 
 @pytest.mark.parametrize("fault", ["exposure", "vignetting", "read_noise", "shot_noise", "turn_deg"])
 def test_each_fault_is_one(fault: str):
-    alone = ImageSettings(sensor_px=16, **{fault: getattr(FAULTY, fault)})
+    alone = ImageFaultSettings(sensor_px=16, **{fault: getattr(FAULTY, fault)})
     fault_of = make_develop(alone, np.random.default_rng(0))
     assert fault_of is not None
     assert (fault_of(draw_images()) != draw_images()).mean() > 0.3
@@ -78,7 +78,7 @@ def test_same_seed_same_bytes_however_many_at_a_time_and_other_seed_others():
 @pytest.mark.parametrize(("read", "shot"), [(0.05, 0.0), (0.0, 0.1), (0.04, 0.08)])
 @pytest.mark.parametrize("grey", [0.05, 0.4])
 def test_noise_has_the_mean_and_variance_of_its_formula(read: float, shot: float, grey: float):
-    settings = ImageSettings(read_noise=read, shot_noise=shot, sensor_px=100)
+    settings = ImageFaultSettings(read_noise=read, shot_noise=shot, sensor_px=100)
     light = np.full((2000, 4, 8, 3), grey, np.float32)
     noisy = add_noise(light, settings, np.random.default_rng(1))
     edge = np.arange(5) / 4
@@ -90,7 +90,7 @@ def test_noise_has_the_mean_and_variance_of_its_formula(read: float, shot: float
 
 def test_noise_of_neighbours_and_channels_is_their_own():
     light = np.full((4000, 1, 8, 3), 0.5, np.float32)
-    noise = add_noise(light, ImageSettings(read_noise=0.1), np.random.default_rng(2)) - light
+    noise = add_noise(light, ImageFaultSettings(read_noise=0.1), np.random.default_rng(2)) - light
     assert np.corrcoef(noise.reshape(4000, -1).T) - np.eye(24) == pytest.approx(0.0, abs=0.08)
 
 
@@ -102,9 +102,9 @@ def test_all_sensor_pixels_are_counted_and_none_is_split():
 @given(st.floats(0.1, 1.0), st.floats(0.1, 1.0))
 def test_exposures_compose_where_nothing_is_cut_off(one: float, other: float):
     images = draw_images(1)
-    both = develop(images, ImageSettings(exposure=one * other), np.random.default_rng(0)).astype(int)
-    first = develop(images, ImageSettings(exposure=one), np.random.default_rng(0))
-    second = develop(first, ImageSettings(exposure=other), np.random.default_rng(0))
+    both = develop(images, ImageFaultSettings(exposure=one * other), np.random.default_rng(0)).astype(int)
+    first = develop(images, ImageFaultSettings(exposure=one), np.random.default_rng(0))
+    second = develop(first, ImageFaultSettings(exposure=other), np.random.default_rng(0))
     # the first image is rounded to whole codes: at black one of them is nearly that of the second
     assert np.abs(both - second).max() <= 1
     assert (both <= first).all()
@@ -112,7 +112,7 @@ def test_exposures_compose_where_nothing_is_cut_off(one: float, other: float):
 
 def test_a_longer_exposure_is_brighter_until_white():
     images = draw_images()
-    twice = develop(images, ImageSettings(exposure=2.0), np.random.default_rng(0))
+    twice = develop(images, ImageFaultSettings(exposure=2.0), np.random.default_rng(0))
     assert (twice >= images).all()
     assert (twice[decode(images) >= 0.5] == 255).all()
     np.testing.assert_allclose(decode(twice[decode(images) < 0.5]), 2 * decode(images[decode(images) < 0.5]), atol=5e-3)
@@ -120,7 +120,7 @@ def test_a_longer_exposure_is_brighter_until_white():
 
 @given(st.integers(0, SECTORS - 1), st.floats(0.0, 0.99))
 def test_vignetting_does_not_see_a_turn(sectors: int, lost: float):
-    images, settings, rng = draw_images(), ImageSettings(vignetting=lost), np.random.default_rng(0)
+    images, settings, rng = draw_images(), ImageFaultSettings(vignetting=lost), np.random.default_rng(0)
     turned = develop(np.roll(images, sectors, axis=2), settings, rng)
     np.testing.assert_array_equal(turned, np.roll(develop(images, settings, rng), sectors, axis=2))
 

@@ -8,24 +8,24 @@ from scipy import ndimage
 from sim.sensors.camera_mount import FRAMES, draw_leans, drive_on, tilt
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.lens import make_lens, polar_rays
-from sim.settings import MountSettings
+from sim.settings import CameraMountSettings
 from tests.sim.sensors.test_fisheye import CAMERA, build_room, find_hits, place
 
 
 def test_upright_is_no_lean_and_leans_have_their_mean_and_spread():
     rng = np.random.default_rng(0)
-    assert draw_leans(MountSettings(driven_m=0.1), 5, rng) is None
-    fixed = draw_leans(MountSettings(roll_deg=3.0, pitch_deg=-2.0), 5, rng)
+    assert draw_leans(CameraMountSettings(driven_m=0.1), 5, rng) is None
+    fixed = draw_leans(CameraMountSettings(roll_deg=3.0, pitch_deg=-2.0), 5, rng)
     assert fixed is not None
     np.testing.assert_allclose(np.degrees(fixed), np.tile([3.0, -2.0], (5, 1)))
-    wobbling = draw_leans(MountSettings(roll_deg=3.0, wobble_deg=1.5), 20_000, rng)
+    wobbling = draw_leans(CameraMountSettings(roll_deg=3.0, wobble_deg=1.5), 20_000, rng)
     assert wobbling is not None
     assert np.degrees(wobbling.mean(axis=0)) == pytest.approx([3.0, 0.0], abs=0.05)
     assert np.degrees(wobbling.std(axis=0)) == pytest.approx([1.5, 1.5], rel=0.02)
 
 
 def test_leans_of_a_shorter_drive_are_the_first_of_a_longer_one():
-    settings = MountSettings(wobble_deg=2.0)
+    settings = CameraMountSettings(wobble_deg=2.0)
     rng = np.random.default_rng(3)
     parts = [draw_leans(settings, count, rng) for count in (3, 4)]
     whole = draw_leans(settings, 7, np.random.default_rng(3))

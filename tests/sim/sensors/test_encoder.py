@@ -72,8 +72,8 @@ def test_slip_after_a_metre_does_not_depend_on_how_often_it_is_read(gaps):
 
 def test_faults_draw_from_streams_of_their_own():
     angle = drive()
-    quiet = EncoderSettings(lost=0.3)
-    noisy = EncoderSettings(lost=0.3, slip_per_m=0.01, gap_noise=0.05)
+    quiet = EncoderSettings(dropout=0.3)
+    noisy = EncoderSettings(dropout=0.3, slip_per_m=0.01, step_noise=0.05)
     _, arrived = read_encoders(angle, RADIUS, quiet, np.random.default_rng(3))
     _, arrived_noisy = read_encoders(angle, RADIUS, noisy, np.random.default_rng(3))
     np.testing.assert_array_equal(arrived, arrived_noisy)
@@ -93,17 +93,19 @@ def test_one_wheel_sticks_in_one_stretch_and_the_other_never(stuck, seed):
 
 
 def test_sticking_shifts_no_other_fault():
-    quiet = EncoderSettings(gap_noise=0.1, slip_per_m=0.01, lost=0.2)
+    quiet = EncoderSettings(step_noise=0.1, slip_per_m=0.01, dropout=0.2)
     angle = drive()
     ticks, arrived = read_encoders(angle, RADIUS, quiet, np.random.default_rng(3))
-    stuck, arrived_too = read_encoders(angle, RADIUS, quiet.model_copy(update={"stuck": 0.3}), np.random.default_rng(3))
+    stuck, arrived_too = read_encoders(
+        angle, RADIUS, quiet.model_copy(update={"stuck_fraction": 0.3}), np.random.default_rng(3)
+    )
     np.testing.assert_array_equal(arrived, arrived_too)
     same = (stuck == ticks).all(axis=0)
     assert same.sum() == 1  # of one wheel
 
 
 def test_same_seed_same_ticks_other_seed_others():
-    settings = EncoderSettings(gap_noise=0.1, slip_per_m=0.01)
+    settings = EncoderSettings(step_noise=0.1, slip_per_m=0.01)
     angle = drive()
     first, again, other = (read_encoders(angle, RADIUS, settings, np.random.default_rng(seed))[0] for seed in (5, 5, 6))
     np.testing.assert_array_equal(first, again)

@@ -95,8 +95,8 @@ def test_a_recording_of_scans_is_whole_and_repeats_with_its_noise(tmp_path: Path
     assert one.observation.shape == (300, 1, 32)
     assert one.observation.dtype == np.float32
     assert one.test_observation.shape == (*open_truth(tmp_path / "one").test_pose.shape[:2], 1, 32)
-    assert one.manifest["gl_renderer"] == "none"
-    assert one.manifest["sha256"] == two.manifest["sha256"]
+    assert one.manifest.gl_renderer == "none"
+    assert one.manifest.sha256 == two.manifest.sha256
     assert np.std(one.observation - still.observation) == pytest.approx(0.01, rel=0.1)
     assert (tmp_path / "one" / "scene.glb").is_file()
 

@@ -50,7 +50,7 @@ def read_runs(out: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str, tmp_path: Path):
-    cases = [{}, {"encoder.gap_noise": 0.1}, {"learn.train.device": "cuda:99"}]
+    cases = [{}, {"encoder.step_noise": 0.1}, {"learn.train.device": "cuda:99"}]
     study = write_study(tmp_path, cases=cases)
     rows = {}
     for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():

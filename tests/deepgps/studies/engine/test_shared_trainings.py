@@ -13,8 +13,8 @@ from deepgps.stages import training_seed
 from sim.recording.format import open_recording
 from tests.helpers.small_study import finish, start, write_study
 
-FIRST = [{}, {"encoder.lost": 0.3}]
-LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.gap_noise": 0.1}, {"use.light": 0.5}]
+FIRST = [{}, {"encoder.dropout": 0.3}]
+LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.step_noise": 0.1}, {"deployment.light": 0.5}]
 
 
 @pytest.fixture(scope="module")
@@ -22,14 +22,14 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     """Runs of a study that has grown, by what their encoders suffer from, or what has changed since they learned."""
     home = tmp_path_factory.mktemp("shared")
     for cases in (FIRST, [*FIRST, *LATER]):
-        study = write_study(home, cases=cases, methods=["posenet", "odometry"], report="plain", target={})
+        study = write_study(home, cases=cases, methods=["posenet", "dead_reckoned_labels"], report="plain", target={})
         finish(start(study, home / "out"))
     found = {}
     for folder in (home / "out" / "runs").iterdir():
         scenario = open_run(folder)
         encoder = scenario.encoder
-        kinds = {"lost": encoder.lost, "ticks": encoder.ticks_per_rev == 64, "noise": encoder.gap_noise}
-        kinds["use"] = scenario.use.light < 1.0
+        kinds = {"lost": encoder.dropout, "ticks": encoder.ticks_per_rev == 64, "noise": encoder.step_noise}
+        kinds["use"] = scenario.deployment.light < 1.0
         found[next((kind for kind, is_there in kinds.items() if is_there), "none")] = folder
     return found
 
@@ -58,7 +58,7 @@ def test_features_are_made_once_for_all_encoders_that_lose_no_image(runs):
 
 @pytest.mark.slow
 def test_a_method_that_reads_ticks_is_trained_for_each(runs):
-    learned = {kind: weights(run, "odometry").read_bytes() for kind, run in runs.items()}
+    learned = {kind: weights(run, "dead_reckoned_labels").read_bytes() for kind, run in runs.items()}
     assert learned.pop("use") == learned["none"]
     assert len(set(learned.values())) == 4
 

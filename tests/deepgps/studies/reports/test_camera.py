@@ -18,15 +18,15 @@ from deepgps.studies.table import Row
 from sim.paths import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest
 from sim.sensors.camera_faults import decode
-from sim.settings import ImageSettings, MountSettings, UseSettings
+from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
 
-VARIED = ["image.exposure", "use.light", "seed"]
+VARIED = ["image_faults.exposure", "deployment.light", "seed"]
 
 
 def make_row(method: str, rms: float, seed: int, exposure: float = 1.0, light: float = 1.0) -> Row:
     errors = {"rms_m": rms, "median_m": rms / 2, "p95_m": 2 * rms, "max_m": 10 * rms}
     errors |= {"flipped": 0.2 if rms > 0.04 else 0.0, "fold_found": None if method == "posenet" else False}
-    return {"method": method, "seed": seed, "image.exposure": exposure, "use.light": light, **errors}
+    return {"method": method, "seed": seed, "image_faults.exposure": exposure, "deployment.light": light, **errors}
 
 
 ROWS = [
@@ -73,17 +73,17 @@ def test_without_a_test_grid_nothing_is_folded():
 
 
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with():
-    faulty = [row for row in ROWS if row["use.light"] != 1.0]
+    faulty = [row for row in ROWS if row["deployment.light"] != 1.0]
     assert camera.measure(faulty) == {}
     assert cells(camera.report(faulty, VARIED)[0], "all light x 0.5", "use alone", "DeepGPS")[1] == "4.0"
 
 
 def test_every_fault_of_the_settings_has_words_and_is_in_the_study():
-    groups = {"image": ImageSettings, "mount": MountSettings, "use": UseSettings}
+    groups = {"image_faults": ImageFaultSettings, "camera_mount": CameraMountSettings, "deployment": DeploymentSettings}
     known = {f"{group}.{name}" for group, kind in groups.items() for name in kind.model_fields}
-    assert known - set(camera.TITLES) == {"image.sensor_px", "use.seed"}
+    assert known - set(camera.TITLES) == {"image_faults.sensor_px", "deployment.seed"}
     study = load_study("camera", tiny=False)
-    assert set(camera.TITLES) - {name for case in study.cases for name in case} == {"mount.pitch_deg"}
+    assert set(camera.TITLES) - {name for case in study.cases for name in case} == {"camera_mount.pitch_deg"}
     assert all(len(case) <= 1 for case in study.cases)
 
 
@@ -110,7 +110,7 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     assert text == write_report(study, plans, {}, camera_rows(folder))
     assert (folder / "figures" / "camera.png").stat().st_size > 10_000
     clean, noisy, dim = (folder / "recordings" / plan.recording for plan in plans)
-    assert read_manifest(noisy)["derived_from"] == clean.name
+    assert read_manifest(noisy).model_dump()["derived_from"] == clean.name
     check_recording(noisy)
     np.testing.assert_array_equal(open_recording(clean).observation, open_recording(dim).observation)
     light = [decode(open_recording(folder).test_observation).mean() for folder in (dim, clean)]

@@ -20,7 +20,9 @@ from tests.deepgps.test_cli import drop_progress
 SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
 
 
-def make_rows(rms: dict[tuple[str, str], dict[float, tuple[float, ...]]], axis: str = "encoder.gap_noise") -> list[Row]:
+def make_rows(
+    rms: dict[tuple[str, str], dict[float, tuple[float, ...]]], axis: str = "encoder.step_noise"
+) -> list[Row]:
     """A row for each scenario, method, value of the axis and seed, in the order of a table's columns."""
     return [
         {"run": "r", "seed": seed, "learn.knob": 1, "scenario": scenario, axis: value, "samples": 100}
@@ -71,7 +73,7 @@ def test_targets_are_judged_at_the_highest_value_in_the_worst_case():
     assert "knee" not in figures  # what rises has none
     study = load_study("noise_w", tiny=False)
     text = write_report(study, plan_runs(study)[:1], {}, NOISE)
-    line = cells(text, "RMS / side at encoder.gap_noise 0.1")
+    line = cells(text, "RMS / side at encoder.step_noise 0.1")
     assert line[1:] == ["2.0 %", "2.5 %", "<= 2.0 %", "met", "2.0 %"]
 
 
@@ -126,7 +128,7 @@ def test_curves_run_through_the_means_and_bands_from_best_to_worst():
 
 def test_noise_w_is_the_papers_experiment_on_both_worlds():
     plans = plan_runs(load_study("noise_w", tiny=False))
-    assert {plan.scenario.encoder.gap_noise for plan in plans} == {0.0, 0.02, 0.04, 0.08, 0.10}
+    assert {plan.scenario.encoder.step_noise for plan in plans} == {0.0, 0.02, 0.04, 0.08, 0.10}
     assert {plan.scenario.world for plan in plans} == {"landmarks", "room"}
     assert {plan.scenario.seed for plan in plans} == {0, 1, 2}
     full = plan_runs(load_study("noise_w", tiny=False, full=True))
@@ -162,7 +164,7 @@ def test_noise_w_runs_small_in_both_worlds_and_is_published(tmp_path: Path):
     for name in names - {"SHA256SUMS"}:
         assert (published / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
     rows = pq.read_table(published / "table.parquet").to_pylist()
-    assert find_axis(rows) == "encoder.gap_noise"
+    assert find_axis(rows) == "encoder.step_noise"
     assert {row["scenario"] for row in rows} == {"landmarks", "tiny"}
     posenet = {(row["scenario"], row["rms_m"]) for row in rows if row["method"] == "posenet"}
     assert len(posenet) == 2  # noise of the encoders does not reach it

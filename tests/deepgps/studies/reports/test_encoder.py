@@ -19,7 +19,7 @@ from deepgps.studies.table import Row
 from sim.settings import EncoderSettings
 from tests.deepgps.test_cli import drop_progress
 
-NAMES = ("ticks_per_rev", "gap_noise", "radius_error_left", "radius_error_right")
+NAMES = ("ticks_per_rev", "step_noise", "radius_error_left", "radius_error_right")
 PERFECT = EncoderSettings()
 
 
@@ -28,7 +28,7 @@ def make_rows(rms: dict[tuple[tuple[str, float], ...], float]) -> list[Row]:
     rows = []
     for faults, error in rms.items():
         settings = {f"encoder.{name}": dict(faults).get(name, getattr(PERFECT, name)) for name in NAMES}
-        for method, share in (("deepgps", 1.0), ("deepgps_aware", 0.5)):
+        for method, share in (("deepgps", 1.0), ("deepgps_noise_aware", 0.5)):
             for seed in (0, 1):
                 row = {"run": "r", "seed": seed, **settings, "samples": 100, "method": method, "scale": 1.0}
                 row |= {"rms_m": share * error * (1 + 0.1 * seed), "failure": None}
@@ -44,10 +44,10 @@ ROWS = make_rows(
         (("ticks_per_rev", 64),): 0.0105,
         (("ticks_per_rev", 16),): 0.011,
         (("ticks_per_rev", 4),): 0.03,
-        (("gap_noise", 0.1),): 0.025,
+        (("step_noise", 0.1),): 0.025,
         (("radius_error_left", 0.02), ("radius_error_right", 0.02)): 0.04,
         (("radius_error_left", 0.02),): 0.02,
-        (("gap_noise", 0.1), ("ticks_per_rev", 4)): 0.05,
+        (("step_noise", 0.1), ("ticks_per_rev", 4)): 0.05,
     }
 )
 
@@ -56,11 +56,11 @@ def test_faults_are_told_apart_from_pairs_of_them():
     found = {sweep.names: list(sweep.by_value("deepgps")) for sweep in find_sweeps(ROWS)}
     assert found == {
         ("ticks_per_rev",): [4096, 64, 16, 4],
-        ("gap_noise",): [0.0, 0.1],
+        ("step_noise",): [0.0, 0.1],
         ("radius_error_left",): [0.0, 0.02],
         ("radius_error_left", "radius_error_right"): [0.0, 0.02],
     }
-    assert find_pairs(ROWS) == [("gap_noise", "ticks_per_rev")]
+    assert find_pairs(ROWS) == [("step_noise", "ticks_per_rev")]
 
 
 def test_faults_of_either_sign_grow_from_none():
@@ -69,7 +69,7 @@ def test_faults_of_either_sign_grow_from_none():
 
 
 def test_the_page_says_which_encoder_is_enough():
-    methods = ["deepgps", "deepgps_aware"]
+    methods = ["deepgps", "deepgps_noise_aware"]
     heads, lines = choose_encoders(find_sweeps(ROWS), methods, 0.02)
     assert heads == ["fault", "DeepGPS", "DeepGPS, noise-aware"]
     enough = {line[0]: line[1:] for line in lines}
@@ -146,7 +146,7 @@ def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives():
     assert len({plan.scenario.seed for plan in plans}) == 5
     assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5
     assert {tuple(plan.scenario.methods) for plan in plans} == {
-        ("deepgps", "deepgps_aware", "deepgps_turns", "odometry", "posenet")
+        ("deepgps", "deepgps_noise_aware", "deepgps_with_turns", "dead_reckoned_labels", "posenet")
     }
 
 
@@ -157,7 +157,7 @@ def test_the_study_runs_small(tmp_path: Path):
     assert (done.returncode, drop_progress(done.stderr)) == (0, [])
     rows = pq.read_table(tmp_path / "study" / "table.parquet").to_pylist()
     assert len(rows) == 5 * 3 and not any(row["failure"] for row in rows)
-    noisy = [row for row in rows if row["encoder.gap_noise"] == 0.1]
+    noisy = [row for row in rows if row["encoder.step_noise"] == 0.1]
     assert all(row["segment_rms_m"] > 10 * rows[0]["segment_rms_m"] for row in noisy)
     recordings = {row["recording"] for row in rows}
     manifests = [(tmp_path / "study" / "recordings" / name / "manifest.json").read_text() for name in recordings]

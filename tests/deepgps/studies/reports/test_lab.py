@@ -55,7 +55,7 @@ def test_the_study_is_the_papers_experiment():
     assert [plan.scenario.seed for plan in plans] == [0, 1, 2, 3, 4, 5]
     for plan in plans:
         scenario = plan.scenario
-        assert (scenario.room.kind, scenario.room.seed, scenario.horizontal.mounted) == ("lab", 0, True)
+        assert (scenario.room.kind, scenario.room.seed, scenario.tag_camera.mounted) == ("lab", 0, True)
         assert (scenario.drive.strategy, scenario.drive.samples, scenario.grid.held_out) == ("endpoint", 1570, 314)
 
 
@@ -63,8 +63,8 @@ def test_the_study_is_the_papers_experiment():
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab") / "run"
     (plan,) = plan_runs(load_study("lab", tiny=True))
-    kept = plan.scenario.horizontal.model_copy(update={"kept": True})
-    scenario = plan.scenario.model_copy(update={"horizontal": kept})
+    kept = plan.scenario.tag_camera.model_copy(update={"kept": True})
+    scenario = plan.scenario.model_copy(update={"tag_camera": kept})
     make_recording(scenario, folder / "recording", ignore)
     train(scenario, folder, ignore)
     evaluate(scenario, folder, ignore)
@@ -98,13 +98,13 @@ def test_a_row_gets_its_columns_and_the_places_their_picture(run: Path):
 
 def test_the_viewer_has_the_run(run: Path):
     paths = {str(chunk.entity_path) for chunk in open_rrd(run / RECORDING).stream()}
-    assert {"/world/error_field/deepgps", "/drive/fisheye", "/drive/horizontal"} <= paths
+    assert {"/world/error_field/deepgps", "/drive/fisheye", "/drive/tag_camera"} <= paths
 
 
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"horizontal.mounted": "true"}, "horizontal.mounted needs world room, and the world is landmarks"),
+        ({"tag_camera.mounted": "true"}, "tag_camera.mounted needs world room, and the world is landmarks"),
         ({"grid.held_out": "5"}, "grid.held_out 5 needs world room, and the world is landmarks"),
     ],
 )

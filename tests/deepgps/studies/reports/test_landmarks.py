@@ -91,20 +91,20 @@ def test_the_study_is_the_papers_experiment():
             2.0,
         )
         assert plan.scenario.drive.spacing_m == 0.02
-        assert plan.scenario.encoder.gap_noise == 0.0
+        assert plan.scenario.encoder.step_noise == 0.0
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("landmarks") / "run"
-    methods = ["deepgps", "posenet", "odometry", "knn", "explicit", "explicit_mds"]
+    methods = ["deepgps", "posenet", "dead_reckoned_labels", "knn", "explicit", "explicit_mds"]
     run(load_scenario("landmarks", {**SMALL, "methods": methods}), folder, fresh=False, progress=ignore)
     return folder
 
 
 def test_every_method_runs_to_the_viewer(folder: Path):
     with np.load(folder / "error_field.npz") as field:
-        for method in ("deepgps", "posenet", "odometry", "knn", "explicit", "explicit_mds"):
+        for method in ("deepgps", "posenet", "dead_reckoned_labels", "knn", "explicit", "explicit_mds"):
             shown = read_error_field(folder / RECORDING, method)
             assert np.allclose(shown.predicted, field[method][:, 0], atol=1e-5)
         assert np.abs(field["explicit_mds"][:, 0] - field["truth"]).max() < 1e-3

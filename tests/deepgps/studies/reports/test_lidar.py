@@ -32,7 +32,6 @@ SMALL = {
     "learn.features.rings": 4,
     "learn.features.principal": 32,
     "learn.features.components": 16,
-    "learn.pca.components": 8,
     "learn.pca.headings": 5,
     "learn.fold.restarts": 0,
 }
@@ -41,7 +40,7 @@ SMALL = {
 def make_rows(rms: dict[tuple[int, str], float]) -> list[Row]:
     """A row for each map and method."""
     return [
-        {"map.seed": number, "recording": f"map{number}", "run": f"map{number}", "method": method, "rms_m": value}
+        {"obstacles.seed": number, "recording": f"map{number}", "run": f"map{number}", "method": method, "rms_m": value}
         | {"median_m": value / 4, "max_m": 20 * value, "train_s": 10.0 + number}
         | {"each_rms_m": value / 2, "each_median_m": value / 8, "each_max_m": 20 * value}
         | {"stored": 130_000_000 if method == "pca_knn" else 400_000}
@@ -60,7 +59,7 @@ def cells(lines: list[str], *first: str) -> list[str]:
 
 
 def test_every_map_stands_beside_the_papers_figures():
-    lines = report(ROWS, ["map.seed"])[0].splitlines()
+    lines = report(ROWS, ["obstacles.seed"])[0].splitlines()
     ours = ["0.0600", "0.0150", "1.200", "0.0300", "0.0075", "1.200", "0.40", "11"]
     assert cells(lines, "2", "DeepGPS")[2:] == [*ours, "0.177", "0.0060", "2.146"]
     assert cells(lines, "1", "PCA + nearest neighbour")[-5:] == ["130.00", "10", "0.142", "0.0130", "1.980"]
@@ -87,20 +86,22 @@ def test_the_papers_ratios_are_those_of_its_table():
 
 def test_the_study_is_the_papers_experiment():
     plans = plan_runs(load_study("lidar", tiny=False))
-    assert [plan.scenario.map.seed for plan in plans] == [0, 1, 2, 3]
+    assert [plan.scenario.obstacles.seed for plan in plans] == [0, 1, 2, 3]
     for plan in plans:
         scenario = plan.scenario
-        assert (scenario.world, scenario.lidar.rays, scenario.drive.samples, scenario.map.side_m) == (
-            *("lidar", 256, 10_000),
+        assert (scenario.world, scenario.lidar.rays, scenario.drive.samples, scenario.obstacles.side_m) == (
+            *("obstacles", 256, 10_000),
             2.0,
         )
-        assert (scenario.learn.pca.components, scenario.learn.pca.headings) == (128, 100)
+        assert scenario.learn.pca.headings == 100
         # A heading that all four scans of a place share would make it easier than it is.
         assert (scenario.lidar.rays * np.arange(1, 5) / scenario.grid.headings % 1 > 0).all()
 
 
 def test_methods_are_refused_where_there_are_no_scans():
-    with pytest.raises(InputError, match="methods: pca_knn needs scans, which world lidar or, in a room, sensor lidar"):
+    with pytest.raises(
+        InputError, match="methods: pca_knn needs scans, which world obstacles or, in a room, sensor lidar"
+    ):
         load_scenario("living_room", {"methods": ["pca_knn"]})
     assert load_scenario("living_room", {"methods": ["pca_knn"], "sensor": "lidar"}).sensor == "lidar"
     with pytest.raises(InputError, match="'resnet' needs images, which sensor lidar does not give"):
@@ -133,7 +134,7 @@ def test_every_method_runs_to_the_viewer(folder: Path):
 
 def test_the_picture_shows_each_map_and_method(folder: Path):
     rows = [row for row in ROWS if row["recording"] == "map0"]
-    picture = draw(rows, ["map.seed"], folder.parents[1])
+    picture = draw(rows, ["obstacles.seed"], folder.parents[1])
     titles = [axes.get_title(loc="left") for axes in picture.axes if axes.get_title(loc="left")]
     assert titles == [
         "map 1, DeepGPS\nRMS 0.0400 m, median 0.0100 m",

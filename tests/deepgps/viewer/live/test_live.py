@@ -81,7 +81,7 @@ def test_the_viewer_gets_the_whole_run(watched: tuple[Path, Path]) -> None:
     # the drive goes on to the end of its chunk, and is cut to the samples wanted
     assert counts[f"/{ROBOT}"] >= len(np.load(run / "recording" / "truth" / "pose.npy"))
     assert counts["/drive/fisheye"] == counts["/drive/polar"] > 0
-    for name in ("deepgps", "posenet", "odometry"):
+    for name in ("deepgps", "posenet", "dead_reckoned_labels"):
         with np.load(run / name / "history.npz") as history:
             assert counts[f"/training/{name}/loss"] >= len(history["loss"])
             assert counts[f"/world/training/{name}"] >= len(history["snapshot"])

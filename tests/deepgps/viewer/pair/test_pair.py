@@ -34,7 +34,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         write_synthetic_run(folder / name, samples=40, seed=seed, spacing_m=0.4) for seed, name in enumerate("ab")
     )
     for run, noise in zip(pair, ("0", "0.1"), strict=True):
-        write_text(run / "scenario.yaml", f"name: living_room\nencoder: {{gap_noise: {noise}}}\nmethods: [deepgps]\n")
+        write_text(run / "scenario.yaml", f"name: living_room\nencoder: {{step_noise: {noise}}}\nmethods: [deepgps]\n")
     return pair[0], pair[1]
 
 
@@ -102,15 +102,15 @@ def test_figures_and_settings_stand_beside_each_other(runs: tuple[Path, Path]) -
     a, b = (np.sqrt(np.mean(worst_errors(run, "deepgps") ** 2)) for run in runs)
     text = describe_pair(open_pair(runs))
     assert f"| DeepGPS | {100 * a:.1f} | {100 * b:.1f} | {b / a:.2f} |" in text
-    assert "| encoder.gap_noise | 0.0 | 0.1 |" in text
+    assert "| encoder.step_noise | 0.0 | 0.1 |" in text
 
 
 def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_default(copied: tuple[Path, Path]) -> None:
     write_text(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
     assert "Both were made with the same settings." in describe_pair(open_pair(copied))
-    write_text(copied[1] / "scenario.yaml", "image: {exposure: 2.0}\nname: living_room\n")
+    write_text(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
     rows = [line for line in describe_pair(open_pair(copied)).splitlines() if line.startswith("| image.")]
-    assert rows == ["| image.exposure | 1.0 | 2.0 |"]
+    assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
 
 
 def test_changes_are_drawn_on_one_fixed_scale() -> None:

@@ -32,7 +32,7 @@ from tests.helpers.blueprints import find_missing
 from tests.helpers.small_study import finish, start, wait_until, write_study
 from tests.helpers.synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
 
-AXIS = "encoder.gap_noise"
+AXIS = "encoder.step_noise"
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def find(plans: list[Plan], room: int, noise: float, seed: int) -> Plan:
     (plan,) = [
         plan
         for plan in plans
-        if (plan.scenario.room.seed, plan.scenario.encoder.gap_noise, plan.scenario.seed) == (room, noise, seed)
+        if (plan.scenario.room.seed, plan.scenario.encoder.step_noise, plan.scenario.seed) == (room, noise, seed)
     ]
     return plan
 
@@ -325,32 +325,32 @@ def test_cases_are_told_apart_by_as_little_as_it_takes(tmp_path):
 
 
 def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_change(tmp_path):
-    cases = [{}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3, "encoder.gap_noise": 0.1}]
+    cases = [{}, {"encoder.step_noise": 0.1}, {"encoder.dropout": 0.3, "encoder.step_noise": 0.1}]
     rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
-    case, seed, run = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
-    assert [step.value for step in case.steps] == ["no change", "gap_noise 0.1", "gap_noise 0.1, lost 0.3"]
+    case, seed, run = find_sliders(rows, [], {"encoder.step_noise": 0.0, "encoder.dropout": 0.0})
+    assert [step.value for step in case.steps] == ["no change", "step_noise 0.1", "step_noise 0.1, lost 0.3"]
     assert (case.others, seed.others) == ("seed 0", "")
     assert [step.value for step in run.steps][::2] == [
         "seed 0",
-        "gap_noise 0.1, seed 0",
-        "gap_noise 0.1, lost 0.3, seed 0",
+        "step_noise 0.1, seed 0",
+        "step_noise 0.1, lost 0.3, seed 0",
     ]
-    assert run.steps[0].words == "gap_noise 0, lost 0, seed 0"  # the text has all of it
-    elsewhere = find_sliders(rows, [], {"encoder.gap_noise": 0.2, "encoder.lost": 0.0})[0]
-    assert elsewhere.steps[0].value == "gap_noise 0, lost 0"
+    assert run.steps[0].words == "step_noise 0, lost 0, seed 0"  # the text has all of it
+    elsewhere = find_sliders(rows, [], {"encoder.step_noise": 0.2, "encoder.dropout": 0.0})[0]
+    assert elsewhere.steps[0].value == "step_noise 0, lost 0"
 
 
 def test_a_setting_that_grows_alone_in_some_of_the_cases_has_a_slider_of_its_own(tmp_path):
-    both = {"encoder.lost": 0.3, "encoder.gap_noise": 0.3}
-    cases = [{}, {"encoder.gap_noise": 0.3}, {"encoder.gap_noise": 0.1}, {"encoder.lost": 0.3}, both]
+    both = {"encoder.dropout": 0.3, "encoder.step_noise": 0.3}
+    cases = [{}, {"encoder.step_noise": 0.3}, {"encoder.step_noise": 0.1}, {"encoder.dropout": 0.3}, both]
     rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
-    sliders = find_sliders(rows, [], {"encoder.gap_noise": 0.0, "encoder.lost": 0.0})
-    assert [slider.name for slider in sliders] == ["case", "encoder.gap_noise", "seed", "run"]  # lost has one value
+    sliders = find_sliders(rows, [], {"encoder.step_noise": 0.0, "encoder.dropout": 0.0})
+    assert [slider.name for slider in sliders] == ["case", "encoder.step_noise", "seed", "run"]  # lost has one value
     noise = sliders[1]
     assert ([step.value for step in noise.steps], noise.others) == (["0", "0.1", "0.3"], "seed 0")
-    assert [step.rows[0]["encoder.gap_noise"] for step in noise.steps] == [0.0, 0.1, 0.3]
-    assert all(step.rows[0]["encoder.lost"] == 0.0 for step in noise.steps)
-    alone = find_sliders(rows_of(tmp_path, cases=cases[:3]), [], {"encoder.gap_noise": 0.0})
+    assert [step.rows[0]["encoder.step_noise"] for step in noise.steps] == [0.0, 0.1, 0.3]
+    assert all(step.rows[0]["encoder.dropout"] == 0.0 for step in noise.steps)
+    alone = find_sliders(rows_of(tmp_path, cases=cases[:3]), [], {"encoder.step_noise": 0.0})
     assert [slider.name for slider in alone] == ["case"]  # which is the same
 
 
@@ -388,7 +388,7 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     assert f"look at it: deepgps view {out}, or at a run: deepgps view {out}/runs/" in said
     assert not list(out.glob("*.deepgps-part"))
     verify(out / STUDY_RRD)
-    runs = {plan.scenario.encoder.gap_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
+    runs = {plan.scenario.encoder.step_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
     for index, noise in enumerate((0.0, 0.3)):
         with np.load(out / "runs" / runs[noise] / "error_field.npz") as arrays:
             shown = fields(out / STUDY_RRD, "deepgps")[AXIS, index]

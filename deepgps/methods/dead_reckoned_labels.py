@@ -19,5 +19,5 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     # A turning place has two readings at one position; either is its label. Lost readings leave no label.
     index, first = np.unique(recording.reading[:, 1], return_index=True)
     place = dead_reckon(recording)[first, :2].astype(np.float32)
-    material = prepare(recording, settings, seed, folder.parent)
-    return fit_positions(material, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)

@@ -12,7 +12,7 @@ SETTINGS = LearnSettings.model_validate(QUICK)
 
 
 def error_of(recording: Recording, folder: Path) -> float:
-    positioner = fit_method("odometry", recording, SETTINGS, 0, folder)
+    positioner = fit_method("dead_reckoned_labels", recording, SETTINGS, 0, folder)
     truth = open_truth(recording.folder)
     alignment = fit_alignment(positioner(recording.observation), truth.pose[:, :2], "SE2")
     found = alignment.apply(positioner(recording.test_observation[:, 0]))
@@ -20,16 +20,17 @@ def error_of(recording: Recording, folder: Path) -> float:
 
 
 def test_exact_encoders_teach_as_well_as_the_truth(tmp_path: Path):
-    assert error_of(make_toy(tmp_path / "toy"), tmp_path / "run" / "odometry") < 0.06
+    assert error_of(make_toy(tmp_path / "toy"), tmp_path / "run" / "dead_reckoned_labels") < 0.06
 
 
 def test_a_wrong_track_spoils_the_map(tmp_path: Path):
     recording = make_toy(tmp_path / "toy")
-    wrong = {"odometry": {**recording.manifest["odometry"], "track_m": 0.15}}
+    constants = {**recording.manifest.odometry, "track_m": 0.15}
+    wrong = recording.manifest.model_copy(update={"odometry": constants})
     drifting = Recording(
         recording.folder, wrong, recording.observation, recording.reading, recording.time, recording.test_observation
     )
-    assert error_of(drifting, tmp_path / "run" / "odometry") > 0.3
+    assert error_of(drifting, tmp_path / "run" / "dead_reckoned_labels") > 0.3
 
 
 def test_observations_without_a_reading_have_no_label(tmp_path: Path):
@@ -39,4 +40,4 @@ def test_observations_without_a_reading_have_no_label(tmp_path: Path):
     thinned = Recording(
         recording.folder, recording.manifest, recording.observation, some, time, recording.test_observation
     )
-    assert error_of(thinned, tmp_path / "run" / "odometry") < 0.2
+    assert error_of(thinned, tmp_path / "run" / "dead_reckoned_labels") < 0.2

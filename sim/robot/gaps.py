@@ -1,4 +1,4 @@
-"""Openings beside the robot: where what it passes recedes, and it could turn in."""
+"""Gaps beside the robot: where what it passes recedes, and it could turn in."""
 
 import numpy as np
 
@@ -14,7 +14,7 @@ EVERY_M = 0.015
 """It looks again after this way [m]: often enough for a mouth that leaves a few centimetres."""
 
 
-class Openings:
+class Gaps:
     """Watches one side or both on one straight segment.
 
     Args:
@@ -27,8 +27,8 @@ class Openings:
         self.reach_m = REACH_M if enough_m is None else enough_m + RADIUS_M + SEEN_M
         self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
 
-    def beside(self, robot: Robot, way_m: float) -> list[int]:
-        """The sides on which an opening has begun since the last look, ``way_m`` [m] after the segment's start."""
+    def find(self, robot: Robot, way_m: float) -> list[int]:
+        """The sides on which an gap has begun since the last look, ``way_m`` [m] after the segment's start."""
         if way_m < self.next_m:
             return []
         self.next_m = way_m + EVERY_M

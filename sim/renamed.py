@@ -1,0 +1,110 @@
+"""What was called otherwise before schema 2: one table, by which runs and tables made then are still opened."""
+
+from collections.abc import Mapping
+from typing import Any
+
+SETTINGS: dict[str, str | None] = {
+    "use": "deployment",
+    "image": "image_faults",
+    "mount": "camera_mount",
+    "horizontal": "tag_camera",
+    "map": "obstacles",
+    "map.obstacles": "obstacles.count",
+    "map.carried": "obstacles.relocate_after",
+    "encoder.gap_noise": "encoder.step_noise",
+    "encoder.lost": "encoder.dropout",
+    "encoder.stuck": "encoder.stuck_fraction",
+    **dict.fromkeys(
+        [
+            *("learn.lift.flatten_from", "learn.lift.flatten_to", "learn.fold.bent", "learn.fold.doubled"),
+            *("learn.neighbours", "learn.pca.components", "learn.label_noise_m"),
+            *("robot.timestep_s", "drive.control_period_s"),
+        ]
+    ),
+}
+"""Settings by their dotted names, groups too; None: a constant now."""
+METHODS = {
+    "deepgps_aware": "deepgps_noise_aware",
+    "deepgps_turns": "deepgps_with_turns",
+    "odometry": "dead_reckoned_labels",
+}
+WORLDS = {"lidar": "obstacles"}
+COLUMNS = {"fold_bent": "length_error_fraction", "fold_doubled": "overlap_fraction"}
+"""Columns of a study's table that are no settings."""
+
+
+def name_now(dotted: str) -> str | None:
+    """What a setting is called now; None: it is a constant. A name that was never changed stays."""
+    head, tail = dotted, ""
+    while head not in SETTINGS:
+        head, _, last = head.rpartition(".")
+        tail = f".{last}{tail}"
+        if not head:
+            return dotted
+    found = SETTINGS[head]
+    return found if found is None else found + tail
+
+
+def explain_setting(dotted: str) -> str | None:
+    """What became of a setting that has been renamed, for a message; None where nothing did."""
+    if (now := name_now(dotted)) == dotted:
+        return None
+    inner = [f"{old} is {new}" for old, new in SETTINGS.items() if old.startswith(f"{dotted}.") and new]
+    return "it is a constant now" if now is None else "; ".join([f"it is called {now} now", *inner])
+
+
+def explain_value(dotted: str, value: object) -> str | None:
+    """The same of a value: of a method's or a world's name."""
+    table = METHODS if dotted.startswith("methods") else WORLDS if dotted == "world" else {}
+    return f"it is called {table[value]} now" if isinstance(value, str) and value in table else None
+
+
+def translate(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested settings of a run made before, by their names of today."""
+    made: dict[str, Any] = {}
+    for dotted, value in _leaves(values):
+        if (now := name_now(dotted)) is None:
+            continue
+        *groups, last = now.split(".")
+        group = made
+        for name in groups:
+            group = group.setdefault(name, {})
+        group[last] = value
+    if isinstance(made.get("world"), str):
+        made["world"] = WORLDS.get(made["world"], made["world"])
+    if isinstance(made.get("methods"), list):
+        made["methods"] = [METHODS.get(name, name) if isinstance(name, str) else name for name in made["methods"]]
+    return made
+
+
+def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a study's table made before, by the names of today."""
+    made = {COLUMNS.get(name) or name_now(name) or name: value for name, value in row.items()}
+    if isinstance(made.get("method"), str):
+        made["method"] = METHODS.get(made["method"], made["method"])
+    return made
+
+
+def translate_study(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A study made before, by the names of today: settings that vary, and methods."""
+    made = dict(values)
+    for name in ("set", "axes"):
+        if isinstance(values.get(name), Mapping):
+            made[name] = _translate_dotted(values[name])
+    if isinstance(values.get("cases"), list):
+        made["cases"] = [_translate_dotted(case) if isinstance(case, Mapping) else case for case in values["cases"]]
+    if isinstance(values.get("methods"), list):
+        made["methods"] = [METHODS.get(name, name) for name in values["methods"]]
+    return made
+
+
+def _translate_dotted(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {now: value for name, value in values.items() if (now := name_now(str(name))) is not None}
+
+
+def _leaves(values: Mapping[str, Any], before: str = "") -> list[tuple[str, Any]]:
+    found = []
+    for name, value in values.items():
+        inner = isinstance(value, Mapping) and value
+        found += _leaves(value, f"{before}{name}.") if inner else [(f"{before}{name}", value)]
+    return found
