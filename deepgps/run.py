@@ -37,7 +37,7 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     from deepgps.figures.run_figures import draw_figures
     from deepgps.viewer.run.recording import write_recording
 
-    path = folder / "recording.rrd"
+    path = folder / "run.rrd"
     if not is_intact(path):
         with timed(folder, "show"):
             progress("show", 0, 2)

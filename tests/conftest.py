@@ -9,6 +9,9 @@ from sim.sensors.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 
 choose_backend()
+# Two workers of pytest share two cores: a library that starts threads of its own in each only makes both wait.
+for name in ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(name, "0" if name.startswith("LP") else "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.cli
 
 SMALL = SimSettings(

@@ -47,6 +47,9 @@ def test_wheel_holds_every_asset_and_no_test(wheel):
     assert folders == {"sim", "deepgps"}
 
 
+SMALL = ("--drive.samples", "120", "--learn.train.steps", "20", "--methods", "deepgps")
+
+
 @pytest.mark.slow
 def test_tiny_scenario_runs_from_the_wheel_in_another_folder(installed, tmp_path):
     # the wheel's folder comes first on the path, before the checkout that is installed beside it
@@ -55,6 +58,6 @@ def test_tiny_scenario_runs_from_the_wheel_in_another_folder(installed, tmp_path
         cwd=tmp_path, PYTHONPATH=str(installed),
     )  # fmt: skip
     assert where.count(str(installed)) == 2
-    call(str(installed / "bin" / "deepgps"), "run", "tiny", cwd=tmp_path, PYTHONPATH=str(installed))
+    call(str(installed / "bin" / "deepgps"), "run", "tiny", *SMALL, cwd=tmp_path, PYTHONPATH=str(installed))
     (metrics,) = (tmp_path / "runs" / "tiny").glob("*/metrics.json")
     assert json.loads(metrics.read_text(encoding="utf-8"))["methods"]["deepgps"]["rms_m"] > 0

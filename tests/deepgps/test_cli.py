@@ -13,6 +13,7 @@ import pytest
 from deepgps.scenario import names_in
 from sim.paths import STUDIES
 from sim.recording.format import check_recording
+from tests.helpers.command import deepgps_here
 
 MINI = """
 room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
@@ -95,20 +96,20 @@ def finished(mini, tmp_path_factory) -> tuple[Path, str]:
 
 @pytest.mark.parametrize(("words", "message"), ONE_LINE_ERRORS)
 def test_wrong_words_give_one_clear_line(words, message, tmp_path):
-    assert_one_clear_line(deepgps(*words, cwd=tmp_path), 2, message, tmp_path)
+    assert_one_clear_line(deepgps_here(*words, cwd=tmp_path), 2, message, tmp_path)
 
 
 @pytest.mark.parametrize(("text", "message"), FILES)
 def test_wrong_files_give_one_clear_line(text, message, tmp_path, tmp_path_factory):
     path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
     path.write_text(text)
-    assert_one_clear_line(deepgps("run", str(path), cwd=tmp_path), 2, message, tmp_path)
+    assert_one_clear_line(deepgps_here("run", str(path), cwd=tmp_path), 2, message, tmp_path)
 
 
 def test_an_empty_study_gives_one_clear_line(tmp_path, tmp_path_factory):
     path = tmp_path_factory.mktemp("wrong") / "mine.yaml"
     path.touch()
-    done = deepgps("study", str(path), cwd=tmp_path)
+    done = deepgps_here("study", str(path), cwd=tmp_path)
     assert_one_clear_line(done, 2, "mine.yaml is empty; a settings file is a mapping", tmp_path)
 
 
@@ -139,14 +140,14 @@ ABOUT = {"run": "Run a scenario", "collect": "only drive", "train": "collect, an
 
 @pytest.mark.parametrize("command", ABOUT)
 def test_help_says_what_a_command_does_and_shows_every_setting_with_its_default(command, tmp_path):
-    said = deepgps(command, "--help", cwd=tmp_path).stdout
+    said = deepgps_here(command, "--help", cwd=tmp_path).stdout
     assert ABOUT[command] in said
     for text in ("--encoder.ticks-per-rev", "default: 4096", "--room.kind", "--learn.train.steps", "--out", "[m]"):
         assert text in said
 
 
 def test_help_lists_the_commands(tmp_path):
-    done = deepgps("--help", cwd=tmp_path)
+    done = deepgps_here("--help", cwd=tmp_path)
     assert done.returncode == 0
     assert all(name in done.stdout for name in ("run", "study", "view", "rooms", "doctor", "collect"))
 
@@ -161,7 +162,7 @@ def test_doctor_finds_a_renderer(tmp_path):
 @pytest.mark.slow
 def test_a_run_leaves_all_that_was_promised(finished):
     run, said = finished
-    for name in ("scenario.yaml", "metrics.json", "error_field.npz", "recording.rrd", "log.txt", "recording/scene.glb"):
+    for name in ("scenario.yaml", "metrics.json", "error_field.npz", "run.rrd", "log.txt", "recording/scene.glb"):
         assert (run / name).is_file(), name
     assert list((run / "figures").glob("*.png"))
     check_recording(run / "recording")

@@ -113,9 +113,9 @@ def test_where_the_recording_stands_a_run_needs_neither_mujoco_nor_a_renderer(
 
     done = start()
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "run" / "recording.rrd").is_file()
+    assert (tmp_path / "run" / "run.rrd").is_file()
     assert "MUJOCO_GL" in start("--fresh").stderr
-    assert (tmp_path / "run" / "recording.rrd").is_file()
+    assert (tmp_path / "run" / "run.rrd").is_file()
 
 
 def test_a_stage_that_was_cut_off_is_timed_as_the_sum_of_its_parts(tmp_path: Path):

@@ -8,7 +8,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 NAMES = (
-    *("thesis.txt", "notes.123.part", "movie.part", "scenario.yaml", "study.yaml", "metrics.json", "recording.rrd"),
+    *(
+        "thesis.txt",
+        "notes.123.part",
+        "movie.part",
+        "scenario.yaml",
+        "study.yaml",
+        "metrics.json",
+        "run.rrd",
+        "recording.rrd",
+    ),
     *("recording/manifest.json", "recording/observation.npy", "recording/mine.npy", "recording.collecting/plan.txt"),
     *("deepgps/weights.safetensors", "deepgps/notes.md", "posenet/checkpoint.pt", "features/features.safetensors"),
     *(

@@ -3,11 +3,14 @@
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import yaml
 
+from deepgps.progress import Report
+from deepgps.studies.engine.worker import Failures, do_run
+from deepgps.studies.study import Plan
 from tests.deepgps.test_cli import drop_progress
 
 SCENARIO = """
@@ -55,3 +58,11 @@ def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) 
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def run_all_here(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+    """Do the runs of a study in this process, one after another, in place of an engine."""
+    found = {
+        plan.run: do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, record, progress) for plan in plans
+    }
+    return {run: failure for run, failure in found.items() if failure}

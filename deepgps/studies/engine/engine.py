@@ -121,7 +121,7 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run
-        if read_measured(run) is None or (study.record and not is_intact(run / "recording.rrd")):
+        if read_measured(run) is None or (study.record and not is_intact(run / "run.rrd")):
             missing.append(plan)
     return missing
 

@@ -145,7 +145,7 @@ def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> s
         return "none is enough"
     if len(good) == len(groups):
         return f"all, to {good[-1]:g}"
-    return f"{good[-1]:g}" if name == FEWER_IS_WORSE or len(good) > 1 else f"{good[-1]:g}, no more"
+    return f"{good[-1]:g}" if name == FEWER_IS_WORSE or len(good) > 1 else "none tolerated"
 
 
 def _capital(title: str) -> str:

@@ -27,11 +27,11 @@ from sim.files import is_intact, sha256
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_recording, open_truth
 
-RECORDING = "recording.rrd"
+RECORDING = "run.rrd"
 
 
 def write_recording(run: Path) -> Path:
-    """Write ``<run>/recording.rrd``; raises InputError where the folder is no whole run.
+    """Write ``<run>/run.rrd``; raises InputError where the folder is no whole run.
 
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """

@@ -50,21 +50,21 @@ def read_runs(out: Path) -> dict[str, bytes]:
 
 @pytest.mark.slow
 def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str, tmp_path: Path):
-    cases = [{}, {"encoder.step_noise": 0.1}, {"learn.train.device": "cuda:99"}]
+    cases = [{}, {"learn.train.device": "cuda:99"}]
     study = write_study(tmp_path, cases=cases)
     rows = {}
     for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
         process = start(study, tmp_path / name, *words)
-        _, errors = process.communicate(timeout=120)
-        assert drop_progress(errors) == [f"failed: 1 of 3 runs failed; {tmp_path / name / 'table.md'} says why"]
+        _, errors = process.communicate(timeout=300)
+        assert drop_progress(errors) == [f"failed: 1 of 2 runs failed; {tmp_path / name / 'table.md'} says why"]
         assert process.returncode == 1
         table = pq.read_table(tmp_path / name / "table.parquet").to_pylist()
         rows[name] = [{key: value for key, value in row.items() if key != "train_s"} for row in table]
     assert rows["ray"] == rows["local"]
-    assert [row["failure"] is None for row in rows["ray"]] == [True, True, False]
-    assert "cuda:99" in rows["ray"][2]["failure"]
+    assert [row["failure"] is None for row in rows["ray"]] == [True, False]
+    assert "cuda:99" in rows["ray"][1]["failure"]
     ours, theirs = read_runs(tmp_path / "ray"), read_runs(tmp_path / "local")
-    assert len(ours) == 2 * len(MADE)
+    assert len(ours) == len(MADE)
     assert ours == theirs
 
 

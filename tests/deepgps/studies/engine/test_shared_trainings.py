@@ -19,11 +19,11 @@ LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.step_noise": 0.1}, {"deploymen
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory) -> dict[str, Path]:
-    """Runs of a study that has grown, by what their encoders suffer from, or what has changed since they learned."""
+    """Runs of a study, by what their encoders suffer from, or what has changed since they learned."""
     home = tmp_path_factory.mktemp("shared")
-    for cases in (FIRST, [*FIRST, *LATER]):
-        study = write_study(home, cases=cases, methods=["posenet", "dead_reckoned_labels"], report="plain", target={})
-        finish(start(study, home / "out"))
+    cases = [*FIRST, *LATER]
+    study = write_study(home, cases=cases, methods=["posenet", "dead_reckoned_labels"], report="plain", target={})
+    finish(start(study, home / "out"))
     found = {}
     for folder in (home / "out" / "runs").iterdir():
         scenario = open_run(folder)

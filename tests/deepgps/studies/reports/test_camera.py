@@ -9,7 +9,6 @@ import yaml
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
-from deepgps.studies.engine.local import run_all
 from deepgps.studies.engine.shared_recordings import find_drives
 from deepgps.studies.reports import camera
 from deepgps.studies.reports.report import report_study, write_report
@@ -19,6 +18,7 @@ from sim.paths import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest
 from sim.sensors.camera_faults import decode
 from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
+from tests.helpers.small_study import run_all_here
 
 VARIED = ["image_faults.exposure", "deployment.light", "seed"]
 
@@ -104,7 +104,7 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(values))
     study = load_study(str(tmp_path / "camera.yaml"), tiny=True)
     plans, folder = plan_runs(study), tmp_path / "study"
-    assert carry_out(study, plans, folder, run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, folder, run_all=run_all_here, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "(1.00)" in cells(text, "no fault", "training and use", "Nearest neighbour")[1]
     assert text == write_report(study, plans, {}, camera_rows(folder))

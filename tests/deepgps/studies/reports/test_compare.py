@@ -13,11 +13,11 @@ from deepgps.settings import Architecture, NetworkSettings
 from deepgps.studies import grouping
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
-from deepgps.studies.engine.local import run_all
 from deepgps.studies.reports import compare, networks, strategies
 from deepgps.studies.reports.report import report_study, write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
+from tests.helpers.small_study import run_all_here
 
 COMMON = {"p95_m": 0.05, "max_m": 0.5, "flipped": 0.0, "train_s": 10.0, "heading_spread_m": 0.004, "fold_found": None}
 
@@ -139,7 +139,7 @@ def test_only_the_invariant_network_does_not_see_a_turn(architecture: Architectu
 def test_the_networks_study_runs_to_its_pictures(tmp_path: Path):
     study = load_study("networks", tiny=True)
     plans = plan_runs(study)
-    assert carry_out(study, plans, tmp_path / "study", run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, tmp_path / "study", run_all=run_all_here, progress=ignore) == {}
     text = report_study(study, plans, {}, tmp_path / "study")
     assert float(cells(text, "invariant", "DeepGPS")[9]) < 0.01
     assert float(cells(text, "resnet_plain", "DeepGPS")[9]) > 0.01

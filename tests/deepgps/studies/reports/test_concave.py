@@ -8,12 +8,12 @@ from deepgps.evaluation.visibility import measure_visible
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
-from deepgps.studies.engine.local import run_all
 from deepgps.studies.reports.concave import EDGES, add_reach, measure, pool, report
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from sim.recording.format import open_truth
+from tests.helpers.small_study import run_all_here
 
 PARTS = range(len(EDGES) - 1)
 EMPTY = {"heading_spread_m": None, "flipped": None, "fold_found": None}
@@ -63,7 +63,7 @@ def test_the_study_runs_to_its_pictures_and_its_columns_add_up(tmp_path: Path):
     study = load_study("concave", tiny=True)
     plans = plan_runs(study)
     folder = tmp_path / "study"
-    assert carry_out(study, plans, folder, run_all=run_all, progress=ignore) == {}
+    assert carry_out(study, plans, folder, run_all=run_all_here, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "50-100 %" in text
     assert {path.name for path in folder.glob("figures/*")} == {"concave.png", "rooms.png"}

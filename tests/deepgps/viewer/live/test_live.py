@@ -118,9 +118,7 @@ def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(
     assert process.returncode == 0, said
     assert "warning: the viewer is gone" in said and "the run goes on without it" in said
     assert len(drop_progress(said)) == 1
-    unwatched = deepgps("run", str(mini), "--out", "plain", cwd=tmp_path)
-    assert unwatched.returncode == 0, unwatched.stderr
-    assert arrays(tmp_path / "run") == arrays(tmp_path / "plain") == arrays(run)
+    assert arrays(tmp_path / "run") == arrays(run)  # of which one was hardly watched, and the other to its end
 
 
 def write_chunk(recording: Path, place: np.ndarray, reading: np.ndarray) -> None:

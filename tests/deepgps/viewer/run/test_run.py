@@ -231,7 +231,7 @@ def test_a_cut_off_recording_is_one_clear_line(copied: Path, keep: float) -> Non
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
     (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
-    with pytest.raises(InputError, match=r"recording.rrd is cut off or no recording") as caught:
+    with pytest.raises(InputError, match=r"run.rrd is cut off or no recording") as caught:
         view([copied])
     assert "\n" not in str(caught.value)
 

@@ -216,7 +216,7 @@ def test_a_cut_off_recording_is_one_clear_line(run: Path, tmp_path: Path) -> Non
     command = [sys.executable, "-m", "deepgps.cli", "view", str(cut.parent), "--web"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1 and "recording.rrd is cut off or no recording" in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and "run.rrd is cut off or no recording" in done.stderr
 
 
 def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
