@@ -1,1 +1,1 @@
-"""Learning to position from images and distances driven; measuring and showing it."""
+"""Learn positions from images and distances driven, evaluate what was learned, and show it."""

@@ -1,4 +1,4 @@
-"""Alignment of a method's frame with the world's: the rigid transform that no distance can tell."""
+"""Alignment of a method's frame with the world's: the rigid transform that distances leave undetermined."""
 
 from dataclasses import dataclass
 
@@ -12,9 +12,9 @@ class Alignment:
     """x_world = rotation @ x_method + translation.
 
     Attributes:
-        rotation: (2, 2), with determinant -1 where the map is mirrored (E2 only).
-        translation: (2,) [m].
-        scale: What a similarity would scale by [1]; a diagnostic of the encoder, never applied.
+        rotation: Orthogonal matrix (2, 2), with determinant -1 where the map is mirrored (E2 only).
+        translation: Offset (2,) [m].
+        scale: The factor that a similarity transform would apply [1]; a diagnostic of the encoder, never applied.
     """
 
     rotation: np.ndarray
@@ -32,7 +32,7 @@ def fit_alignment(source: np.ndarray, target: np.ndarray, kind: AlignmentKind) -
     Args:
         source: Positions in the method's frame [m].
         target: The same positions in the world's frame [m].
-        kind: SE2 keeps right-handed; E2 allows a reflection, which distances cannot tell.
+        kind: SE2 preserves chirality; E2 allows a reflection, since distances leave a mirror ambiguity.
     """
     source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
     source_0, target_0 = source - source_mean, target - target_mean

@@ -1,7 +1,7 @@
-"""The command ``deepgps``: arguments in, exit code out; 0 done, 1 the work failed, 2 the input is wrong.
+"""The command ``deepgps``: arguments in, exit code out; 0: done, 1: the work failed, 2: the input is wrong.
 
-A signal ends it with 128 and the signal's number. Output that nobody reads any more is dropped, and changes no exit
-code: the work under way is worth more than the pipe.
+After a signal the exit code is 128 plus the signal's number. Output that nobody reads any more is dropped and does not
+change the exit code: the work in progress is worth more than the pipe.
 """
 
 import os
@@ -39,7 +39,7 @@ if IS_WORKER:
 
 
 def run_command(words: Sequence[str]) -> None:
-    """Run a scenario: drive, see, learn, measure, show."""
+    """Run a scenario: drive and record, train, evaluate, show."""
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
     from deepgps.run_folder import default_folder, find_place
@@ -60,7 +60,7 @@ def run_command(words: Sequence[str]) -> None:
 
 
 def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
-    """Make the command that runs one stage and what it needs."""
+    """Make the command that runs one stage and the stages it needs."""
 
     def command(words: Sequence[str]) -> None:
         from deepgps.figures.run_report import describe_left_out
@@ -77,7 +77,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             _watch(arguments, scenario, place, progress) as report,
             claim(scenario, folder, arguments.fresh) as place,
         ):
-            if stage != "collect":  # who only collects may train on another machine
+            if stage != "collect":  # after collecting alone, training may happen on another machine
                 ask_for_device(scenario, place)
             for name, work in STAGES.items():
                 work(scenario, place, report)
@@ -92,7 +92,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 
 def study_command(words: Sequence[str]) -> None:
-    """Run a study: every recording and run that is missing, one table of all, its report and figures."""
+    """Run a study: make every missing recording and run, one table of all runs, the report and the figures."""
     from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
@@ -101,7 +101,7 @@ def study_command(words: Sequence[str]) -> None:
     study = load_study(arguments.study, arguments.tiny, arguments.full)
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
-    # These import torch and matplotlib, which takes longer than to tell what is wrong in a study.
+    # These import torch and matplotlib, which takes longer than checking a study.
     from deepgps.studies.engine.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
     from deepgps.studies.reports.report import check_publish, publish, report_study
 
@@ -167,7 +167,7 @@ def rooms_command(words: Sequence[str]) -> None:
 
 
 def bench_command(words: Sequence[str]) -> None:
-    """Measure speed, latency, memory and steadiness beside the naive ways and their targets; up to fifteen minutes."""
+    """Measure speed, latency, memory and steadiness against naive baselines and targets; takes up to 15 minutes."""
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
     _choose_renderer()
     from deepgps.bench.bench import choose_size, run_bench
@@ -185,7 +185,7 @@ def bench_command(words: Sequence[str]) -> None:
 
 
 def doctor_command(words: Sequence[str]) -> None:
-    """Check this machine: renderer, packages, processor, device, and the cure for what is missing."""
+    """Check this machine's renderer, packages, processor and device, and say how to fix what is missing."""
     parse(NoArguments, "doctor", words, doctor_command.__doc__)
     from deepgps.learning.trainer import describe_device
     from sim.tools.doctor import diagnose
@@ -229,7 +229,7 @@ HELP = {
 def main(words: Sequence[str] | None = None) -> None:
     """Run the command line ``words`` (default: the process's own) and exit."""
     words = sys.argv[1:] if words is None else words
-    # Read when torch is imported: threads that spin while they wait make a busy machine five times slower.
+    # torch reads this when it is imported: threads that spin while they wait make a busy machine five times slower.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     stop_at_signals()
     code = 0
@@ -246,7 +246,7 @@ def main(words: Sequence[str] | None = None) -> None:
         print_error(kind, text)
         with suppress(OSError):
             flush_streams()
-        if number is not None:  # every file is whole, and a package stopped in the middle of its work may never end
+        if number is not None:  # every file is intact, and a package stopped in mid-work may never end
             os._exit(code)
     ignore_signals()
     if code:
@@ -267,10 +267,10 @@ def _dispatch(words: Sequence[str]) -> None:
 def _watch(
     arguments: RunArguments, scenario: Scenario, folder: Path, progress: Report
 ) -> AbstractContextManager[Report]:
-    """The live view of a run, or nothing: what the stages shall tell."""
+    """The progress callback for the stages: the live view of a run if one is asked for, else ``progress`` itself."""
     if arguments.live is None:
         return nullcontext(progress)
-    # Read when rerun is imported: it raises what it would log, and a viewer that goes away is one line.
+    # Rerun reads this when it is imported. It also raises what it would log, and a lost viewer deserves only one line.
     os.environ.setdefault("RUST_LOG", "off")
     from deepgps.viewer.live.live import show_live
 
@@ -278,12 +278,12 @@ def _watch(
 
 
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
-    """Choose by what these scenarios, which are still to be driven, look at."""
+    """Choose the renderer by the sensors of these scenarios, which are still to be driven."""
     rooms = [scenario for scenario in scenarios if scenario.world == "room"]
     if any(scenario.sensor == "fisheye" or scenario.tag_camera.mounted for scenario in rooms):
         _choose_renderer()
     elif rooms:
-        os.environ["MUJOCO_GL"] = "off"  # read when MuJoCo is imported: a lidar needs no OpenGL
+        os.environ["MUJOCO_GL"] = "off"  # MuJoCo reads this when it is imported: a lidar needs no OpenGL
 
 
 def _choose_renderer() -> None:

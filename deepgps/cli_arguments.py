@@ -1,4 +1,4 @@
-"""The arguments of each command but the scenario's settings, and how words become both."""
+"""The arguments of each command, and the parsing of a command line into them and a scenario's settings."""
 
 import contextlib
 import io
@@ -20,12 +20,11 @@ class RunArguments:
     scenario: Annotated[str, tyro.conf.Positional]
     """A name in assets/scenarios, or the path of a YAML file."""
     out: Path | None = None
-    """The run folder itself; without it runs/<scenario>/seed<seed>-<hash>."""
+    """The run folder itself; default: runs/<scenario>/seed<seed>-<hash>."""
     fresh: bool = False
-    """Throw away what stands in the run folder and begin anew."""
+    """Discard what is in the run folder and start again."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
-    """Show the run while it goes on: in a viewer that is opened for it, or in one that listens at HOST:PORT or at a
-    rerun+http URL."""
+    """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
 
 
 @dataclass(frozen=True)
@@ -33,29 +32,30 @@ class StudyArguments:
     study: Annotated[str, tyro.conf.Positional]
     """A name in assets/studies, or the path of a YAML file."""
     out: Path | None = None
-    """The study folder itself; without it runs/studies/<study>, with --tiny or --full <study>-tiny or <study>-full."""
+    """The study folder itself; default: runs/studies/<study>, with --tiny or --full <study>-tiny or <study>-full."""
     tiny: bool = False
-    """The small version that the study describes, half a minute: it shows the way, its figures mean nothing."""
+    """Run the study's small version, which takes half a minute: it shows how a study works; its figures mean
+    nothing."""
     full: bool = False
-    """The long version, where the study describes one."""
+    """Run the study's long version, if it has one."""
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
     address: str | None = None
-    """Of the Ray cluster, as auto or host:port; none: one is started here."""
+    """Address of the Ray cluster, as auto or host:port; none: a cluster is started here."""
     publish: Path | None = None
-    """Copy table, report and figures to the folder of the study's name in this one, as docs/results."""
+    """Copy the table, report and figures to a subfolder of this folder named after the study, as in docs/results."""
     fresh: bool = False
-    """Throw away what stands in the study folder and begin anew."""
+    """Discard what is in the study folder and start again."""
 
 
 @dataclass(frozen=True)
 class ViewArguments:
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """A run's folder or a study's, or two runs' to compare."""
+    """The folder of a run or of a study, or those of two runs to compare."""
     web: bool = False
     """Serve the viewer and the recording to a browser on this machine, until Ctrl-C."""
     port: int | None = None
-    """Of the page that --web serves; its data comes from the next one. None: free ones."""
+    """Port of the page that --web serves; its data comes from the next port. None: free ports."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class RoomsArguments:
     kinds: str = "all"
     """Kinds of room, separated by commas, or all."""
     seeds: str = "0-3"
-    """Seeds, as 0-3 or 0,2,5."""
+    """Seeds, such as 0-3 or 0,2,5."""
     out: Path = Path("rooms.png")
     """The picture to write."""
 
@@ -73,11 +73,11 @@ class BenchArguments:
     out: Path = Path("bench.json")
     """The file to write; a copy is kept in runs/bench."""
     against: str | None = None
-    """Show an earlier bench beside this one: last, or its file."""
+    """Show an earlier bench next to this one: last, or its file."""
     tiny: bool = False
-    """Everything small, under a minute: it shows the way, its figures mean nothing and are not kept."""
+    """Measure everything at a small size, in under a minute: the figures mean nothing and are not kept."""
     memory_samples: int | None = None
-    """Observations of the long recording, 12 kB each on disk; none: a million."""
+    """Number of observations in the long recording, 12 kB each on disk; none: a million."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class NoArguments:
 
 
 def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Scenario]:
-    """A command's own arguments and the scenario with its overrides; ``--help`` shows every setting, and exits."""
+    """Parse a command's own arguments and its scenario with overrides; ``--help`` shows every setting and exits."""
     if {"-h", "--help"} & set(words):
         _show_settings(command, about)
     own, overrides = _split(words, {"--out", "--fresh", "--live"})
@@ -97,7 +97,7 @@ def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tup
 
 
 def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> Any:
-    """A command's arguments; ``--help`` shows them beneath what the command is about, and exits."""
+    """Parse a command's arguments; ``--help`` shows them below the description ``about`` and exits."""
     if {"-h", "--help"} & set(words):
         tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about)
     said = io.StringIO()
@@ -130,7 +130,7 @@ def parse_seeds(text: str) -> list[int]:
 
 
 def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[str, Any]]:
-    """Part the command's own words from overrides such as ``--room.seed 3``, which the scenario checks itself."""
+    """Separate the command's own words from overrides such as ``--room.seed 3``, which the scenario itself checks."""
     own, overrides = [], {}
     flag, values = None, []
     for word in [*words, "--"]:
@@ -160,7 +160,7 @@ def _show_settings(command: str, about: str | None) -> None:
 
 
 def _first_sentence(box: str) -> str:
-    """The message of the frame that tyro draws around it."""
+    """The message inside the frame that tyro draws."""
     lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
     message = [line for line in lines if line]
     end = next((index for index, line in enumerate(message) if set(line) == {"─"}), len(message))

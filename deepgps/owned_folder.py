@@ -1,7 +1,7 @@
-"""Folders that belong to deepgps: marked, held by one process at a time, and replaced whole or not at all.
+"""Folders that belong to deepgps: marked, locked by one process at a time, and replaced completely or not at all.
 
-The mark is a file of a name that nobody else writes. In a marked folder only files of known names are written and
-removed; what a user puts beside them stays. A folder without the mark that holds anything is left alone.
+The mark is a file with a name that nothing else writes. In a marked folder only files of known names are written and
+removed; other files that a user puts there stay. A folder that is not empty and has no mark is left alone.
 """
 
 import fcntl
@@ -17,7 +17,7 @@ from sim.files import list_files, read_json, remove_empty, remove_files, write_j
 
 MARK = ".deepgps"
 FRESH = ".deepgps-fresh"
-"""Folder within a folder of ours in which ``--fresh`` builds what is going to replace the rest."""
+"""Folder within an owned folder in which ``--fresh`` builds what will replace the rest."""
 COMPLETE = "complete.json"
 OLD_LOCK = ".lock"
 
@@ -27,9 +27,9 @@ class Kind:
     """A kind of folder.
 
     Attributes:
-        name: What it is called in the mark and in messages.
+        name: Name of the kind in the mark and in messages.
         first: The file that is written first.
-        files: Paths within the folder of all files that deepgps writes.
+        files: Pattern of the paths, within the folder, of all files that deepgps writes.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Kind:
 
     @property
     def head(self) -> str:
-        """How the mark begins."""
+        """The first words of the mark."""
         return f"deepgps {self.name} folder"
 
     @property
@@ -48,30 +48,30 @@ class Kind:
 
 
 def is_older(folder: Path, kind: Kind) -> bool:
-    """Whether a version that left no mark made this folder; such a folder is read, and never changed."""
+    """Whether this folder was made by a version that wrote no mark; such a folder is read but never changed."""
     return (folder / kind.first).is_file() and (folder / OLD_LOCK).is_file() and not os.path.lexists(folder / MARK)
 
 
 def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
-    """Where work goes: the folder itself, or one within it where ``fresh`` builds beside what is there."""
+    """The folder to work in: ``folder`` itself, or, with ``fresh`` and work already there, a subfolder."""
     begun = (folder / kind.first).is_file()
     return folder / FRESH if fresh and begun else folder
 
 
 @contextmanager
 def hold(folder: Path, kind: Kind) -> Iterator[None]:
-    """Keep other processes out of a folder of ours, or one that becomes ours; the lock of a dead process is free.
+    """Lock an owned folder, or one that becomes owned, against other processes; a dead process holds no lock.
 
-    A replacement that was cut off is finished first. A folder that holds nothing at the end is left as it was found.
+    An interrupted replacement is finished first. A folder that holds nothing at the end is left as it was found.
 
     Raises:
-        InputError: The folder holds something that is not ours, cannot be written, or is in use.
+        InputError: The folder holds something that is not deepgps's, cannot be written, or is in use.
     """
     check_owner(folder, kind)
     created = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # No link is followed and nothing is cut off, whatever has this name.
+        # Whatever has this name, no link is followed and nothing is truncated.
         mark = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     except OSError as error:
         raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
@@ -90,7 +90,7 @@ def hold(folder: Path, kind: Kind) -> Iterator[None]:
 
 
 def check_owner(folder: Path, kind: Kind) -> None:
-    """Raise InputError for a folder that holds something and bears no mark of this kind."""
+    """Raise InputError for a folder that is not empty and has no mark of this kind."""
     try:
         names = os.listdir(folder) if folder.exists() else []
         if not names:
@@ -121,7 +121,7 @@ def check_owner(folder: Path, kind: Kind) -> None:
 
 
 def replace(folder: Path, kind: Kind) -> None:
-    """Let what ``--fresh`` has built take the place of what was there; cut off anywhere, it is finished later."""
+    """Replace the folder's files by those that ``--fresh`` has built; if interrupted, this is finished later."""
     fresh = folder / FRESH
     built = [path.relative_to(fresh).as_posix() for path in list_files(fresh, kind.files)]
     write_json(fresh / COMPLETE, {"files": built})
@@ -129,7 +129,7 @@ def replace(folder: Path, kind: Kind) -> None:
 
 
 def finish_replacement(folder: Path, kind: Kind) -> None:
-    """Finish a replacement that was decided: move new files to their places, then remove the old ones that are left."""
+    """Finish a replacement that was begun: move new files to their places, then remove the old ones that remain."""
     fresh = folder / FRESH
     if not (fresh / COMPLETE).is_file():
         return
@@ -148,7 +148,7 @@ def finish_replacement(folder: Path, kind: Kind) -> None:
 
 
 def discard(folder: Path, place: Path, kind: Kind) -> None:
-    """Remove all that was begun in a place."""
+    """Remove all files that deepgps wrote in ``place``."""
     remove_files(place, kind.files)
     if place != folder:
         remove_empty(place, folder)
@@ -165,7 +165,7 @@ def _lock(mark: int, folder: Path) -> None:
 
 
 def _read_mark(path: Path) -> str | None:
-    """Contents of a mark; None where there is no file of that name, or a link."""
+    """Contents of a mark; None if the file does not exist or is a link."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:

@@ -1,7 +1,7 @@
-"""YAML with nothing but plain values in it: its limits hold before a value is made, each breach one line.
+"""YAML with nothing but plain values: limits are checked before a value is made, and a violation is one line.
 
-The events of the parser are counted first: none of them is kept, so that depth and number are known before memory is
-spent. Then the graph of nodes is judged, and only a graph that is plain becomes values.
+The parser's events are counted first, without keeping any, so that depth and number are known before memory is spent.
+Then the graph of nodes is checked, and only a plain graph becomes values.
 """
 
 from pathlib import Path
@@ -29,10 +29,10 @@ def read_yaml(path: Path, most_values: int = MOST_VALUES) -> dict[str, Any]:
 
     Args:
         path: The file.
-        most_values: Keys and values that it may hold, those that aliases repeat counted each time.
+        most_values: Keys and values that the file may hold, counting those that aliases repeat each time.
 
     Raises:
-        InputError: Names the file, the line and what is wrong there.
+        InputError: The file is not such a mapping; the message names the file, the line and the problem.
     """
     what = shorten(str(path), 300)
     data = read_file(path, LARGEST_FILE, f"{what}: a settings file")
@@ -48,14 +48,14 @@ def read_yaml(path: Path, most_values: int = MOST_VALUES) -> dict[str, Any]:
 
 
 class _Refusal(Exception):
-    """Says what a file must not hold, and in which line."""
+    """A violation: what a file must not hold, and the line that holds it."""
 
     def __init__(self, node: yaml.Node | yaml.Event, problem: str) -> None:
         super().__init__(f"line {node.start_mark.line + 1}: {problem}")
 
 
 class _Values(_Loader):
-    """Names the line of a value that its tag does not suit, whatever Python raises for it."""
+    """Loader that names the line of a value that does not suit its tag, whatever Python raises for it."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
@@ -78,7 +78,7 @@ def _read(text: str, most_values: int) -> Any:
 
 
 def _count_events(text: str, most_values: int) -> None:
-    """Refuse depth, number and tags before any of it is kept."""
+    """Refuse too many levels, too many values and unknown tags before any of them is kept."""
     depth = values = 0
     for event in yaml.parse(text, Loader=_Loader):
         if isinstance(event, yaml.CollectionEndEvent):
@@ -97,7 +97,7 @@ def _count_events(text: str, most_values: int) -> None:
 
 
 def _judge(root: yaml.Node, most_values: int) -> None:
-    """Refuse nodes that are not plain, keys that are not text or come twice, and aliases that grow too large."""
+    """Refuse nodes that are not plain, keys that are not text or repeated, and aliases that expand too far."""
     sizes: dict[int, tuple[int, int] | None] = {}
 
     def measure(node: yaml.Node) -> tuple[int, int]:

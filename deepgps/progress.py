@@ -1,4 +1,4 @@
-"""Progress of long work: a function told (what, steps done, steps in all), and how to see what there is so far."""
+"""Progress of long work: a callback with (label, steps done, total steps) and a view of the results so far."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,26 +12,27 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 Look = Callable[[], Mapping[str, np.ndarray]]
-"""Makes arrays of what there is so far; called by whoever wants to see it."""
+"""Return the results so far as arrays; only a callback that shows them calls this."""
 
 
 class Report(Protocol):
-    """Told what is done, its steps done and in all, and, by a training, how to see its history."""
+    """A callback with a label, the steps done and their number, and, in a training, a function that returns its
+    history."""
 
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None: ...
 
 
 def ignore(label: str, done: int, total: int, look: Look | None = None) -> None:
-    """Say nothing."""
+    """Report nothing."""
 
 
 @contextmanager
 def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
-    """A bar with rate and time left for each label; plain lines where the console is no terminal.
+    """Show a bar with rate and time left for each label, or plain lines if the console is not a terminal.
 
     Args:
-        console: Where to.
-        quiet_s: How long a label goes on before a line tells of it; for work that is mostly done at once.
+        console: Where to show the progress.
+        quiet_s: Time before the first line about a label [s]; for work that is usually finished at once.
     """
     if console.is_terminal:
         with _show_bars(console) as report:
@@ -42,7 +43,8 @@ def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
 
 @dataclass
 class _Stage:
-    """What was said of a label: steps done at first and at last, and when [s]; none: nothing yet."""
+    """What has been reported of a label: steps done at its start and in its last line, and when [s]; none: nothing
+    yet."""
 
     first: int
     begun: float
@@ -51,12 +53,12 @@ class _Stage:
 
 
 class Lines:
-    """Says how far each label is: at its first and last step, at every tenth, and once a minute in long work.
+    """Reports each label's progress in lines: at its first and last step, at every tenth, and every minute.
 
     Args:
-        say: Told each line.
-        quiet_s: How long a label goes on before anything is said of it.
-        clock: Seconds since some moment.
+        say: Called with each line.
+        quiet_s: Time before the first line about a label [s].
+        clock: Returns the seconds since some fixed moment.
     """
 
     PERIOD_S = 60.0
@@ -68,7 +70,7 @@ class Lines:
         self._stages: dict[str, _Stage] = {}
 
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None:
-        """Tell what is done of a label."""
+        """Report the steps done of a label, if a line is due."""
         now = self._clock()
         stage = self._stages.setdefault(label, _Stage(done, now))
         if now - stage.begun >= self._quiet_s and self._is_due(stage, now, done, total):
@@ -89,7 +91,7 @@ def _write_share(done: int, total: int) -> str:
 
 
 def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:
-    """The rate and the time left, or at the end the time that it took."""
+    """The rate and the time left, or, at the end, the time taken."""
     seconds = now - stage.begun
     if seconds <= 0 or done <= stage.first:
         return ""
@@ -99,7 +101,7 @@ def _write_speed(stage: _Stage, now: float, done: int, total: int) -> str:
 
 
 def write_time(seconds: float) -> str:
-    """A duration as people write it: seconds, minutes, hours."""
+    """A duration in seconds, minutes or hours, such as ``3 min 05 s``."""
     whole = round(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -13,7 +13,7 @@ PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "re
 
 
 def describe_environment(folder: Path) -> dict[str, Any]:
-    """What the figures were made with."""
+    """The renderer, packages, commit and machine that a run's figures were made with."""
     manifest = read_manifest(folder / "recording")
     return {
         "gl_renderer": manifest.gl_renderer,

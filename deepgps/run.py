@@ -1,4 +1,4 @@
-"""A run: collect, train, evaluate, show. Each stage skips what is done and continues what was cut off."""
+"""A run: collect, train, evaluate, show. Each stage skips what is done and continues what was interrupted."""
 
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,8 @@ def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict
     Args:
         scenario: What to run.
         folder: The run folder.
-        fresh: Whether to replace a run that is there, once the new one is complete.
-        progress: Told how far each stage is.
+        fresh: Whether to replace an existing run, once the new one is complete.
+        progress: Called with the steps done and their number, in each stage.
 
     Returns:
         The contents of ``metrics.json``.

@@ -1,4 +1,4 @@
-"""The run folder: where a run lies, which files make it up, and who may work in it."""
+"""The run folder: where a run is stored, which files it consists of, and which process may work in it."""
 
 import re
 from collections.abc import Iterator
@@ -31,12 +31,12 @@ RUN = Kind(
 
 
 def default_folder(scenario: Scenario) -> Path:
-    """Run folder of a scenario where the user names none: runs/<scenario>/seed<seed>-<hash>."""
+    """Run folder of a scenario if the user names none: runs/<scenario>/seed<seed>-<hash>."""
     return Path("runs") / scenario.name / f"seed{scenario.seed}-{digest(scenario)}"
 
 
 def open_run(folder: Path) -> Scenario:
-    """Scenario of an existing run folder; raises InputError where the folder is no run."""
+    """Scenario of an existing run folder; raises InputError if the folder holds no run."""
     path = folder / RUN.first
     if not path.is_file():
         raise InputError(f"{folder} is no run folder: it has no scenario.yaml")
@@ -48,24 +48,24 @@ def open_run(folder: Path) -> Scenario:
 
 
 def find_place(folder: Path, fresh: bool) -> Path:
-    """Folder that a run works in: the run folder, or where ``fresh`` builds beside a run that is there."""
+    """Folder that a run works in: the run folder, or, with ``fresh`` and a run already there, a subfolder."""
     return choose_place(folder, RUN, fresh)
 
 
 @contextmanager
 def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
-    """Hold a run folder for one process and one scenario.
+    """Lock a run folder for one process and one scenario.
 
     Args:
         scenario: What is run.
         folder: The run folder.
-        fresh: Whether a run that is there is replaced. It stays whole until the new one is complete.
+        fresh: Whether to replace an existing run, which stays intact until the new one is complete.
 
     Yields:
         The folder to work in.
 
     Raises:
-        InputError: The folder is not ours, is in use, or holds another run.
+        InputError: The folder does not belong to deepgps, is in use, or holds another run.
     """
     if is_older(folder, RUN):
         _check_older(scenario, folder, fresh)
@@ -74,7 +74,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
     cut_off = (folder / FRESH / COMPLETE).is_file()
     with hold(folder, RUN):
         if cut_off and fresh and open_run(folder) == scenario:
-            fresh = False  # killed while it replaced the old run, which is finished now
+            fresh = False  # killed while replacing the old run; the replacement is finished now
         place = find_place(folder, fresh)
         if (place / RUN.first).is_file():
             _compare(scenario, folder, place)
@@ -85,7 +85,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
         try:
             yield place
         except InputError:
-            # Wrong input leaves nothing behind, unless it shows so late that there is work to lose.
+            # Wrong input leaves nothing behind, unless it is found so late that there is work to lose.
             if not begun and not _holds_work(place):
                 for name in ("recording", "recording.collecting"):
                     remove_empty(place / name, place)
@@ -96,7 +96,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
 
 
 def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
-    """Raise InputError where another scenario is run in a folder; what a killed --fresh of another left is removed."""
+    """Raise InputError if a folder holds a run of another scenario; remove what a killed --fresh of another left."""
     if place != folder:
         try:
             same = open_run(place) == scenario
@@ -120,7 +120,7 @@ def _check_older(scenario: Scenario, folder: Path, fresh: bool) -> None:
 
 
 def describe_work(folder: Path) -> str:
-    """What a run folder holds, in words."""
+    """Describe what a run folder holds."""
     trained = sorted(path.parent.name for path in folder.glob("*/positioner.json"))
     return ", ".join(
         [
@@ -132,6 +132,6 @@ def describe_work(folder: Path) -> str:
 
 
 def _holds_work(folder: Path) -> bool:
-    """Whether a run holds a training, or a recording of its own and no link to a study's."""
+    """Whether a run holds a training, or a recording of its own rather than a link to a study's."""
     recording = folder / "recording"
     return any(folder.glob("*/positioner.json")) or (is_whole(recording) and not recording.is_symlink())

@@ -1,4 +1,4 @@
-"""The scenario: everything that decides a run, from YAML and dotted overrides, frozen and checked at once."""
+"""The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
 import difflib
 import hashlib
@@ -28,20 +28,20 @@ GIVEN_BY: dict[Observation, str] = {
     "vector": "distances to landmarks, which world landmarks alone gives",
 }
 MOST_VALUES = 1000
-"""Keys and values in a scenario's file; all settings there are make 250."""
+"""Limit of keys and values in a scenario's file; all existing settings together make 250."""
 DEEPEST = 8
-"""Groups in groups that the name of a setting passes."""
+"""Limit of nested groups in the name of a setting."""
 MOST_PROBLEMS = 5
-"""Wrong settings that one message describes; it counts the others."""
+"""Number of wrong settings that one message describes; it only counts the others."""
 
 
 class Scenario(SimSettings):
-    """Everything that decides a run."""
+    """Every setting that determines a run."""
 
     name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the scenario; its runs lie under runs/<name>."""
+    """Name of the scenario; its runs are stored under runs/<name>."""
     seed: int = Field(default=0, ge=0)
-    """Driving, encoder, weights and shuffling each draw from a stream of this number."""
+    """Seed of the RNG streams, one each for driving, encoder, weights and shuffling."""
     methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
     """Methods to train and compare."""
     learn: LearnSettings = LearnSettings()
@@ -78,14 +78,14 @@ class Scenario(SimSettings):
 
     @property
     def observation(self) -> Observation:
-        """What an observation of the scenario's sensor is."""
+        """The kind of observation that the scenario's sensor makes."""
         if self.world == "room" and self.sensor == "fisheye":
             return "polar_image"
         return "vector" if self.world == "landmarks" else "scan"
 
     @property
     def sim(self) -> SimSettings:
-        """The part that decides the recording."""
+        """The part that determines the recording."""
         return SimSettings.model_validate({name: getattr(self, name) for name in SimSettings.model_fields})
 
 
@@ -94,20 +94,20 @@ def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
 
     Args:
         source: A name in assets/scenarios, or the path of a YAML file.
-        overrides: Values by dotted name, as ``{"room.seed": "3"}``.
+        overrides: Values by dotted name, such as ``{"room.seed": "3"}``.
 
     Raises:
-        InputError: Names the field, the value and what is allowed.
+        InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
     path = find_settings("scenario", SCENARIOS, source)
     return override_scenario(read_yaml(path, MOST_VALUES), path, overrides)
 
 
 def override_scenario(values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any]) -> Scenario:
-    """Make a scenario of the plain values that a file holds, which stay as they are, and of overrides.
+    """Make a scenario from the plain values of a file, which are not modified, and overrides.
 
     Raises:
-        InputError: Names the field, the value and what is allowed.
+        InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
     values = {"name": path.stem, **values}
     for dotted, value in overrides.items():
@@ -119,7 +119,7 @@ def find_settings(kind: str, folder: Path, source: str) -> Path:
     """Path of the settings file called ``source`` in a folder, or at that path.
 
     Raises:
-        InputError: Names what does not exist, as a ``kind`` of thing, and what does.
+        InputError: There is no such file; the message names it as a ``kind`` of thing, and those that exist.
     """
     path = Path(source)
     if path.suffix in {".yaml", ".yml"} or "/" in source:
@@ -138,10 +138,10 @@ def names_in(folder: Path) -> list[str]:
 
 
 def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collection[str] = ()) -> Scenario:
-    """Make a scenario of plain values from a file and overrides on it.
+    """Make a scenario from plain values, those of a file with overrides applied.
 
     Raises:
-        InputError: Names every wrong field in one line, and the file, where the fault lies there.
+        InputError: Settings are wrong; one line names them, and the file unless all of them are overrides.
     """
     try:
         return Scenario.model_validate(values)
@@ -162,7 +162,7 @@ def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group]) -> str:
 
 
 def join_problems(first: Sequence[str], count: int) -> str:
-    """The first of ``count`` problems in one line, and how many more there are."""
+    """The first of ``count`` problems in one line, and the number of further ones."""
     return "; ".join([*first, *([f"and {count - len(first)} more"] if count > len(first) else [])])
 
 
@@ -172,7 +172,7 @@ def write_out(scenario: Scenario) -> str:
 
 
 def read_room(path: str) -> bytes | None:
-    """The bytes of a room's file, or None where there is no file; raises InputError where it cannot be read."""
+    """The bytes of a room's file, or None if there is no file; raises InputError if it cannot be read."""
     return read_file(Path(path), LARGEST_MJCF, f"room.mjcf {shorten(path, 300)}") if isfile(Path(path)) else None
 
 
@@ -181,13 +181,13 @@ def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) 
 
     Args:
         scenario: The scenario.
-        read: How to read the room's file; who hashes many scenarios of one room reads it once.
+        read: Returns the bytes of the room's file; a caller that hashes many scenarios of one room can cache them.
     """
     return _hash(scenario.model_dump_json(), scenario.room.mjcf, read)
 
 
 def digest_recording(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
-    """The same of the part that decides the recording."""
+    """The same digest of the settings that determine the recording."""
     return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario.room.mjcf, read)
 
 
@@ -198,7 +198,7 @@ def _hash(settings: str, room: str | None, read: Callable[[str], bytes | None]) 
 
 
 def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:
-    """A copy of nested groups in which the field called ``names`` is set."""
+    """A copy of nested groups in which the field with the path ``names`` is set."""
     name, *inner = names
     if not inner:
         return {**values, name: value}
@@ -230,7 +230,7 @@ def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
     group: Any = kind
     for part in loc[:-1]:
         annotation = group.model_fields[cast(str, part)].annotation
-        # A group that may be left out is one of a union.
+        # An optional group is a member of a union.
         group = next((each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields")), None)
         if group is None:
             return ""

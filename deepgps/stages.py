@@ -1,4 +1,4 @@
-"""The stages of a run, each of which continues where it stopped: collect, train, evaluate."""
+"""The stages of a run: collect, train, evaluate. Each continues where it was interrupted."""
 
 import logging
 from collections.abc import Callable
@@ -19,12 +19,12 @@ log = logging.getLogger(__name__)
 
 
 def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
-    """The scenario, if a run of it must still drive and look; what is recorded needs neither MuJoCo nor a renderer."""
+    """The scenario if a run of it still has to make its recording; a finished one needs no MuJoCo and no renderer."""
     return [] if is_whole(find_place(folder, fresh) / "recording") else [scenario]
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
-    """Raise InputError where a recording is still to be made and the device that shall learn from it is not here."""
+    """Raise InputError if the recording is still to be made and the device for training on it does not exist here."""
     if scenario.learn.train.device.startswith("cuda") and not is_whole(folder / "recording"):
         from deepgps.learning.trainer import choose_device
 
@@ -32,19 +32,19 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
 
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Drive and look: write the recording, if it does not stand yet."""
+    """Drive and record, unless the recording is already finished."""
     if not is_whole(folder / "recording"):
         with timed(folder, "collect"):
             make_recording(scenario, folder / "recording", progress)
 
 
 def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Drive and look: write the recording ``folder``, or what is missing of it."""
+    """Drive and record: write the recording ``folder``, or what is missing of it."""
     RECORD[scenario.world](scenario, folder, progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Train each method that does not stand yet."""
+    """Train each method that is not trained yet."""
     from deepgps.methods.fit import fit_method
     from deepgps.methods.positioner import is_finished
     from sim.recording.format import open_recording
@@ -78,7 +78,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
 
 
 def read_measured(folder: Path) -> dict[str, Any] | None:
-    """The contents of a run's ``metrics.json``; none: it, or an error field, is missing or damaged."""
+    """The contents of a run's ``metrics.json``; None if that file or an error field is missing or damaged."""
     if not (folder / "metrics.json").is_file():
         return None
     try:

@@ -1,4 +1,4 @@
-"""Seconds that each stage of a run took, over all sittings."""
+"""Seconds that each stage of a run took, summed over all sittings."""
 
 import logging
 import time
@@ -17,8 +17,8 @@ log = logging.getLogger(__name__)
 
 @contextmanager
 def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
-    """Add the seconds of a stage, or of the part of it before it was cut off, to the run's ``timing.json`` and its log,
-    unless it was done before."""
+    """Add the seconds of a stage, or of the part before it was interrupted, to the run's ``timing.json`` and its log,
+    unless the stage was already done."""
     start = time.perf_counter()
     try:
         yield
@@ -28,7 +28,7 @@ def timed(folder: Path, stage: str, done: bool = False) -> Iterator[None]:
 
 
 def stage_times(folder: Path) -> dict[str, float]:
-    """Seconds of collecting, training and evaluating, without what was done elsewhere, as a study's recordings are."""
+    """Seconds of collecting, training and evaluating, without work done elsewhere, such as a study's recordings."""
     times = _read_times(folder)
     parts = {name: [times[one] for one in times if one.partition(" ")[0] == name] for name in TIMED}
     return {name: round(sum(seconds), 2) for name, seconds in parts.items() if seconds}

@@ -59,6 +59,11 @@ def explain_value(dotted: str, value: object) -> str | None:
     return f"it is called {table[value]} now" if isinstance(value, str) and value in table else None
 
 
+def name_methods(values: Mapping[str, Any]) -> dict[str, Any]:
+    """What a run made before says of its methods, by the names of today."""
+    return {METHODS.get(name, name): value for name, value in values.items()}
+
+
 def translate(values: Mapping[str, Any]) -> dict[str, Any]:
     """Nested settings of a run made before, by their names of today."""
     made: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""What a recording becomes for learning: plausible readings, segments with distances, features, encoder noise, labels.
+"""Training data from a recording: plausible readings, segments with distances, features, encoder noise, labels.
 
-Only ``labels`` opens the truth, for rivals that are supervised by it.
+Only ``labels`` opens the ground truth, for the supervised baselines.
 """

@@ -1,4 +1,4 @@
-"""Path by encoders alone."""
+"""The path from encoders alone."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,16 +10,16 @@ from sim.sensors.encoder import check_odometry, count_from_first, ticks_to_dista
 
 
 def travel(ticks: np.ndarray, constants: Mapping[str, Any]) -> np.ndarray:
-    """Way of each wheel [m] from its cumulative ticks, both (R, 2); only differences of ways mean anything."""
+    """Distance travelled by each wheel [m] from its cumulative ticks, both (R, 2); only differences are meaningful."""
     odometry = check_odometry(constants)
     return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
 
 
 def dead_reckon(recording: Recording) -> np.ndarray:
-    """Path by encoders alone: pose at each reading (R, 3): x, y [m], yaw [rad], from (0, 0, 0).
+    """Dead-reckoned pose at each reading (R, 3): x, y [m], yaw [rad], starting at (0, 0, 0).
 
-    Each step turns by the difference of the wheels' ways over the track and drives their mean along the mean heading;
-    between segments the robot backs off what it touched first, and then turns in place.
+    In each step the robot turns by the difference of the wheels' distances over the track, and drives their mean along
+    the mean heading. Between segments it first backs off from what it touched and then turns in place.
     """
     way = np.diff(travel(recording.reading[:, 2:], recording.manifest.odometry), axis=0)
     turn = (way[:, 1] - way[:, 0]) / check_odometry(recording.manifest.odometry)["track_m"]

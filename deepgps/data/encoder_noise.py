@@ -1,11 +1,12 @@
-"""What encoders are expected to be wrong by: residuals are divided by it, and plots draw it as a line.
+"""Expected errors of encoders: residuals are divided by them, and plots draw them as a line.
 
-The distance between two readings of a straight segment is the mean of two wheels' ways. Expected squared errors of it:
+The distance between two readings of a straight segment is the mean of the distances of two wheels. Its expected squared
+errors are:
 
-- quantisation: each wheel's is the difference of two errors, uniform over a tick ``t``: t^2 / 6, their mean's t^2 / 12;
+- quantisation: a wheel has the difference of two errors that are uniform over a tick ``t``: t^2 / 6, the mean t^2 / 12;
 - gap noise: the wheels share it, and gaps ``g`` add up: sum (w g)^2 (paper, Sec. V-A); where readings were lost, a gap
-  is the sum of ``k`` and has (w g)^2 / k;
-- slip: each wheel's grows with the way ``c`` as s^2 c, their mean's as s^2 c / 2.
+  is the sum of ``k`` gaps and has (w g)^2 / k;
+- slip: for a wheel it grows with the distance ``c`` as s^2 c, for the mean as s^2 c / 2.
 """
 
 from dataclasses import replace
@@ -23,14 +24,14 @@ from sim.settings import EncoderSettings
 DISAGREEMENT = 4.0
 """Standard deviations by which two wheels may differ on a straight segment."""
 RESOLUTION_M = 0.003
-"""Errors of the network itself, beside which smaller ones of encoders do not matter, chosen in one room [m]."""
+"""Error of the network itself; smaller encoder errors do not matter. Chosen in one room [m]."""
 
 
 def expect_errors(recording: Recording, segments: Segments) -> Segments:
-    """The segments with the errors that their distances are expected to have, and how far each is believed.
+    """Return the segments with the expected errors of their distances and a robust weight for each segment.
 
     Where a wheel's encoder sticks or slips far, the two wheels of a straight segment disagree. A segment on which they
-    do so by ``z`` standard deviations, more than ``DISAGREEMENT``, is believed by (DISAGREEMENT / z)^2.
+    disagree by ``z`` standard deviations, more than ``DISAGREEMENT``, has the weight (DISAGREEMENT / z)^2.
     """
     odometry = check_odometry(recording.manifest.odometry)
     gap = segments.distance.diff(dim=1).clamp_min(0.0) * segments.valid[:, 1:]
@@ -44,9 +45,9 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
 
 
 def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
-    """RMS error that distances of whole segments should have with these faults [m]; ``segments`` with expected errors.
+    """Predict the RMS error of the lengths of complete segments [m]; ``segments`` must have expected errors.
 
-    Noise and what no data sheet tells: radii that are wrong and an encoder that sticks (``encoder_faults``).
+    It includes noise and the faults that are in no data sheet: wrong radii and a stuck encoder (``encoder_faults``).
     """
     last = (segments.count - 1)[:, None]
     way = segments.distance.gather(1, last).double()
@@ -55,15 +56,15 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
 
 
 def keep_inliers(segments: Segments) -> Segments:
-    """The segments without those that are believed by less than a half."""
+    """Return the segments without those whose weight is less than a half."""
     return segments if segments.weight is None else segments.take((segments.weight >= 0.5).nonzero()[:, 0])
 
 
 def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:
-    """By how many standard deviations the wheels disagree on each segment (L,), a steady ratio of theirs allowed.
+    """Disagreement of the wheels on each segment (L,), in standard deviations; a constant ratio is allowed.
 
-    Their difference has the variance t^2 / 3 + 2 s^2 c. A wheel that is larger than the other differs on all segments
-    in proportion to the way, which is taken off; and what is left on half of the segments counts as usual.
+    Their difference has the variance t^2 / 3 + 2 s^2 c. A larger wheel causes a difference in proportion to the
+    distance on all segments, which is subtracted; the median of the remaining differences counts as normal.
     """
     way = travel(recording.reading[:, 2:], recording.manifest.odometry)
     ends = np.array([way[run[-1]] - way[run[0]] for run in find_runs(recording) if len(run) >= 2])
@@ -74,7 +75,7 @@ def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: 
 
 
 def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
-    """Which whole segments, of true errors (L,) [m], are wrong (L,) by over ``DISAGREEMENT`` expected deviations."""
+    """Mask (L,) of complete segments with true errors (L,) [m] beyond ``DISAGREEMENT`` expected deviations."""
     expected = _variance(segments).gather(1, (segments.count - 1)[:, None])[:, 0].numpy() + segments.rounding_m2
     return np.abs(error) > DISAGREEMENT * np.sqrt(expected + RESOLUTION_M**2)
 
@@ -85,19 +86,19 @@ def _variance(segments: Segments) -> torch.Tensor:
 
 
 def weigh_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:
-    """What residuals of distances between all readings are multiplied by (S, m, m), from those of readings (S, m).
+    """Factors (S, m, m) for residuals of distances between all pairs of readings, from the readings' variances (S, m).
 
-    1 / sqrt(1 + v / r^2), ``v`` the expected squared error and ``r`` the network's own: 1 where encoders are perfect.
+    1 / sqrt(1 + v / r^2), ``v`` the expected squared error and ``r`` the network's own error: 1 for perfect encoders.
     """
     between = (variance[:, :, None] - variance[:, None]).abs() + rounding_m2
     return (1.0 + between / RESOLUTION_M**2).rsqrt()
 
 
 def weigh_places(variance: torch.Tensor, valid: torch.Tensor, rounding_m2: float) -> torch.Tensor:
-    """The same of residuals along the line, of readings from the mean of their segment (S, m).
+    """Factors (S, m) for residuals along the line, of readings relative to the mean of their segment.
 
-    Errors that add up have the covariance min(v_i, v_j), so that from the mean of n there are left
-    v_i - 2 mean_j min(v_i, v_j) + mean_jk min(v_j, v_k); of rounding, whose pairs have ``q``, q (1 - 1/n) / 2.
+    Errors that add up have the covariance min(v_i, v_j), so that relative to the mean of n readings the variance is
+    v_i - 2 mean_j min(v_i, v_j) + mean_jk min(v_j, v_k). Rounding, ``q`` for a pair, leaves q (1 - 1/n) / 2.
     """
     weight = valid.to(variance.dtype)
     share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)

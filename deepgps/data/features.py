@@ -1,15 +1,16 @@
-"""Spectral features of polar images: they do not change when the robot turns, and change slowly as it drives.
+"""Spectral features of polar images that do not change when the robot turns and change slowly as it drives.
 
 Turning shifts a polar image along its sectors, which multiplies every ring's Fourier coefficient of frequency f by the
-phase ``exp(i f turn)``. Magnitudes lose it ("Fourier signature", Menegatti et al. 2004), and so does the product of a
-ring's coefficient with the conjugate of the next ring's, which keeps how the rings lie to one another.
+phase ``exp(i f turn)``. Magnitudes do not depend on it ("Fourier signature", Menegatti et al. 2004), nor does the
+product of a ring's coefficient with the conjugate of the next ring's, which keeps how the rings are turned to one
+another.
 
-A lidar's scan is drawn as a polar image first: each ray fills the rings that it passes, so that a ring tells in which
-directions there is room at its distance.
+A lidar's scan is first drawn as a polar image: each ray fills the rings that it passes, so that a ring shows in which
+directions there is free space at its distance.
 
-Of these many numbers the slowest combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those that
-vary much over the room and bend little between three consecutive readings of one segment. What is left out is mostly
-aliasing and edges finer than the samples, on which a network would only learn its training images by heart.
+Of these numbers the slowest linear combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those
+that vary much over the room and bend little between three consecutive readings of one segment. What is left out is
+mostly aliasing and edges finer than the samples, with which a network would only overfit its training images.
 """
 
 import hashlib
@@ -29,11 +30,11 @@ from sim.errors import DamagedError, InputError
 from sim.files import check_sha256, read_json, write_bytes, write_json
 
 log = logging.getLogger(__name__)
-CHUNK = 64  # what a processor's cache holds
+CHUNK = 64  # fits a processor's cache
 LARGEST = 1e9
-"""Numbers beyond this are no observations; their squares would leave the range of float32."""
+"""Larger numbers are refused as observations: their squares could exceed the range of float32."""
 ALIKE = 1e-6
-"""Part of their size by which descriptions must differ in all: less is the rounding of float32."""
+"""Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
 TABLE, KEY = "features.safetensors", "features.key"
 
 
@@ -46,7 +47,7 @@ class Features:
         frequencies: Highest frequency kept around the circle; unused for vectors.
         mean: Mean of the descriptions (K,).
         basis: Projection (K, components).
-        edges: Where the rings of a scan begin and end (rings + 1,) [m]; none: observations are no scans.
+        edges: Edges of the rings of a scan (rings + 1,) [m]; None if observations are not scans.
     """
 
     shape: tuple[int, ...]
@@ -60,7 +61,7 @@ class Features:
 
         Args:
             observation: (N, rings, sectors, 3) uint8, (N, headings, rays) float or (N, M) float.
-            heading: Which heading of scans is taken.
+            heading: Index of the scans' heading to use.
         """
         check_shape(observation, self.shape)
         found = torch.empty((len(observation), self.basis.shape[1]))
@@ -71,7 +72,7 @@ class Features:
 
 
 def check_observations(observation: np.ndarray, name: str) -> None:
-    """Raise InputError where observations cannot be learned from: not numbers, not finite, or far too large."""
+    """Raise InputError if observations are unusable: not numeric, not finite, or far too large."""
     if observation.dtype.kind not in "uif":
         raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
     if observation.dtype.kind != "f":
@@ -88,7 +89,7 @@ def check_observations(observation: np.ndarray, name: str) -> None:
 
 
 def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Raise InputError where observations are not of the shape trained on."""
+    """Raise InputError if observations do not have the shape trained on."""
     if tuple(observation.shape[1:]) != shape:
         raise InputError(f"observations of shape {tuple(observation.shape[1:])}, but trained on shape {shape}")
 
@@ -96,19 +97,19 @@ def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
 def describe(
     observation: np.ndarray, frequencies: int, edges: torch.Tensor | None = None, heading: int = 0
 ) -> torch.Tensor:
-    """Heading-invariant description of each observation; vectors are taken as they are.
+    """Heading-invariant description of each observation; vectors are returned unchanged.
 
     Args:
         observation: Polar images (N, rings, sectors, colours) uint8, scans (N, headings, rays) or vectors (N, M).
         frequencies: Highest frequency kept.
-        edges: Where the rings that scans are drawn as begin and end (rings + 1,) [m].
-        heading: Which heading of scans is taken.
+        edges: Edges of the rings that scans are drawn as (rings + 1,) [m].
+        heading: Index of the scans' heading to use.
 
     Returns:
         float32 (N, K).
 
     Raises:
-        InputError: for any other shape.
+        InputError: The observations have any other shape.
     """
     array = np.asarray(observation)
     if array.ndim == 2:
@@ -126,8 +127,8 @@ def describe(
     real, imaginary = (image.view(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
     size = (real.square() + imaginary.square()).sqrt_()
     a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
-    # A product's amplitude to the power 1/4 is of the size of a magnitude's square root; its phase is kept. The small
-    # number keeps the phase of an empty pair from being noise.
+    # A product's amplitude to the power 1/4 is comparable to a magnitude's square root; its phase is kept. The small
+    # constant keeps the phase of an empty pair from being noise.
     half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(1e-8).sqrt_()
     shrink = (half * half.sqrt()).reciprocal_()
     described = torch.empty((count, size[0].numel() + 2 * shrink[0].numel()))
@@ -140,21 +141,21 @@ def describe(
 
 
 def draw_rings(scan: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
-    """Scans (N, rays) [m] as rings (N, rings, rays) between 0 and 255: how much of a ring each ray passes.
+    """Draw scans (N, rays) [m] as rings (N, rings, rays) between 0 and 255: the part of a ring that each ray passes.
 
-    Between ``edges`` the rings lose nothing: their sum, each times its width, is the distance.
+    Between ``edges`` no information is lost: the rings' sum, each times its width, gives the distance.
     """
     low, width = edges[:-1, None], edges.diff()[:, None]
     return ((scan[:, None] - low) / width).clamp_(0.0, 1.0).mul_(255.0)
 
 
 def find_edges(observation: np.ndarray, rings: int) -> torch.Tensor | None:
-    """Edges of rings that scans (N, headings, rays) [m] fill equally often (rings + 1,) [m]; none for no scans."""
+    """Edges (rings + 1,) [m] of rings that scans (N, headings, rays) [m] fill equally often; None if not scans."""
     if observation.ndim != 3:
         return None
     some = np.asarray(observation[:: max(1, len(observation) // 2000), 0], float)
     edges = np.quantile(some, np.linspace(0.0, 1.0, rings + 1))
-    # where the reach ends, many distances are the same
+    # at the end of the reach, many distances are the same
     edges = np.maximum.accumulate(edges + 1e-4 * np.arange(rings + 1))
     return torch.from_numpy(edges).float()
 
@@ -162,10 +163,10 @@ def find_edges(observation: np.ndarray, rings: int) -> torch.Tensor | None:
 def fit_features(
     observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
 ) -> tuple[Features, torch.Tensor]:
-    """Fit the projection on training observations, of a long recording on segments spread over it, and apply it to all.
+    """Fit the projection on training observations and apply it to all; of a long recording, a sample is fitted.
 
     Returns:
-        The projection and the observations' features (N, components); their mean square over those fitted on is 1.
+        The projection and the observations' features (N, components); their mean square over the fitted sample is 1.
     """
     sample, chosen = subsample(segments, len(observation))
     edges = find_edges(observation, settings.rings)
@@ -182,9 +183,9 @@ def fit_features(
 
 
 def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
-    """Features of vectors (N, M): each is moved by its mean, and all are scaled together to a mean square of 1.
+    """Features of vectors (N, M): each component is centred, and all are scaled together to a mean square of 1.
 
-    Distances to landmarks change slowly along the drive, and not at all when the robot turns: nothing is to be chosen.
+    Distances to landmarks change slowly along the drive, and not at all when the robot turns: no selection is needed.
 
     Returns:
         The projection and the observations' features (N, M).
@@ -206,7 +207,7 @@ def cached_features(
     settings: FeatureSettings,
     generator: torch.Generator,
 ) -> tuple[Features, torch.Tensor]:
-    """As ``fit_features``, but taken from a folder where they were left undamaged with the same ``key``."""
+    """Like ``fit_features``, but read from a folder if it holds intact features with the same ``key``."""
     found = _read_features(folder, key)
     if found is None:
         (folder / KEY).unlink(missing_ok=True)
@@ -223,7 +224,7 @@ def cached_features(
 
 
 def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
-    """Features that were left in a folder with this key; none where there are others, or they are damaged."""
+    """Features stored in a folder with this key; None if the key differs or they are damaged."""
     if not has_features(folder):
         return None
     try:
@@ -234,14 +235,14 @@ def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
 
 
 def check_features(folder: Path) -> str:
-    """The key of the features in a folder, which are compared with their checksum; raises DamagedError."""
+    """Compare the features in a folder with their checksum and return their key; raises DamagedError."""
     stored = read_json(folder / KEY)
     check_sha256(folder / TABLE, str(stored.get("sha256")))
     return str(stored.get("key"))
 
 
 def has_features(folder: Path) -> bool:
-    """Whether a folder holds the whole of some features: the key is written last."""
+    """Whether a folder holds complete features: the key is written last."""
     return (folder / KEY).is_file() and (folder / TABLE).is_file()
 
 
@@ -264,8 +265,8 @@ def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
 
 @lru_cache(maxsize=8)
 def _waves(sectors: int, frequencies: int) -> torch.Tensor:
-    # Cosines, then sines, of each frequency (sectors, 2 frequencies + 2): of a few frequencies a product with these is
-    # faster than a Fourier transform. Its coefficients are means over the circle of an image between 0 and 1.
+    # Cosines, then sines, of each frequency (sectors, 2 frequencies + 2): for a few frequencies a product with these is
+    # faster than a Fourier transform. The coefficients are means over the circle of an image between 0 and 1.
     angle = 2.0 * np.pi / sectors * np.outer(np.arange(sectors), np.arange(frequencies + 1))
     wave = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) / (255.0 * sectors)
     return torch.from_numpy(wave.astype(np.float32))
@@ -285,16 +286,16 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
     x = x.double()
     triple = segments.valid[:, 2:]
     if triple.sum() < 2 * x.shape[1]:
-        # Too few readings in a row to tell slow from fast, as with two readings a segment.
+        # Too few consecutive readings to separate slow from fast, as with two readings per segment.
         return torch.eye(x.shape[1])[:, :count]
     first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
     bend = x[first] - 2.0 * x[middle] + x[last]
     noise = bend.T @ bend / len(bend)
     if not noise.any():
-        return torch.eye(x.shape[1])[:, :count].float()  # nothing bends, so nothing is slower than the rest
+        return torch.eye(x.shape[1])[:, :count].float()  # no component bends, so none is slower than the others
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
     ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
-    # Each axis has bends of size 1; a fourth root more keeps the slowest in front and damps what is nearly noise.
+    # Each axis has bends of size 1; the fourth root of the ratio keeps the slowest in front and damps what is nearly noise.
     return (axes * ratio.clamp_min(1e-12) ** 0.25).flip(1)[:, :count].float()
 
 

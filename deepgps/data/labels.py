@@ -1,4 +1,4 @@
-"""What supervised methods learn from: a recording's own labels where it has any, else the simulator's truth."""
+"""Labels for supervised methods: a recording's own labels if it has any, otherwise the simulator's ground truth."""
 
 import numpy as np
 import torch
@@ -11,7 +11,7 @@ def read_places(recording: Recording) -> tuple[torch.Tensor, torch.Tensor]:
     """Labelled observations (n,) and their positions (n, 2) float64 [m]; those without a label are left out.
 
     Raises:
-        InputError: The recording has labels, but none of an observation.
+        InputError: No observation has a label.
     """
     labels = open_labels(recording.folder)
     place = (open_truth(recording.folder).pose if labels is None else labels.pose)[:, :2]

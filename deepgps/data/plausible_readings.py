@@ -1,8 +1,8 @@
-"""Readings that cannot be: found in the readings themselves, without the truth, left out or repaired, and counted.
+"""Checks of readings: impossible ones are found without the ground truth, left out or repaired, and counted.
 
-A robot reads its wheels in the order driven: time goes on, segments and images are numbered upwards, and the wheels
-turn about as fast as they usually do (``plausible_ticks``). What breaks this is a fault of the clock, of a counter, or
-of what carried the numbers. Where nothing is wrong, the readings stay as they are.
+Readings are in the order driven: time increases, the numbers of segments and images never decrease, and the wheels turn
+about as fast as they usually do (``plausible_ticks``). Readings that violate this come from a fault of the clock, of a
+counter, or of the transmission. If nothing is wrong, the readings stay unchanged.
 """
 
 from bisect import bisect_left, bisect_right
@@ -25,17 +25,17 @@ FAULTS = {
     "disordered": "are out of order",
     "jumps": "jump",
 }
-"""Why readings are left out, and what is said of them."""
+"""Reasons for leaving readings out, and their wording in messages."""
 
 
 @dataclass(frozen=True)
 class CheckedReadings:
-    """Readings that can be.
+    """The plausible readings.
 
     Attributes:
         reading: int64 (K, 4), as in ``Recording``; ticks unwrapped, and segments divided where the ticks break.
-        kept: Which of all readings these are (R,) bool.
-        counts: ``kept``; how many are left out for each of ``FAULTS``; ``wrapped``, gaps at which a counter wrapped
+        kept: Mask (R,) bool of these among all readings.
+        counts: ``kept``; the number left out for each of ``FAULTS``; ``wrapped``, gaps at which a counter wrapped
             around; ``breaks``, gaps that are left out.
     """
 
@@ -45,10 +45,10 @@ class CheckedReadings:
 
 
 def keep_plausible(recording: Recording) -> Recording:
-    """The recording with the readings that can be, and their counts.
+    """Return the recording with only its plausible readings, and their counts.
 
     Raises:
-        InputError: The readings have the wrong shape, or most of them cannot be.
+        InputError: The readings have the wrong shape, or most of them are impossible.
     """
     if recording.readings is not None:
         return recording
@@ -63,12 +63,12 @@ def keep_plausible(recording: Recording) -> Recording:
 
 
 def count_readings(recording: Recording) -> dict[str, dict[str, int]]:
-    """What ``training.json`` and ``metrics.json`` say of the readings; nothing where they were not checked."""
+    """Entries on the readings for ``training.json`` and ``metrics.json``; empty if they were not checked."""
     return {} if recording.readings is None else {"readings": recording.readings}
 
 
 def describe_readings(counts: Mapping[str, int]) -> str | None:
-    """What was left out or repaired, in a sentence; None: nothing was."""
+    """Describe in a sentence what was left out or repaired; None if nothing was."""
     parts = []
     if left_out := sum(counts.get(fault, 0) for fault in FAULTS):
         total = counts["kept"] + left_out
@@ -84,16 +84,16 @@ def describe_readings(counts: Mapping[str, int]) -> str | None:
 def check_readings(
     reading: np.ndarray, time: np.ndarray, observations: int, odometry: Mapping[str, Any]
 ) -> CheckedReadings:
-    """Find the readings that can be.
+    """Find the plausible readings.
 
     Args:
         reading: (R, 4): segment, observation, cumulative left and right ticks, in the order driven.
-        time: Of each reading (R,) [s].
-        observations: How many there are.
-        odometry: Constants of the manifest.
+        time: Time of each reading (R,) [s].
+        observations: Number of observations.
+        odometry: The manifest's odometry constants.
 
     Raises:
-        InputError: ``reading`` or ``time`` is no such array, or most of the readings cannot be.
+        InputError: ``reading`` or ``time`` has the wrong shape or type, or most of the readings are impossible.
     """
     _check_shapes(reading, time)
     whole, clock = _as_integers(reading), np.asarray(time, float)
@@ -135,24 +135,24 @@ def _check_shapes(reading: np.ndarray, time: np.ndarray) -> None:
 
 
 def _as_integers(reading: np.ndarray) -> np.ndarray:
-    """Readings as int64; what is no integer becomes another number."""
+    """Readings as int64; a value that is not an integer becomes a different number."""
     if reading.dtype.kind != "f":
         return reading.astype(np.int64, copy=False)
     return np.where(np.abs(reading) < LARGEST, reading, 0.0).astype(np.int64)
 
 
 def _find_fresh(whole: np.ndarray) -> np.ndarray:
-    """Readings (n,) that differ from the one before in anything."""
+    """Mask of readings (n,) that differ in any column from the one before."""
     return np.append(np.ones(len(whole[:1]), bool), (np.diff(whole, axis=0) != 0).any(axis=1))
 
 
 def _find_rising(numbers: np.ndarray, strictly: bool) -> np.ndarray:
-    """The most of the numbers (n,), as a mask, that rise, or at least do not fall (longest rising subsequence)."""
+    """Mask of the longest subsequence of the numbers (n,) that rises, or at least does not fall."""
     step = np.diff(numbers)
     if (step > 0 if strictly else step >= 0).all():
         return np.ones(len(numbers), bool)
     bisect = bisect_left if strictly else bisect_right
-    ends, places = [], []  # of the subsequences of each length the one with the smallest end: its end, and where
+    ends, places = [], []  # smallest end of a subsequence of each length, and its index
     before = np.full(len(numbers), -1)
     for place, number in enumerate(numbers.tolist()):
         length = bisect(ends, number)

@@ -1,12 +1,12 @@
-"""Ticks that cannot be: every gap between two consecutive readings is judged by how fast the wheels usually turn.
+"""Checks of ticks: every gap between two consecutive readings is compared with the wheels' usual speed.
 
-The usual speed is a median, which half of all gaps would have to be wrong to change. Encoders that are known to be
-noisy are given their noise.
+The usual speed is a median, which changes only if half of all gaps are wrong. The known noise of the encoders is
+allowed for.
 
 - A counter of 16 or 32 bits that wrapped around is unwrapped, each wheel for itself.
-- A few readings that lie off while those before and after them fit each other are left out ("jumps").
-- Where what follows never fits what came before, as after a counter was reset, the gap is left out ("breaks"): a
-  segment is divided there, and the path by dead reckoning goes on from the same place.
+- A few readings that are off, while those before and after them fit each other, are left out ("jumps").
+- Where the following readings never fit the previous ones, as after a counter reset, the gap is left out ("breaks"): a
+  segment is divided there, and the dead-reckoned path continues from the same place.
 """
 
 from collections.abc import Mapping
@@ -19,39 +19,39 @@ from sim.errors import InputError
 from sim.sensors.encoder import ticks_to_distance
 
 FASTER = 2.0
-"""How many times the median speed a wheel may turn. The simulator's drives come to 1.2 times."""
+"""Largest speed of a wheel, as a multiple of the median. The simulator's drives reach 1.2."""
 DEVIATIONS = 6.0
 """Standard deviations of known noise that a gap may be off by."""
 ROUNDING = 3
-"""Ticks that a gap may be off by whatever its length."""
+"""Ticks that a gap of any length may be off by."""
 TURNS = 1.0
-"""Full turns in place that a robot may make between two segments, whatever the time."""
+"""Full turns in place that a robot may make between two segments, in any time."""
 ONE_WAY = 0.9
-"""Share of the gaps on segments that must go one way before the other way counts as a fault."""
+"""Share of the gaps on segments that must have one direction before the other direction counts as a fault."""
 SPIKE = 6
-"""Readings in a row, at most, that are left out because those around them fit each other."""
+"""Most consecutive readings that are left out because those around them fit each other."""
 WIDTHS = (16, 32)
 """Bits of counters that wrap around."""
 APART = 0.1
 """Share of their usual speeds by which the wheels may differ on a segment where a counter is unwrapped."""
 LARGEST = 2.0**63
-"""No difference of ticks is larger."""
+"""Upper limit of a difference of ticks."""
 FASTEST_MPS = 30.0
-"""No robot that drives through a room is faster in the median [m/s]."""
+"""Highest credible median speed of a robot in a room [m/s]."""
 ENOUGH = 100
-"""Gaps in which one wheel turns and the other does not once, after which the other's counter is taken for dead."""
+"""If one wheel turns in so many gaps and the other in none, the other's counter counts as dead."""
 MOST_WRONG = 0.1
-"""Share of the gaps that may be jumps and breaks; with more of them no gap is believed."""
+"""Share of the readings that may be jumps and breaks; with more, all ticks are refused."""
 
 
 @dataclass(frozen=True)
 class CheckedTicks:
-    """Ticks that can be.
+    """The plausible ticks.
 
     Attributes:
-        ticks: Cumulative ticks (K, 2) int64 of the readings kept, without wraps; breaks have no ticks.
-        jumped: Readings that are left out (n,) bool.
-        broken: Readings kept before which there is a break (K,) bool.
+        ticks: Cumulative ticks (K, 2) int64 of the readings kept, unwrapped; the ticks do not change across a break.
+        jumped: Mask of readings that are left out (n,) bool.
+        broken: Mask of kept readings that follow a break (K,) bool.
         wrapped: Gaps at which a counter wrapped around.
     """
 
@@ -66,12 +66,12 @@ def check_ticks(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, odomet
 
     Args:
         ticks: Cumulative ticks (n, 2) int64, in the order driven; at least one.
-        time: Of each reading (n,) [s]; it rises.
-        segment: Of each reading (n,).
-        odometry: Constants of the manifest.
+        time: Time of each reading (n,) [s], increasing.
+        segment: Segment of each reading (n,).
+        odometry: The manifest's odometry constants.
 
     Raises:
-        InputError: A wheel's counter is dead, the wheels are faster than any robot, or too many gaps cannot be.
+        InputError: A wheel's counter is dead, the wheels are faster than any robot, or too many gaps are impossible.
     """
     gap, seconds, inside = np.diff(ticks, axis=0), np.diff(time), np.diff(segment) == 0
     pace = measure_pace(gap, seconds, inside, odometry)
@@ -99,12 +99,12 @@ class Pace:
 
     Attributes:
         inside: Median speed on segments [ticks/s].
-        each: The same of each wheel (2,).
-        between: Median speed between segments, or that on them if it is higher [ticks/s].
-        forward: Which way each wheel turns on segments (2,): 1, -1, or 0 where it turns both ways.
-        turn: Way of a wheel in the turns that are allowed between segments [ticks].
+        each: Median speed of each wheel on segments (2,) [ticks/s].
+        between: Median speed between segments, or that on segments if it is higher [ticks/s].
+        forward: Direction of each wheel on segments (2,): 1, -1, or 0 if it turns in both.
+        turn: Distance of a wheel in the turns that are allowed between segments [ticks].
         step_noise: Standard deviation of a gap, as a fraction of it.
-        slip: Standard deviation of a way [ticks] by the square root of the way [ticks].
+        slip: Standard deviation of a distance [ticks] over the square root of the distance [ticks].
     """
 
     inside: float
@@ -116,9 +116,9 @@ class Pace:
     slip: float
 
     def fits(self, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Which gaps (n, 2) [ticks] can be, that take so many seconds (n,) and lie on a segment or not (n,).
+        """Whether gaps (n, 2) [ticks] are possible, given their durations (n,) [s] and whether they are on a segment (n,).
 
-        On a segment the robot drives straight on: no wheel turns back there, and never one against the other.
+        On a segment the robot drives straight on: no wheel turns backwards, and never one against the other.
         """
         speed, turn = np.where(inside, self.inside, self.between), np.where(inside, 0.0, self.turn)
         far = (FASTER * speed * seconds + turn)[:, None]
@@ -129,7 +129,7 @@ class Pace:
         return (ahead <= far + noise) & (ahead >= np.where(one_way, 0.0, -far) - noise) & ~turned
 
     def is_straight(self, gap: np.ndarray, seconds: np.ndarray) -> np.ndarray:
-        """Whether the wheels go together in gaps (n, 2) [ticks]: both at about the same share of their usual speeds."""
+        """Whether the wheels agree in gaps (n, 2) [ticks]: both turn at about the same share of their usual speeds."""
         usual = self.each * seconds[:, None]
         slipped = DEVIATIONS * self.slip * np.sqrt(usual) + ROUNDING
         share = np.abs(gap) / usual
@@ -137,7 +137,7 @@ class Pace:
 
 
 def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odometry: Mapping[str, Any]) -> Pace:
-    """Pace of gaps (n, 2) [ticks] that take so many seconds (n,) and lie on a segment or not (n,)."""
+    """Measure the pace from gaps (n, 2) [ticks], their durations (n,) [s] and whether they are on a segment (n,)."""
     speed = np.abs(gap.astype(float)) / seconds[:, None]
     usual = _median(speed[inside], LARGEST)
     tick_m = _measure_tick(odometry)
@@ -155,11 +155,11 @@ def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odome
 
 
 def unwrap(ticks: np.ndarray, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, pace: Pace) -> np.ndarray:
-    """The gaps (n, 2) with those made whole at which a counter wrapped around.
+    """Return the gaps (n, 2) with those unwrapped at which a counter wrapped around.
 
-    A gap is taken for a wrap if it cannot be and fits once it is made whole. Of a counter that never leaves the range
-    of its width, a gap on a segment need only turn the other way than most; and if there is any such, then every gap
-    that is longer than half of that range is a wrap.
+    A gap counts as a wrap if it is impossible and fits once it is unwrapped. For a counter that never leaves the range
+    of its width, it is enough that a gap on a segment turns against the usual direction; and if there is any wrap, then
+    every gap that is longer than half of that range is one.
     """
     found = gap.copy()
     most = np.sign(np.median(found[inside], axis=0)) if inside.any() else np.zeros(2)
@@ -226,12 +226,12 @@ def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -
 
 
 def _measure_tick(odometry: Mapping[str, Any]) -> float:
-    """Way of a wheel in one tick [m]."""
+    """Distance that a wheel travels in one tick [m]."""
     return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
 
 
 def _median(speed: np.ndarray, otherwise: float) -> float:
-    """Median of the speeds of wheels that turned."""
+    """Median of the positive speeds; ``otherwise`` if there are none."""
     turned = speed[speed > 0]
     return float(np.median(turned)) if len(turned) else otherwise
 

@@ -10,5 +10,5 @@ def find_starts(segment: np.ndarray) -> np.ndarray:
 
 
 def find_lasts(start: np.ndarray) -> np.ndarray:
-    """Index of the last reading of each segment (S,), from that of the first at each reading (R,)."""
+    """Index of the last reading of each segment (S,), from the result of ``find_starts`` (R,)."""
     return np.flatnonzero(np.r_[start[1:] != start[:-1], True])

@@ -1,4 +1,7 @@
-"""Weak constraints from a recording: what lies on one straight segment, and how far along it. Never the truth."""
+"""Weak constraints from a recording: observations on a straight segment and the distances along it.
+
+The ground truth is not used.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -10,23 +13,23 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 
 MOST_FITTED = 16_000
-"""Observations that features, initial map and fold detector use, at most: all of them are compared with one another, so
-memory and time grow with the square."""
+"""Most observations that features, initial map and fold detector use: all pairs are compared, so memory and time grow
+with the square."""
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 @dataclass(frozen=True)
 class Segments:
-    """Straight segments, padded to the longest; positions past ``count`` are zero and mean nothing.
+    """Straight segments, padded to the longest; entries past ``count`` are zero and have no meaning.
 
     Attributes:
         index: Observations in the order driven (L, longest) int64.
         distance: Distance of each from the segment's first reading, by encoder (L, longest) [m].
         count: Readings of each segment (L,) int64, at least 2.
         skipped: Segments left out because fewer than two readings arrived.
-        weight: How much each is believed (L,), from 0 to 1; None: all alike.
-        variance: Expected squared error of each distance that grows with the way (L, longest) [m^2]; None: not asked.
-        rounding_m2: The same of any distance between two readings that does not [m^2].
+        weight: Robust weight of each segment (L,), from 0 to 1; None: all are equal.
+        variance: Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: not computed.
+        rounding_m2: Constant part of the expected squared error of a distance between two readings [m^2].
     """
 
     index: torch.Tensor
@@ -39,22 +42,22 @@ class Segments:
 
     @property
     def valid(self) -> torch.Tensor:
-        """Which places hold a reading (L, longest) bool."""
+        """Mask (L, longest) bool of the entries that hold a reading."""
         return torch.arange(self.index.shape[1], device=self.index.device) < self.count[:, None]
 
     def to(self, device: torch.device) -> "Segments":
-        """The same on a device."""
+        """Return the segments on a device."""
         tensors = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         return replace(self, **tensors)
 
     def take(self, rows: torch.Tensor) -> "Segments":
-        """Some of the segments (n,) int64, with their observations numbered as before."""
+        """Return the segments ``rows`` (n,) int64, with their observations numbered as before."""
         tensors = {name: value[rows] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         return replace(self, **tensors)
 
 
 def read_segments(recording: Recording) -> Segments:
-    """Straight segments of a recording: runs of readings with one segment number.
+    """Read the straight segments of a recording: runs of readings with the same segment number.
 
     A distance is ``2 pi r / ticks_per_rev`` times the mean of the left and right ticks since the first reading.
 
@@ -83,21 +86,21 @@ def read_segments(recording: Recording) -> Segments:
 
 
 def find_runs(recording: Recording) -> list[np.ndarray]:
-    """The readings (n,) of each segment in the order driven; of those with at least two, ``Segments`` has a row."""
+    """Readings (n,) of each segment in the order driven; ``Segments`` has a row for each with at least two."""
     number = recording.reading[:, 0]
     return np.split(np.arange(len(number)), np.flatnonzero(np.diff(number)) + 1)
 
 
 def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) -> tuple[Segments, torch.Tensor]:
-    """Whole segments spread evenly over a drive; all of them where the recording is no longer than ``most``.
+    """Choose complete segments spread evenly over a drive; all of them if there are at most ``most`` observations.
 
     Args:
         segments: All segments.
-        observations: How many the recording has.
-        most: How many may be left.
+        observations: Number of observations in the recording.
+        most: Largest number of observations to keep.
 
     Returns:
-        The segments kept, their observations numbered anew, and which observation each of these is (n,) int64.
+        The segments kept, with their observations renumbered, and the original numbers of these (n,) int64.
     """
     if observations <= most:
         return segments, torch.arange(observations)
@@ -111,7 +114,7 @@ def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) ->
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """First and last segment on which each observation lies (N,), (N,); a turning place lies on two. -1: on none."""
+    """First and last segment of each observation (N,), (N,); a turning place is on two segments. -1: on none."""
     first, last = torch.full((observations,), -1), torch.full((observations,), -1)
     for row, count in enumerate(segments.count.tolist()):
         index = segments.index[row, :count]

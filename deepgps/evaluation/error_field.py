@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError
 from sim.files import damaged, read_arrays, write_arrays
+from sim.renamed import name_methods
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def read_fields(run: Path) -> dict[str, WorstField]:
     if missing:
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     methods = (name for name in data if name not in {"truth", "heading"})
-    return {name: worst_heading(data["truth"], data[name]) for name in methods}
+    return name_methods({name: worst_heading(data["truth"], data[name]) for name in methods})
 
 
 def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:

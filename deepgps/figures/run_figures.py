@@ -20,6 +20,7 @@ from deepgps.methods.catalog import METHODS, colour_of, title_of
 from sim.files import read_arrays, write_bytes
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
+from sim.renamed import name_methods
 
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 
@@ -49,7 +50,7 @@ def make_figures(run: Path) -> dict[str, Figure]:
 
 def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     """Read each method's history.npz; methods that were not trained step by step have none."""
-    histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
+    histories = name_methods({path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")})
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 

@@ -14,6 +14,7 @@ from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.methods.catalog import folder_of, title_of
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
+from sim.renamed import name_methods
 
 Row = tuple[str, ...]
 
@@ -49,7 +50,7 @@ def read_metrics(run: Path) -> dict[str, Any]:
         raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} holds no methods: it is no run's metrics.json")
-    return metrics
+    return {**metrics, "methods": name_methods(metrics["methods"])}
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:

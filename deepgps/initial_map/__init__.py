@@ -1,4 +1,4 @@
-"""The initial map: features' neighbours and distances driven become positions before any network is trained.
+"""The initial map: positions from feature similarity and distances travelled, before any network is trained.
 
-The truth is never opened here, and no network is trained.
+Nothing here opens the ground truth or trains a network.
 """

@@ -1,9 +1,9 @@
-"""The map from which training starts, found without a network: rough ones by shortest paths, made exact, the best kept.
+"""The map from which training starts, found without a network: rough maps by shortest paths, refined, the best kept.
 
 A rough map may mirror a region, such as the room behind a sofa, or bend it so far that its loop closures lose their
 weight. Graphs of few and of many neighbours fail in different regions, so several are tried and judged by their cost,
 which is how well segments and loop closures fit one another. The best map then adopts better-fitting regions from the
-others, and mirrors weakly connected parts where that lowers the cost. The truth has no part in it.
+others, and mirrors weakly connected parts where that lowers the cost. The ground truth is not used.
 """
 
 import numpy as np
@@ -19,21 +19,21 @@ from deepgps.initial_map.pose_graph import relax
 
 NEIGHBOURS = (3, 4, 6, 8)
 APART = 1.5
-"""How far two maps put an observation apart where they differ, in steps between readings."""
+"""Two maps differ at an observation if they place it farther apart than this, in steps between readings."""
 REGIONS, SMALLEST = 6, 4
-"""How many regions of another map are tried, the largest first, and of how many observations at least."""
+"""Largest number of regions of another map that are tried, and the fewest observations that a region may have."""
 BELIEVED = 4.0
-"""As in the pose graph, after a region was taken over: all else is right already."""
+"""First-round scale of the robust weights after a region was adopted or mirrored: the rest is already right."""
 
 
 def find_initial_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
-    """Positions of observations with features (N, K), in a frame of its own.
+    """Positions of observations with features (N, K), in an arbitrary frame.
 
     Returns:
-        (N, 2) [m]; not a number for observations that hang together with few others.
+        (N, 2) [m]; NaN for observations outside the largest connected part.
 
     Raises:
-        InputError: when the segments do not hang together.
+        InputError: The segments are not connected.
     """
     graphs = find_loop_closures(features, segments, NEIGHBOURS)
     rough = [map_by_paths(len(features), segments, closures, generator) for closures in graphs]
@@ -45,7 +45,7 @@ def find_initial_map(features: torch.Tensor, segments: Segments, generator: torc
 
 
 def mirror_parts(places: np.ndarray, cost: float, segments: Segments, closures: LoopClosures) -> np.ndarray:
-    """Mirror parts of a map (N, 2) [m] that hang on the rest by little, each if the map then costs less."""
+    """Mirror weakly connected parts of a map (N, 2) [m], each only if that lowers the map's cost."""
     for part in find_weak_parts(np.asarray(np.isfinite(places).all(axis=1)), segments, closures):
         found, less = relax(mirror(places, part, segments, closures), segments, closures, BELIEVED)
         if less < cost:
@@ -56,14 +56,14 @@ def mirror_parts(places: np.ndarray, cost: float, segments: Segments, closures: 
 def adopt_regions(
     places: np.ndarray, cost: float, other: np.ndarray, segments: Segments, closures: LoopClosures
 ) -> tuple[np.ndarray, float]:
-    """Put regions of another map into this one, each if it then costs less.
+    """Adopt regions of another map, each only if that lowers the cost.
 
     Args:
         places: A map (N, 2) [m].
-        cost: What it costs.
+        cost: Its cost.
         other: Another map (N, 2) [m], in any frame.
         segments: Weak constraints.
-        closures: Observations that look alike.
+        closures: Loop closures.
 
     Returns:
         The better map and its cost.
@@ -79,7 +79,7 @@ def adopt_regions(
 
 
 def lay_over(other: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Another map moved, turned and mirrored so that the half of it that fits best lies on this one."""
+    """Another map moved, turned and mirrored so that the half that fits best coincides with this one."""
     laid, kept = other, np.isfinite(places).all(axis=1) & np.isfinite(other).all(axis=1)
     known = kept
     for _ in range(8):
@@ -90,7 +90,7 @@ def lay_over(other: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def find_regions(places: np.ndarray, laid: np.ndarray, segments: Segments, closures: LoopClosures) -> list[np.ndarray]:
-    """Observations (n,) that lie apart on two maps, in parts that hang together, the largest first."""
+    """Connected groups of observations (n,) that two maps place differently, the largest first."""
     step = float(np.median(find_steps(segments)[2]))
     apart = np.linalg.norm(laid - places, axis=1) > APART * step
     first, second, _ = join_closures(segments, closures)

@@ -1,12 +1,13 @@
 """An initial map where segments have two readings (the paper's end-point strategy): places, bars and loop closures.
 
-Two readings do not tell how fast features change, but all short segments together tell how unlike places look at a
-distance: ``D^2 = S^2 (1 - exp(-d / l))``, with S how unlike far places look. Shortest paths over bars, which are
-straight and long, and loop closures, which are short, give a map that is wrong by decimetres (Isomap). Then all places
-move until bars have their lengths and loop closures lie on one another, false ones losing their weight as what is
-believed shrinks (as in the pose graph). That contracts the map here and there, since loop closures do not lie on one
-another; so at last each place moves to where it lies among those that it resembles, as its features lie among theirs
-(locally linear embedding, Roweis and Saul 2000), with bars of their lengths. The truth has no part in it.
+Two readings of a segment do not show how fast features change, but all short segments together show how the feature
+difference D grows with the distance d: ``D^2 = S^2 (1 - exp(-d / l))``, where S is the difference between distant
+places. Shortest paths over bars, which are straight and long, and loop closures, which are short, give a map that is
+wrong by decimetres (Isomap). Then all places move until bars have their lengths and loop closures coincide; false loop
+closures lose their weight as the scale of the robust weights shrinks (as in the pose graph). That contracts the map in
+places, since the two ends of a loop closure are close but not identical. So in the last step each place moves to the
+position among similar places that its features have among theirs (locally linear embedding, Roweis and Saul 2000),
+while bars keep their lengths. The ground truth is not used.
 """
 
 import numpy as np
@@ -19,34 +20,34 @@ from deepgps.initial_map.isomap import CHUNK, LoopClosures, find_steps, map_by_p
 from sim.errors import InputError
 
 NEIGHBOURS = (5, 8, 12)
-"""Look-alikes of each place, for each map that is tried; the one that fits best is kept."""
+"""Neighbours in feature space of each place, for each map that is tried; the map that fits best is kept."""
 NEAR_M, SAME_M, SHORT_M = 0.3, 0.02, 0.5
-"""Look-alikes are believed to lie nearer than this, none nearer than that; and the longest segment taken for short."""
+"""Largest estimated distance of a loop closure, its smallest standard deviation, and the longest short segment [m]."""
 ROUNDS = 25
 BELIEVED_M = (1.0, 0.08)
-"""Differences that are believed in the first and the last round [m]."""
+"""Scale of the robust weights in the first and the last round [m]."""
 BAR_M = (0.1, 0.01)
-"""How exact the bars are taken to be in the first and the last round [m]."""
+"""Standard deviation of the bars' lengths in the first and the last round [m]."""
 ANCHOR_M, LARGEST_M = 0.3, 0.5
-"""Standard deviation that holds a place where it was a round before, and the farthest that it goes in one round [m]."""
+"""Standard deviation of a place about its position a round before, and its largest step along each axis [m]."""
 MIXED, SMOOTH = 10, 0.05
-"""How many make up each place, and how much their weights are damped."""
+"""Number of similar places that make up each place, and the damping of their weights."""
 MIXTURE_ROUNDS, MIXTURE_BELIEVED_M, MIXTURE_M = 15, (0.5, 0.05), 0.03
-"""Rounds, scales believed in the first and the last [m], and how exactly a place lies among those it resembles [m]."""
+"""Rounds, scales of the robust weights in the first and the last [m], and standard deviation about the mixture [m]."""
 EXACT, MOST_STEPS = 1e-8, 2000
-"""Remainder at which conjugate gradients stop, as a share of the right side, and their steps, at most."""
+"""Residual at which conjugate gradients stop, relative to the right-hand side, and their largest number of steps."""
 WRONG_M = 0.05
-"""A bar or loop closure wrong by twice this and more counts as just wrong when maps are compared [m]."""
+"""Unit of the errors when maps are compared; an error of more than twice this counts as twice this [m]."""
 
 
 def find_end_point_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
-    """Positions of observations with features (N, K), in a frame of its own.
+    """Positions of observations with features (N, K), in an arbitrary frame.
 
     Returns:
-        (N, 2) [m]; not a number for observations that hang together with few others.
+        (N, 2) [m]; NaN for observations outside the largest connected part.
 
     Raises:
-        InputError: when no segment is short, or the segments do not hang together.
+        InputError: No segment is short, or the segments are not connected.
     """
     tries = []
     for closures in find_look_alikes(features, segments, NEIGHBOURS):
@@ -57,9 +58,10 @@ def find_end_point_map(features: torch.Tensor, segments: Segments, generator: to
 
 
 def find_mixture(features: torch.Tensor) -> csr_array:
-    """Weights (N, N) with which the features (N, K) of those that it resembles most make up each place's own.
+    """Weights (N, N) with which the features (N, K) of the most similar places make up each place's own features.
 
-    They sum to one and minimise ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square difference.
+    Each row sums to one and minimises ``|f_i - sum_j w_ij f_j|^2``, damped by ``SMOOTH`` times the mean square
+    difference.
     """
     count, some = len(features), min(MIXED, len(features) - 1)
     found = []
@@ -79,10 +81,10 @@ def find_mixture(features: torch.Tensor) -> csr_array:
 
 
 def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> np.ndarray:
-    """Move places (N, 2) [m] to where bars have their lengths and each lies as ``mixture`` (N, N) says.
+    """Move places (N, 2) [m] to where bars have their lengths and each place is the ``mixture`` (N, N) of others.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_i w_i |p_i - sum_j w_ij p_j|^2`` as ``relax_ends`` does.
-    Places that are not known come to lie where the mixture puts them, and are given back as unknown.
+    Unknown places (NaN) move to where the mixture puts them, but are returned as NaN.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     place = np.where(known[:, None], places, np.nanmean(places, axis=0))
@@ -104,12 +106,12 @@ def fit_mixture(places: np.ndarray, segments: Segments, mixture: csr_array) -> n
 
 
 def find_look_alikes(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
-    """Pairs of places, each among the other's most similar by features (N, K), and their estimated distance [m].
+    """Loop closures: pairs of places, each among the other's nearest by features (N, K), with estimated distances [m].
 
     Args:
         features: Features (N, K).
         segments: Weak constraints.
-        neighbours: How many are the most similar, for each list of pairs that is returned; each pair stands once.
+        neighbours: How many count as nearest, for each list of pairs that is returned; a pair is listed once.
     """
     count = len(features)
     first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
@@ -130,15 +132,15 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
     """Move all places until bars and loop closures fit.
 
     Minimises ``sum_b w_b ((|p_i - p_j| - d) / s)^2 + sum_l w_l |p_i - p_j|^2`` by Gauss-Newton, with Geman and
-    McClure's weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b believed.
+    McClure's robust weights ``w = s_l^-2 (1 + r^2 / b^2)^-2`` of residuals r at the scale b.
 
     Args:
-        places: Where they lie at first (N, 2) [m]; not a number: unknown, and so it stays.
+        places: Initial positions (N, 2) [m]; those that are NaN stay NaN.
         segments: Weak constraints.
-        closures: Look-alikes, each pair once.
+        closures: Loop closures, each pair once.
 
     Returns:
-        Places (N, 2) [m], and how badly they fit: means of squared residuals, in units of ``WRONG_M``, cut at 4.
+        Places (N, 2) [m], and their misfit: mean squared residuals in units of ``WRONG_M``, each cut off at 4.
     """
     known = np.asarray(np.isfinite(places).all(axis=1))
     number, place = np.cumsum(known) - 1, places[known].copy()
@@ -170,9 +172,10 @@ def relax_ends(places: np.ndarray, segments: Segments, closures: LoopClosures) -
 def _compare(
     features: torch.Tensor, first: torch.Tensor, second: torch.Tensor, alone: torch.Tensor, most: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """How unlike the ends of each bar look (n,), and which other places look most like each (N, most), and how unlike.
+    """Feature distances of the bars' ends (n,), and each place's most similar others and their distances (N, most).
 
-    Ends of one bar do not count as others, nor do places that lie ``alone`` (N,). By chunks: all pairs take a gigabyte.
+    The other end of a place's own bar is excluded, and so are places that are on no segment, ``alone`` (N,). Works in
+    chunks, since all pairs at once take a gigabyte.
     """
     bars, near, apart = torch.empty(len(first), dtype=features.dtype), [], []
     for chunk in torch.arange(len(features)).split(CHUNK):
@@ -190,7 +193,7 @@ def _compare(
 
 
 def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, float]:
-    """Range l [m] and S of how unlike the ends of segments look, at ways (n,) [m]; the median over short segments."""
+    """Fit l [m] and S to feature distances of segments' ends at lengths (n,) [m]; l is a median over short segments."""
     far = float(unlike[way >= way.median()].median())
     short = (way < SHORT_M) & (way > 0) & (unlike < 0.97 * far)
     if not short.any():
@@ -199,9 +202,9 @@ def _fit_unlikeness(unlike: torch.Tensor, way: torch.Tensor) -> tuple[float, flo
 
 
 def _solve(normal: csc_array, right: np.ndarray) -> np.ndarray:
-    """Solve a symmetric positive system by conjugate gradients: long bars cross the room, so that factors fill up.
+    """Solve a symmetric positive system by conjugate gradients: long bars cross the room and would fill up factors.
 
-    A solution that is cut off still leads downhill, and the next round goes on from there.
+    A truncated solution is still a descent direction, and the next round continues from there.
     """
     found, _ = cg(normal, right, rtol=EXACT, maxiter=MOST_STEPS, M=diags_array(np.reciprocal(normal.diagonal())))
     return found
@@ -213,7 +216,7 @@ def _among(known: np.ndarray, number: np.ndarray, pairs: LoopClosures) -> LoopCl
 
 
 def _slope(a: np.ndarray, b: np.ndarray, along: np.ndarray, c: np.ndarray, e: np.ndarray, count: int) -> csc_array:
-    """Derivative of bars' lengths and of loop closures' differences, x and y in turn, by all places (rows, 2 count)."""
+    """Jacobian of bars' lengths and loop closures' differences (x, y) with respect to all places (rows, 2 count)."""
     bars, one = np.arange(len(a)), np.ones(len(c))
     rows, columns, values = [], [], []
     for axis in range(2):

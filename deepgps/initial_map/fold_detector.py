@@ -1,7 +1,7 @@
-"""Is a learned map folded onto itself? Two measures tell, and neither looks at the truth.
+"""Two measures of whether a learned map is folded onto itself; neither uses the ground truth.
 
-A segment was driven straight, so its ends must be predicted as far apart as driven: a fold bends what crosses it. And
-places predicted side by side must look alike: a fold puts different places on one another.
+Segments are straight, so the predicted ends of a segment must be as far apart as the distance travelled: a fold bends
+the segments that cross it. And places predicted next to each other must look alike: a fold overlays different places.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ NEIGHBOURS = 32
 NEAR_M = 0.1
 LOOK_M = 0.3
 LENGTH_ERROR_LIMIT, OVERLAP_LIMIT = 0.04, 0.02
-"""Above one of these a map counts as folded."""
+"""A map counts as folded if it exceeds either of these."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class FoldScore:
         length_error_fraction: Of the distance travelled, the part on segments whose predicted ends are too close or too
             far apart.
         overlap_fraction: Of the observations with neighbours on the map from other segments, the part that look unlike
-            these.
+            those neighbours.
     """
 
     length_error_fraction: float
@@ -54,7 +54,7 @@ def score_folding(
         positions: Predictions of the training observations (N, 2) [m].
         features: Heading-invariant features of the same (N, K).
         segments: Weak constraints.
-        generator: Chooses the observations looked at.
+        generator: Draws the observations that are examined.
     """
     return FoldScore(
         measure_length_error(positions, segments), measure_overlap(positions, features, segments, generator)
@@ -62,7 +62,7 @@ def score_folding(
 
 
 def measure_length_error(positions: np.ndarray, segments: Segments) -> float:
-    """Part of the way driven on segments whose ends are wrong by more than 0.1 m and a tenth of the way."""
+    """Part of the distance travelled on segments whose mapped length is wrong by more than 0.1 m plus a tenth."""
     rows = torch.arange(len(segments.count))
     last = segments.count - 1
     driven = segments.distance[rows, last].numpy()
@@ -74,9 +74,10 @@ def measure_length_error(positions: np.ndarray, segments: Segments) -> float:
 def measure_overlap(
     positions: np.ndarray, features: torch.Tensor, segments: Segments, generator: torch.Generator
 ) -> float:
-    """Part of the observations of whose neighbours within ``NEAR_M`` on the map a quarter looks unlike them.
+    """Part of the observations that look unlike a quarter or more of their neighbours on the map, within ``NEAR_M``.
 
-    Unlike is what differs 1.5 times as much as nine in ten pairs do that lie ``LOOK_M`` apart on one segment.
+    Only neighbours on other segments count. Two observations look unlike each other if their features differ by more
+    than 1.5 times the 0.9 quantile of the differences between readings ``LOOK_M`` apart on one segment.
     """
     owner = find_owners(segments, len(positions))[1].numpy()
     known = np.flatnonzero(owner >= 0)

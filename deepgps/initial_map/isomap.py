@@ -1,9 +1,10 @@
-"""An initial map without folds: Isomap on the graph of segments and loop closure places (Tenenbaum et al. 2000).
+"""An initial map without folds: Isomap on the graph of segments and loop closures (Tenenbaum et al. 2000).
 
-Consecutive readings of a segment are joined by the distance driven, and observations of different segments that are one
-another's most similar by a distance estimated from how fast features change along the segments there. Shortest paths
-through this graph and classical scaling of them (from landmarks: de Silva and Tenenbaum 2004) give positions. Paths
-around furniture are longer than straight lines: that bends the map but does not fold it; the pose graph straightens it.
+Consecutive readings of a segment are joined by the distance travelled; loop closures, observations of different
+segments that are mutually most similar, are joined by a distance estimated from how fast features change along the
+segments there. Shortest paths through this graph and classical scaling of them (from landmarks: de Silva and Tenenbaum
+2004) give positions. Paths around furniture are longer than straight lines: that bends the map but does not fold it,
+and the pose graph straightens it.
 """
 
 import numpy as np
@@ -19,11 +20,11 @@ LONGEST_LINK = 2.0
 CHUNK = 1000
 
 LoopClosures = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""First (n,) and second (n,) of observations that look alike, and their estimated distance (n,) [m]."""
+"""First (n,) and second (n,) observations of the loop closures, and their estimated distances (n,) [m]."""
 
 
 def has_lines(segments: Segments) -> bool:
-    """Whether most readings lie on segments of at least three, close enough to tell how fast features change."""
+    """Whether most readings are on segments of at least three readings, enough to show how fast features change."""
     return bool(segments.count[segments.count >= 3].sum() > segments.count.sum() / 2)
 
 
@@ -33,16 +34,16 @@ def map_by_paths(
     """Positions of the training observations, by shortest paths.
 
     Args:
-        observations: How many there are, N.
+        observations: Number of observations, N.
         segments: Weak constraints.
-        closures: Observations that look alike.
-        generator: Chooses the landmarks.
+        closures: Loop closures.
+        generator: Draws the landmarks.
 
     Returns:
-        (N, 2) [m] in a frame of its own; not a number for observations that hang together with few others.
+        (N, 2) [m] in an arbitrary frame; NaN for observations outside the largest connected part.
 
     Raises:
-        InputError: when the segments do not hang together.
+        InputError: The segments are not connected.
     """
     first, second, length = join_closures(segments, closures)
     graph = _join(first, second, length, observations)
@@ -55,12 +56,12 @@ def map_by_paths(
 
 
 def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: tuple[int, ...]) -> list[LoopClosures]:
-    """Pairs of observations of different segments, each among the other's most similar by features (N, K).
+    """Loop closures: pairs of observations of different segments, each among the other's nearest by features (N, K).
 
     Args:
         features: Features (N, K).
         segments: Weak constraints.
-        neighbours: How many are the most similar, for each list of pairs that is returned.
+        neighbours: How many count as nearest, for each list of pairs that is returned.
     """
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
@@ -88,7 +89,7 @@ def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: t
 
 
 def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
-    """Places (N, 2) [m] from distances (L, N) [m] to landmarks, which are columns ``landmark`` (L,) of it."""
+    """Positions (N, 2) [m] from distances (L, N) [m] to the landmarks, which are its columns ``landmark`` (L,)."""
     size, axes = find_axes(path[:, landmark])
     mean = (path[:, landmark] ** 2).mean(axis=1)
     return -0.5 * (path**2 - mean[:, None]).T @ (axes[:, -2:] / np.sqrt(size[-2:].clip(1e-12)))
@@ -97,8 +98,8 @@ def scale_classically(path: np.ndarray, landmark: np.ndarray) -> np.ndarray:
 def find_axes(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues (L,), ascending [m^2], and axes (L, L) of points with these distances (L, L) [m] (Torgerson 1952).
 
-    The squares, centred in rows and columns and halved with a minus, are the scalar products of the points about their
-    middle: the points' coordinates are the axes, each times the root of its eigenvalue.
+    The squared distances, centred by rows and columns and multiplied by -1/2, are the scalar products of the points
+    about their centroid: the points' coordinates are the axes, each times the root of its eigenvalue.
     """
     squared = distance**2
     mean = squared.mean(axis=1)
@@ -108,7 +109,7 @@ def find_axes(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Consecutive readings' first (r,) and second (r,) observations, and the way between them (r,) [m]."""
+    """First (r,) and second (r,) observations of consecutive readings, and the distance between them (r,) [m]."""
     valid = segments.valid[:, 1:]
     way = segments.distance[:, 1:] - segments.distance[:, :-1]
     chosen = (segments.index[:, :-1][valid], segments.index[:, 1:][valid], way[valid].double())
@@ -116,13 +117,13 @@ def find_steps(segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def join_closures(segments: Segments, closures: LoopClosures) -> LoopClosures:
-    """Steps along the segments and loop closures together: first and second observations, the way between them [m]."""
+    """Steps along the segments together with loop closures: first and second observations, distances [m]."""
     first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), closures, strict=True))
     return first, second, length
 
 
 def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:
-    # How much features change per metre at each observation (N,), and the median way between readings.
+    # How much features change per metre at each observation (N,), and the median distance between readings.
     first, second, way = (torch.from_numpy(part) for part in find_steps(segments))
     change = (features[first] - features[second]).norm(dim=1)
     total, length = torch.zeros(len(features)), torch.zeros(len(features))

@@ -1,8 +1,9 @@
-"""Parts that hang on the rest of a map like a part on its hinge: as good a map the other way round.
+"""Parts of a map that are joined to the rest as by a hinge: the map fits almost as well with such a part mirrored.
 
-Behind a passage hardly wider than the robot lies a part that few segments reach. Mirrored about the way through the
-passage it keeps all distances but those along these few, so that every map of shortest paths may have it wrong way
-round. Parts are found as sparse cuts of the graph of segments and loop closures (normalised cuts; Shi and Malik 2000).
+Few segments reach the part of a room behind a passage hardly wider than the robot. Mirroring it about the path through
+the passage keeps all distances except those along these few segments, so any map of shortest paths may have the wrong
+chirality there. Parts are found as sparse cuts of the graph of segments and loop closures (normalised cuts; Shi and
+Malik 2000).
 """
 
 import numpy as np
@@ -14,14 +15,14 @@ from deepgps.data.segments import Segments
 from deepgps.initial_map.isomap import LoopClosures, join_closures
 
 FEW = 20
-"""Steps and loop closures by which a part may hang on the rest; where there are more, they tell left from right."""
+"""Most steps and loop closures that may join a part to the rest; if there are more, they fix its chirality."""
 CUTS = 3
 SMALLEST = 0.02
-"""Part of all observations that lies on either side of a cut."""
+"""Smallest part of all observations on either side of a cut."""
 
 
 def find_weak_parts(placed: np.ndarray, segments: Segments, closures: LoopClosures) -> list[np.ndarray]:
-    """Observations (N,) bool of parts that hang on the rest by few steps, of the observations ``placed`` (N,)."""
+    """Masks (N,) bool of the parts that few steps join to the rest, among the observations ``placed`` (N,)."""
     first, second, _ = join_closures(segments, closures)
     graph = csr_array((np.ones(len(first)), (first, second)), shape=(len(placed), len(placed)))
     joined = graph + graph.T
@@ -41,7 +42,7 @@ def find_weak_parts(placed: np.ndarray, segments: Segments, closures: LoopClosur
 
 
 def mirror(places: np.ndarray, part: np.ndarray, segments: Segments, closures: LoopClosures) -> np.ndarray:
-    """Places (N, 2) [m] with a part (N,) mirrored about the way that leads into it."""
+    """Positions (N, 2) [m] with a part (N,) mirrored about the path that leads into it."""
     first, second, _ = join_closures(segments, closures)
     through = (part[first] != part[second]) & np.isfinite(places[first] + places[second]).all(axis=1)
     step = places[second[through]] - places[first[through]]
@@ -54,7 +55,7 @@ def mirror(places: np.ndarray, part: np.ndarray, segments: Segments, closures: L
 
 
 def _cut(joined: csr_array) -> list[tuple[np.ndarray, float]]:
-    """The smaller sides (n,) of the best cut along each of the slowest axes of a graph, and how many edges they cut."""
+    """Smaller side (n,) of the best cut along each of the slowest axes of a graph, and the number of edges cut."""
     degree = np.asarray(joined.sum(axis=1)).ravel()
     scale = diags_array(1.0 / np.sqrt(degree))
     size, axes = eigsh(scale @ joined @ scale, k=CUTS + 1, which="LA", v0=np.ones(len(degree)))
@@ -63,7 +64,7 @@ def _cut(joined: csr_array) -> list[tuple[np.ndarray, float]]:
         order = np.argsort(axes[:, axis] / np.sqrt(degree), kind="stable")
         rank = np.argsort(order)
         low, high = np.sort(rank[np.stack(joined.nonzero())], axis=0)
-        # each edge stands twice in a symmetric graph; an edge is cut at all places between its ends
+        # each edge is listed twice in a symmetric graph; an edge is cut at all positions between its ends
         change = (np.bincount(low, minlength=len(order)) - np.bincount(high, minlength=len(order))) / 2.0
         cut, size_before = np.cumsum(change), np.cumsum(degree[order])
         least = int(SMALLEST * len(order))

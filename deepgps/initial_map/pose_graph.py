@@ -1,9 +1,9 @@
-"""An initial map made exact: segments as rigid bars, held together where they look alike (Lu and Milios 1997).
+"""Refinement of an initial map: segments as rigid bars, connected by loop closures (Lu and Milios 1997).
 
-What was driven straight is a bar with its observations at the distances driven: three unknowns, middle and heading.
-Where a segment begins at the end of the last, the two bars meet; where observations of two look alike, these lie
-nearly on one another. A few loop closures are false, such as the undersides of two desks: they lose their weight as the
-scale of what is believed shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
+A straight segment is a bar with its observations at the distances travelled; its unknowns are its middle (x, y) and
+heading. Where a segment begins at the end of the last one, the two bars meet; at a loop closure, the two observations
+nearly coincide. A few loop closures are false, such as the undersides of two desks: they lose their weight as the scale
+of the robust weights shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
 """
 
 import numpy as np
@@ -15,9 +15,9 @@ from deepgps.initial_map.isomap import LoopClosures
 
 ROUNDS = 12
 BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
-"""Scale of the differences that are believed in the first and the last round, in steps between readings."""
+"""Scale of the robust weights in the first and the last round, in steps between readings."""
 LOOK, MEET = 0.25, 0.06
-"""Standard deviations of a loop closure at distance zero and of two bars that meet, in such steps."""
+"""Standard deviations of a loop closure at distance zero and of two bars that meet, in steps between readings."""
 LARGEST_TURN = 0.5
 DAMPING = 1e-9
 
@@ -28,16 +28,16 @@ def relax(
     """Move all segments, as rigid bars, to where they fit one another.
 
     Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
-    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale believed.
+    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale.
 
     Args:
-        places: Where the observations lie at first (N, 2) [m]; not a number: unknown, and so it stays.
+        places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
         segments: Weak constraints.
-        closures: Observations that look alike, each pair in both orders.
+        closures: Loop closures, each pair in both orders.
         believed_first: The scale b of the first round, in steps between readings; the last one is ``BELIEVED_LAST``.
 
     Returns:
-        Places (N, 2) float64 [m]; observations on no segment stay where they are. And their cost, the sum of
+        Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
         ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
     """
     index = segments.index.numpy()
@@ -87,14 +87,14 @@ def _lay_bars(point: np.ndarray, bar: np.ndarray, along: np.ndarray) -> tuple[np
 
 
 def _ahead(heading: np.ndarray, bar: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Where each reading lies from the middle of its bar (r, 2) [m]."""
+    """Offset of each reading from the middle of its bar (r, 2) [m]."""
     return np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
 
 
 def _solve(
     bar: np.ndarray, a: np.ndarray, b: np.ndarray, ahead: np.ndarray, apart: np.ndarray, trust: np.ndarray
 ) -> np.ndarray:
-    """The Gauss-Newton step (3 L,): of each bar x, y [m] and heading [rad]."""
+    """Gauss-Newton step (3 L,): x, y [m] and heading [rad] of each bar."""
     pairs = np.arange(len(a))
     one = np.ones(len(a))
     rows, columns, values = [], [], []
@@ -108,6 +108,6 @@ def _solve(
     jacobian = csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
     weighted = jacobian.multiply(np.concatenate([trust, trust])[:, None]).tocsc()
     normal = (jacobian.T @ weighted).tocsc()
-    # The whole map may move and turn freely, and what no link reaches stays, even if there is no link at all.
+    # Damped, because the map may move and turn freely; a bar that no link reaches stays, even if there is no link.
     damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(shape[1], format="csc")
     return -splu(damped).solve(weighted.T @ apart.T.ravel())

@@ -1,7 +1,7 @@
-"""Turns by the wheels: a path that starts the map, and which of two mirrored maps is the room's. Never the truth.
+"""Turns measured by the wheels: a path to start the map from, and the choice between two mirrored maps.
 
-Distances along segments cannot tell left from right; the difference of the wheels' ways between two segments can, and
-is enough for it even where encoders slip so far that the path itself is lost.
+Distances along segments leave a mirror ambiguity. The difference of the distances that the two wheels travel between
+segments resolves it, even where encoders slip so far that the path itself is useless. The ground truth is not used.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from sim.recording.format import Recording
 
 @dataclass(frozen=True)
 class Turns:
-    """What the wheels say of a whole drive.
+    """Path and turns of a complete drive, measured by the wheels.
 
     Attributes:
-        path: Dead-reckoned place of each observation (N, 2) [m]; not a number where no reading arrived.
+        path: Dead-reckoned position of each observation (N, 2) [m]; NaN where no reading arrived.
         angle: Turn from each segment to the next, to the left (L - 1,) [rad]; segments as in ``Segments``.
     """
 
@@ -31,7 +31,7 @@ class Turns:
 
 
 def read_turns(recording: Recording) -> Turns:
-    """Path and turns of a recording by its wheels."""
+    """Read the path and turns of a recording, measured by its wheels."""
     pose, observation = dead_reckon(recording), recording.reading[:, 1]
     seen, first = np.unique(observation, return_index=True)
     path = np.full((len(recording.observation), 2), np.nan)
@@ -41,10 +41,10 @@ def read_turns(recording: Recording) -> Turns:
 
 
 def straighten(turns: Turns, chosen: torch.Tensor, features: torch.Tensor, segments: Segments) -> np.ndarray:
-    """Positions (n, 2) [m] of the chosen observations: the path, moved until segments that look alike fit one another.
+    """Positions (n, 2) [m] of the chosen observations: the path, relaxed until segments and loop closures fit.
 
     Args:
-        turns: Path by the wheels.
+        turns: The wheels' path.
         chosen: Observations (n,).
         features: Features of them (n, K).
         segments: Weak constraints, which number them from 0.
@@ -53,16 +53,16 @@ def straighten(turns: Turns, chosen: torch.Tensor, features: torch.Tensor, segme
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, turns: Turns) -> int:
-    """1 where the turns of a map go the way that the wheels turned, -1 where the map is mirrored.
+    """Return 1 if the turns of a map have the direction of the wheels' turns, -1 if the map is mirrored.
 
     Args:
         positions: Predictions of all training observations (N, 2) [m].
         segments: Weak constraints.
-        turns: What the wheels turned.
+        turns: Turns measured by the wheels.
     """
     rows = torch.arange(len(segments.count))
     last = segments.index[rows, segments.count - 1].numpy()
     x, y = (positions[last] - positions[segments.index[:, 0].numpy()]).T
     mapped = np.diff(np.arctan2(y, x))
-    # Half turns say nothing of left and right; turns of a quarter say most.
+    # Half turns carry no information about left and right; quarter turns carry the most.
     return 1 if (np.sin(mapped) * np.sin(turns.angle)).sum() >= 0.0 else -1

@@ -1,4 +1,4 @@
 """Networks, losses, batches and the training loop that every trained method shares.
 
-A method's own steps are in ``deepgps.methods``; the truth is never opened here.
+Each method's own steps are in ``deepgps.methods``; the ground truth is never opened here.
 """

@@ -1,4 +1,4 @@
-"""What a training step learns from: observations and targets, or segments and distances."""
+"""Batches for one training step: observations with target positions, or segments with distances."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from deepgps.settings import TrainSettings
 
 @dataclass(frozen=True)
 class Batch:
-    """What one step learns from.
+    """The data of one training step.
 
     Attributes:
         index: Observations (B,) or, segment by segment, (S, m).
         target: Positions (B, 2) [m], or distances along the segment (S, m) [m].
-        valid: Which of them there are, of the shape of ``index``.
-        variance: Of distances, the expected squared error that grows with the way [m^2]; None: not asked.
+        valid: Which entries exist, in the shape of ``index``.
+        variance: Expected squared error of each distance that grows with the distance [m^2]; None: not requested.
     """
 
     index: torch.Tensor
@@ -29,10 +29,10 @@ class Batch:
 class Inputs:
     """Observations as the network takes them, on one device.
 
-    Features (N, K) stay as they are, or get noise when a generator is given. Features at several headings (N, H, K) are
-    those at the first, or, when a generator is given, at one drawn by chance, with noise. Polar images (N, rings,
-    sectors, 3) uint8 become (N, 3, rings, sectors) float32, each shifted in a circle by a random number of sectors when
-    a generator is given (paper section III-B2).
+    Features (N, K) stay as they are, or get noise if a generator is given. Of features at several headings (N, H, K),
+    the first heading is taken, or, if a generator is given, a random one, with noise. Polar images (N, rings, sectors,
+    3) uint8 become (N, 3, rings, sectors) float32; if a generator is given, each is shifted in a circle by a random
+    number of sectors (paper section III-B2).
 
     Args:
         table: Features or images.
@@ -74,12 +74,13 @@ Draw = Callable[[torch.Generator, float], Batch]
 
 
 def sample_from(segments: Segments, settings: TrainSettings) -> Draw:
-    """Batches of segments on the training's device."""
+    """Return a function that draws batches of segments, on the segments' device."""
     return lambda generator, done: sample_batch(segments, settings.segments, settings.samples, generator)
 
 
 def sample_batch(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
-    """Draw ``count`` segments, readings as often as they are believed, and up to ``samples`` different ones of each."""
+    """Draw ``count`` segments, with probability proportional to readings times weight, and up to ``samples`` different
+    readings of each."""
     often = segments.count.float() if segments.weight is None else segments.count * segments.weight
     row = torch.multinomial(often, count, replacement=True, generator=generator)
     valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]

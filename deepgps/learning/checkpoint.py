@@ -1,4 +1,4 @@
-"""The state of a training on disk, so that a run cut off anywhere continues to the same weights."""
+"""The state of a training on disk, so that a run interrupted anywhere continues to the same weights."""
 
 import logging
 from io import BytesIO
@@ -25,7 +25,8 @@ def save_checkpoint(
     history: dict[str, list],
     seconds: float,
 ) -> None:
-    """Write everything the next step depends on: weights, optimiser, generator (the position in the data), history."""
+    """Write everything the next step depends on: weights, optimiser, generator (the position in the data) and
+    history."""
     state = {
         "step": step,
         "network": network.state_dict(),
@@ -46,9 +47,9 @@ def load_checkpoint(
     generator: torch.Generator,
     history: dict[str, list],
 ) -> tuple[int, float]:
-    """Restore a training in place; returns steps done and seconds they took, zeros where there is no checkpoint.
+    """Restore a training in place and return the steps done and their seconds, zeros if there is no checkpoint.
 
-    A damaged checkpoint is removed, so that training starts from its first step.
+    A damaged checkpoint is removed, and training starts from its first step.
 
     Raises:
         InputError: The checkpoint was made by a training of another network.
@@ -76,13 +77,13 @@ def load_checkpoint(
 
 
 def _read(path: Path, device: torch.device) -> dict[str, Any]:
-    """Contents of a checkpoint; raises DamagedError. It is a zip file, whose CRC-32 torch does not compare."""
+    """Contents of a checkpoint; raises DamagedError. A checkpoint is a zip file, whose CRC-32 torch does not check."""
     data = path.read_bytes()
     try:
         with ZipFile(BytesIO(data)) as archive:
             wrong = archive.testzip()
         state = torch.load(BytesIO(data), map_location=device, weights_only=True)
-    except Exception as error:  # zipfile, pickle and torch raise a dozen kinds
+    except Exception as error:  # zipfile, pickle and torch raise a dozen types
         raise damaged(path, one_line(error)) from None
     if wrong is not None:
         raise damaged(path)

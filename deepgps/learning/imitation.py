@@ -1,4 +1,4 @@
-"""Unfolding by imitation: the network learns an initial map first, then is only kept near it."""
+"""Unfolding by imitation: the network first learns an initial map, and later is only kept near it."""
 
 from dataclasses import replace
 
@@ -9,16 +9,16 @@ from deepgps.learning.batches import Batch, Draw
 from deepgps.learning.trainer import Loss
 
 IMITATE = 0.2
-"""Part of the steps in which the network imitates the initial map, less and less."""
+"""Fraction of the steps in which the network imitates the initial map, with decreasing weight."""
 
 
 def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
-    """Pull predictions towards an initial map: all of them at once, later only those farther than ``slack_m`` from it.
+    """Pull predictions towards an initial map: all of them at first, later only those farther than ``slack_m`` from it.
 
     Args:
-        loss: What takes over until ``IMITATE`` of the steps.
-        known: Initial map (N, 2) [m]; NaN for observations that it does not hold.
-        slack_m: About the error of the initial map [m].
+        loss: The loss that takes over gradually during the first ``IMITATE`` of the steps.
+        known: Initial map (N, 2) [m]; NaN for observations that are not on it.
+        slack_m: Approximate error of the initial map [m].
     """
     mapped = known.isfinite().all(dim=1)
 
@@ -34,12 +34,12 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
 
 
 def sample_mapped_first(draw: Draw, sample_mapped: Draw, chosen: torch.Tensor) -> Draw:
-    """While the map is imitated, draw batches of the observations that it holds; then of all.
+    """Draw batches of mapped observations while the initial map is imitated, and of all observations afterwards.
 
     Args:
-        draw: Batches of all observations.
-        sample_mapped: Batches of those on the map, which it numbers from 0.
-        chosen: Their numbers among all (n,).
+        draw: Draws batches of all observations.
+        sample_mapped: Draws batches of the observations on the map, numbered from 0.
+        chosen: Indices of these among all observations (n,).
     """
 
     def draw_in_turn(generator: torch.Generator, done: float) -> Batch:

@@ -1,4 +1,4 @@
-"""Unfolding by lifting: a network with more than two outputs, which are pressed into a plane as training goes on."""
+"""Unfolding by lifting: a network with more than two outputs, which a penalty flattens into a plane during training."""
 
 import torch
 
@@ -8,11 +8,11 @@ from deepgps.learning.trainer import Loss
 from deepgps.settings import LiftSettings
 
 FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
-"""Parts of the steps at which the penalty on what leaves the plane begins, and is full."""
+"""Fractions of the steps at which the penalty on deviations from the plane begins, and reaches its full weight."""
 
 
 def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
-    """Add, more and more, the mean distance of predictions from the plane of their two principal axes."""
+    """Add, with increasing weight, the mean distance of predictions from the plane of their two principal axes."""
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         push = lift.penalty * min(1.0, max(0.0, (done - FLATTEN_FROM) / (FLATTEN_TO - FLATTEN_FROM)))
@@ -27,7 +27,7 @@ def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
 
 
 def find_plane(points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Centre (D,) and two principal axes (D, 2) of points (n, D); two dimensions stay as they are."""
+    """Centre (D,) and two principal axes (D, 2) of points (n, D); for D = 2, the origin and the coordinate axes."""
     if points.shape[1] == 2:
         return torch.zeros_like(points[0]), torch.eye(2, dtype=points.dtype, device=points.device)
     centre = points.mean(dim=0)

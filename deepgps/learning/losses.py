@@ -1,7 +1,7 @@
-"""Losses on distances (paper Eq. 2, 3 and 5): they see differences between predictions, never positions.
+"""Losses on distances (paper Eq. 2, 3 and 5), which depend on differences of predictions, never on positions.
 
-Each is the mean over pairs where the paper writes the sum, so that its size does not depend on the batch. The end-point
-strategy is the case of two samples in a segment.
+Each loss is the mean over pairs where the paper writes the sum, so that its size does not depend on the batch. The
+end-point strategy is the case of two samples in a segment.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ class Weights(NamedTuple):
     """Weights of residuals; None: 1.
 
     Attributes:
-        pairs: Of the distance between each two readings of a segment (S, m, m).
-        places: Of each reading's place along its line (S, m).
+        pairs: Weights of the distance between each two readings of a segment (S, m, m).
+        places: Weights of each reading's place along its line (S, m).
     """
 
     pairs: torch.Tensor | None = None
@@ -24,7 +24,7 @@ class Weights(NamedTuple):
 
 
 def weigh_equally(batch: object) -> Weights:
-    """The paper's weights: every residual counts the same."""
+    """Return the paper's weights: every residual counts the same."""
     return Weights()
 
 
@@ -61,12 +61,12 @@ def dense(
     Args:
         positions: Predictions (S, m, D) [m].
         along: Distance of each sample from its segment's start (S, m) [m].
-        valid: Which samples there are (S, m) bool.
+        valid: Which samples exist (S, m) bool.
         kind: Loss of one pair.
-        trust: What each pair's loss is multiplied by (S, m, m); none: 1.
+        trust: Factor of each pair's loss (S, m, m); none: 1.
 
     Returns:
-        A scalar; zero when there is no pair.
+        A scalar; zero if there is no pair.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
     pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
@@ -79,21 +79,22 @@ def dense(
 def straight(
     positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, trust: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """Mean distance of predictions from the straight line that they were driven on; ours, not the paper's.
+    """Mean distance of predictions from the straight line along which the robot drove; ours, not the paper's.
 
     All distances of a segment are right exactly when ``p_i = mean(p) + (c_i - mean(c)) u`` with a unit vector ``u``. A
-    bend by a small angle shortens distances by its square only, but leaves this line in proportion to the angle, so
-    this loss feels bends which |d - c| hardly does. ``u`` points along ``sum_i (c_i - mean(c)) (p_i - mean(p))``.
+    bend by a small angle shortens distances only by its square, but moves predictions off this line in proportion to
+    the angle, so this loss responds to bends to which |d - c| hardly responds. ``u`` points along
+    ``sum_i (c_i - mean(c)) (p_i - mean(p))``.
 
     Args:
         positions: Predictions (S, m, D) [m].
         along: Distance of each sample from its segment's start (S, m) [m].
-        valid: Which samples there are (S, m) bool.
-        trust: What the part of the distance along the line is multiplied by (S, m), since encoders are wrong along it
-            and not across it; none: 1.
+        valid: Which samples exist (S, m) bool.
+        trust: Factor of the part of the distance along the line (S, m), since encoders err along the line and not
+            across it; none: 1.
 
     Returns:
-        A scalar [m]; zero when there is no sample.
+        A scalar [m]; zero if there is no sample.
     """
     weight = valid.to(positions.dtype)
     share = weight / weight.sum(dim=1, keepdim=True).clamp_min(1.0)

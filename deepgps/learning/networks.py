@@ -1,4 +1,4 @@
-"""Networks that map one observation to one position: layers on features, and the paper's circular ResNet-18."""
+"""Networks that map one observation to one position: dense layers on features, and the paper's circular ResNet-18."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -11,7 +11,8 @@ from deepgps.settings import Architecture, NetworkSettings
 
 
 class Padding(NamedTuple):
-    """What lies beyond an image, ways of ``torch.nn.functional.pad``: constant is zeros, circular joins the ends."""
+    """Padding of an image, in modes of ``torch.nn.functional.pad``: constant pads with zeros, circular joins the
+    ends."""
 
     sectors: str
     rings: str
@@ -44,16 +45,17 @@ class SpectralNetwork(nn.Module):
 class ResNet(nn.Module):
     """ResNet-18 on polar images (B, 3, rings, sectors), first kernel 3 (He et al. 2016; paper section III-B2).
 
-    Its strides halve the sectors five times, so even with circular padding a turn by one sector changes what it says.
-    ``every_turn`` makes it exact: whatever is to be halved is halved twice, from the first sector on and from the
-    second, which amounts to the mean over all turns of the image, at a fraction of the cost ("a trous", Holschneider et
-    al. 1990). Training, where each image is turned by chance, draws one of these turns instead.
+    Its strides halve the sectors five times, so even with circular padding a turn by one sector changes its output.
+    ``every_turn`` makes the network exactly invariant: each halving is done twice, starting at the first sector and at
+    the second. This amounts to the mean over all turns of the image, at a fraction of the cost ("a trous", Holschneider
+    et al. 1990). In training, each image is turned at random instead, which draws one of these turns.
 
     Args:
         outputs: Numbers predicted.
         channels: Channels of the first stage; ResNet-18 has 64.
-        padding: What lies beyond the image.
-        every_turn: In use, predict the mean over all turns by whole sectors; exact where 32 divides the sectors.
+        padding: Padding of sectors and rings.
+        every_turn: In evaluation mode, predict the mean over all turns by whole sectors; exact if 32 divides the
+            number of sectors.
     """
 
     def __init__(self, outputs: int, channels: int, padding: Padding, every_turn: bool) -> None:
@@ -74,7 +76,7 @@ class ResNet(nn.Module):
         """Positions (B, outputs) [m]."""
         images = len(x)
         x = functional.relu(self.first_norm(self.first(self._turn(x))))
-        # After a ReLU nothing is below zero, so zeros beyond the image never win the maximum.
+        # After a ReLU nothing is below zero, so zero padding never wins the maximum.
         x = functional.max_pool2d(pad(self._turn(x), 1, self.padding), 3, 2)
         for block in self.blocks:
             x = block(self._turn(x) if block.stride == 2 else x)
@@ -82,7 +84,7 @@ class ResNet(nn.Module):
         return _in_float32(self.head, x)
 
     def _turn(self, x: torch.Tensor) -> torch.Tensor:
-        """Beside each image the same turned by one sector, before strides of two drop one of the two."""
+        """Append, with ``every_turn`` in evaluation mode, a copy turned by one sector: the next stride drops half."""
         return torch.cat([x, x.roll(1, dims=3)]) if self.every_turn and not self.training else x
 
 
@@ -110,7 +112,7 @@ class Block(nn.Module):
 
 
 class PaddedConv(nn.Conv2d):
-    """Convolution without bias that pads as it is told."""
+    """Convolution without bias, with a separate padding mode for sectors and for rings."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, padding: Padding) -> None:
         super().__init__(inputs, outputs, kernel, stride, bias=False)
@@ -122,7 +124,7 @@ class PaddedConv(nn.Conv2d):
 
 
 def pad(x: torch.Tensor, width: int, padding: Padding) -> torch.Tensor:
-    """Pad sectors (last axis) and rings (the axis before) by ``width`` at both ends, each in its way."""
+    """Pad sectors (last axis) and rings (the axis before) by ``width`` at both ends, each in its own mode."""
     x = functional.pad(x, (width, width, 0, 0), mode=padding.sectors)
     return functional.pad(x, (0, 0, width, width), mode=padding.rings)
 
@@ -156,7 +158,7 @@ def make_network(settings: NetworkSettings, inputs: int, outputs: int, generator
 
 
 def count_parameters(network: nn.Module) -> int:
-    """Numbers that training adjusts."""
+    """Number of values that training adjusts."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 

@@ -1,11 +1,11 @@
-"""One plain training loop for every method that trains a network; it can be cut off anywhere and continues exactly.
+"""One plain training loop for every method that trains a network; it can be interrupted anywhere and continues exactly.
 
 On one machine the same seed gives the same weights to the byte, on any number of cores: each random draw comes from a
-generator whose state is in the checkpoint, the schedule counts steps, and the number of threads, on which the order of
-sums depends, is fixed (``use_threads``). Another machine may differ: BLAS and oneDNN choose their kernels by the
-processor, which rounds sums in another order, and bfloat16, which only some processors have, changes more than that.
-Training lets such differences grow: in the demo, initial maps that differed by 1e-10 m ended in an RMS of 3.4 and of
-4.3 cm. Half a centimetre between two methods, or nearly a whole one between two machines, is noise.
+generator whose state is in the checkpoint, the schedule counts steps, and the number of threads, which determines the
+order of sums, is fixed (``use_threads``). Another machine may give other weights: BLAS and oneDNN choose their kernels
+by the processor, which changes the order of sums and so their rounding, and bfloat16, which only some processors have,
+changes more than that. Training amplifies such differences: in the demo, initial maps that differed by 1e-10 m ended in
+an RMS of 3.4 and of 4.3 cm. Half a centimetre between two methods, or nearly one between two machines, is noise.
 """
 
 import time
@@ -38,20 +38,20 @@ Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
 
 
 def make_generator(seed: int, purpose: Purpose, attempt: int = 0) -> torch.Generator:
-    """A CPU generator of its own for each purpose and attempt, so that one's draws never shift another's."""
+    """Return the CPU generator of one purpose and attempt: its RNG stream is independent of all others."""
     return torch.Generator().manual_seed(derive_seed(seed, purpose, attempt))
 
 
 def derive_seed(seed: int, purpose: Purpose, attempt: int = 0) -> int:
     """The seed of one purpose and attempt."""
     key = (get_args(Purpose).index(purpose), attempt)
-    # An offset keeps these streams apart from those of sim, which number their purposes from zero as well.
+    # An offset keeps these streams apart from those of sim, which also number their purposes from zero.
     state = np.random.SeedSequence(seed, spawn_key=(1000, *key)).generate_state(2, np.uint32)
     return int(state[0]) << 31 | int(state[1]) >> 1
 
 
 def choose_device(name: str) -> torch.device:
-    """The device of this name; auto is CUDA where there is one."""
+    """Return the device of this name; auto is CUDA if there is a CUDA device, else the CPU."""
     if name == "auto":
         name = "cuda" if torch.cuda.is_available() else "cpu"
     if not name.startswith("cuda"):
@@ -65,7 +65,7 @@ def choose_device(name: str) -> torch.device:
 
 
 def describe_device(name: str = "auto") -> str:
-    """One line about the device that training would use."""
+    """Describe in one line the device that training would use."""
     device = choose_device(name)
     fast = "bfloat16" if has_fast_bfloat16(device) else "float32"
     if device.type == "cuda":
@@ -97,18 +97,18 @@ def train(
     ``snapshot`` (K, n, 2) predictions of the observations ``snapshot_index`` (n,) [m].
 
     Args:
-        network: Starts from its present weights.
+        network: The network, trained from its present weights.
         inputs: Training observations.
         draw: (generator, fraction of the steps done) -> batch of one step.
         loss: (predictions shaped like the batch's index plus outputs, batch, fraction of the steps done) -> scalar.
         settings: Steps, rate, device.
-        seed: Of the draws.
-        folder: Where checkpoint and history go.
-        progress: Told how far it is.
-        label: What it is told to be.
+        seed: Seed of the random draws.
+        folder: Where the checkpoint and the history are written.
+        progress: Called with the steps done and their number.
+        label: The label for ``progress``.
 
     Returns:
-        Seconds of training, earlier parts of a cut-off training counted in.
+        Seconds of training, including earlier parts of an interrupted training.
 
     Raises:
         WorkError: The training diverged.
@@ -158,10 +158,11 @@ def train(
 
 @contextmanager
 def use_threads(count: int) -> Iterator[None]:
-    """Fix the threads for a while, so that each sum has one order: torch uses this many, NumPy and SciPy one.
+    """Fix the number of threads within the context, so that sums have one order: torch uses ``count``, NumPy and SciPy
+    one.
 
-    OpenBLAS shares its work out by the cores that it finds, and two of its threads do not even repeat their own sums.
-    Libraries that are loaded only later, as scikit-learn is, keep their threads.
+    OpenBLAS divides its work by the number of cores, and with two threads it does not even repeat its own sums.
+    Libraries that are loaded later, such as scikit-learn, keep their threads.
     """
     before = torch.get_num_threads()
     with threadpool_limits(1):
@@ -181,7 +182,7 @@ def _check_finite(found: torch.Tensor, step: int, settings: TrainSettings) -> No
 
 
 def schedule(step: int, steps: int) -> float:
-    """Rate at a step as a fraction of the highest: a straight rise, then a cosine to zero."""
+    """Learning rate at a step as a fraction of its peak: a linear rise, then a cosine to zero."""
     done = step / steps
     if done < WARM_UP:
         return (step + 1) / (WARM_UP * steps + 1)
@@ -189,7 +190,7 @@ def schedule(step: int, steps: int) -> float:
 
 
 def predict(network: nn.Module, inputs: Inputs, index: torch.Tensor, chunk: int = 1000) -> torch.Tensor:
-    """Predictions in float32 (n, outputs) on the CPU, leaving the network in the mode it had."""
+    """Predictions in float32 (n, outputs) on the CPU, made in evaluation mode; the network's mode is restored."""
     training = network.training
     network.eval()
     with torch.no_grad():
@@ -208,24 +209,24 @@ class History:
 
     @classmethod
     def start(cls, observations: int, steps: int, snapshots: int) -> "History":
-        """An empty history that will snapshot observations spread evenly over the recording."""
+        """Create an empty history, with snapshots of observations spread evenly over the recording."""
         count = min(observations, SNAPSHOT_SAMPLES)
         index = torch.linspace(0, observations - 1, count).round().long()
         at = frozenset(round(steps * k / (snapshots - 1)) for k in range(snapshots - 1))
         return cls(index, at, {"step": [], "loss": [], "snapshot_step": [], "snapshot": []})
 
     def add_loss(self, step: int, value: float) -> None:
-        """Note the mean loss up to a step."""
+        """Record the mean loss up to a step."""
         self.arrays["step"].append(step)
         self.arrays["loss"].append(value)
 
     def add_snapshot(self, step: int, predictions: torch.Tensor) -> None:
-        """Keep the predictions before a step."""
+        """Record the predictions before a step."""
         self.arrays["snapshot_step"].append(step)
         self.arrays["snapshot"].append(predictions)
 
     def tables(self) -> dict[str, np.ndarray]:
-        """The history as arrays; snapshots of lifted predictions are turned to their principal axes."""
+        """The history as arrays; snapshots of lifted predictions are projected onto their two principal axes."""
         return {
             "step": np.array(self.arrays["step"], np.int64),
             "loss": np.array(self.arrays["loss"], np.float32),

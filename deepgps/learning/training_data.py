@@ -1,4 +1,4 @@
-"""What every method learns from: a recording's segments, its observations' features, and the network's input."""
+"""The data that every method learns from: a recording's segments, its features, and the network's input."""
 
 import hashlib
 from dataclasses import dataclass
@@ -17,18 +17,18 @@ from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, observation_file
 
 FEATURES = "features"
-"""The run's folder of features, which all of its methods share."""
+"""The run's folder of features, which all its methods share."""
 
 
 @dataclass(frozen=True)
 class TrainingData:
-    """A recording made ready for learning.
+    """A recording prepared for learning.
 
     Attributes:
         segments: Weak constraints.
-        projection: From observations to features.
+        projection: The map from observations to features.
         features: Features of the training observations (N, components).
-        inputs: What the network takes, on the device.
+        inputs: The network's input, on the device.
         shape: Shape of one observation.
     """
 
@@ -40,12 +40,12 @@ class TrainingData:
 
     @property
     def device(self) -> torch.device:
-        """Where the network is trained."""
+        """The device on which the network is trained."""
         return self.inputs.table.device
 
 
 def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> TrainingData:
-    """Read the segments and make the features, or take these from ``folder``, where another method has left them.
+    """Read the segments, and compute the features or load those that another method has left in ``folder``.
 
     Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised.
     """
@@ -66,20 +66,20 @@ def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Pa
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:
-    """Hexadecimal digits of all that decides the features: settings, seed, images, and which images follow one another.
+    """Hexadecimal digest of all that determines the features: settings, seed, images, and the order of the images.
 
-    Ticks do not, so that runs which differ only in these can share features.
+    Ticks do not determine them, so runs that differ only in their ticks can share features.
     """
     sensor = recording.manifest.sensor
     images = recording.manifest.sha256.get(observation_file(sensor))
-    # where the manifest holds no checksum, ticks tell recordings apart
+    # if the manifest holds no checksum, the ticks distinguish recordings
     order = recording.reading[:, :2] if images else recording.reading
     made_by = f"{settings.features} {settings.train.threads} {seed} {images}"
     return hashlib.sha256(made_by.encode() + np.asarray(order).tobytes()).hexdigest()
 
 
 def add_headings(projection: Features, features: torch.Tensor, recording: Recording) -> torch.Tensor:
-    """Features (N, headings, components) of scans at every heading kept; features alone where there is but one."""
+    """Features (N, headings, components) of scans at every heading kept; with one heading, the features as given."""
     observation = recording.observation
     if recording.kind != "scan" or observation.shape[1] == 1:
         return features
@@ -88,6 +88,6 @@ def add_headings(projection: Features, features: torch.Tensor, recording: Record
 
 
 def new_network(data: TrainingData, settings: LearnSettings, outputs: int, seed: int, attempt: int = 0) -> nn.Module:
-    """A network for this data with weights of this seed and attempt."""
+    """Create a network for this data, with weights drawn for this seed and attempt."""
     generator = make_generator(seed, "weights", attempt)
     return make_network(settings.network, data.features.shape[1], outputs, generator)

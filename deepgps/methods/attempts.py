@@ -1,4 +1,4 @@
-"""Restarts: a training whose map is folded is repeated from other weights, until one is not."""
+"""Restarts: a training whose map is folded is repeated from other weights, until a map is not folded."""
 
 import re
 from collections.abc import Callable
@@ -31,7 +31,7 @@ class Attempt:
 
 
 class Total(NamedTuple):
-    """How many attempts there were, and the seconds of all."""
+    """The number of attempts, and the seconds of all of them."""
 
     count: int
     seconds: float
@@ -40,15 +40,15 @@ class Total(NamedTuple):
 def train_until_unfolded(
     train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
 ) -> tuple[Attempt, Total]:
-    """Train until a map shows no fold, or no restart is left; keep the history of the least folded attempt.
+    """Train until a map shows no fold or no restart is left, and keep the history of the least folded attempt.
 
     Args:
         train_once: (number of the attempt, its folder) -> attempt.
-        restarts: Trainings after the first one, at most.
+        restarts: Maximum number of trainings after the first one.
         folder: The method's folder, which gets the history of the attempt that is chosen.
 
     Returns:
-        The least folded attempt, and the total of all.
+        The least folded attempt, and the total of all attempts.
     """
     attempts = []
     for number in range(restarts + 1):
@@ -61,13 +61,13 @@ def train_until_unfolded(
 
 
 def label_attempt(folder: Path, number: int) -> str:
-    """What progress calls an attempt: by its method, and which restart it is."""
+    """Label of an attempt in progress reports: its method and the number of the restart."""
     method = folder.parent.name
     return method if number == 0 else f"{method}, restart {number}"
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove what a finished training no longer needs from a method's folder: attempts and checkpoints."""
+    """Remove the files of attempts and the checkpoint from a method's folder; a finished training needs neither."""
     for attempt in folder.glob("attempt*"):
         remove_files(attempt, FILES)
     (folder / CHECKPOINT).unlink(missing_ok=True)

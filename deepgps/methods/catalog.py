@@ -1,4 +1,4 @@
-"""The methods by name: one record each. It imports nothing heavy, so that settings and reports can read it."""
+"""The methods by name, one record each. This module imports nothing heavy, so that settings and reports can use it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,16 +12,16 @@ Observation = Literal["polar_image", "scan", "vector"]
 
 @dataclass(frozen=True)
 class Method:
-    """What the project knows of a method.
+    """The record of a method.
 
     Attributes:
         title: Its name in reports.
-        colour: Of its lines in figures, "#rrggbb".
-        alignment: Transformation that evaluation fits: E2 where distances alone cannot tell left from right, else SE2.
-        fit: Where it is trained, "module:function"; the function takes a recording, settings, a seed, the method's
-            folder and a progress callback, and returns a positioner with what its training was.
+        colour: Colour of its lines in figures, "#rrggbb".
+        alignment: Transform that evaluation fits: E2 if the method has a mirror ambiguity, else SE2.
+        fit: The function that trains it, "module:function"; it takes a recording, settings, a seed, the method's
+            folder and a progress callback, and returns a positioner with a record of its training.
         observes: The only kind of observation it takes; None: any.
-        in_steps: Whether it trains step by step and reports them.
+        in_steps: Whether it trains step by step and reports its steps.
         reads_ticks: Whether it learns from the encoders.
     """
 
@@ -59,20 +59,20 @@ METHODS: dict[str, Method] = {
     ),
     "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
 }
-"""In the order of figures. A method that is added here can be named by scenarios and studies at once."""
+"""The methods in the order of figures. Scenarios and studies can name every method that is added here."""
 
 
 def title_of(name: str) -> str:
     """A method's name in reports."""
-    return METHODS[now].title if (now := renamed.METHODS.get(name, name)) in METHODS else name
+    return METHODS[name].title if name in METHODS else name
 
 
 def colour_of(name: str) -> str:
-    """A method's colour in figures, grey where it is not known."""
-    return METHODS[now].colour if (now := renamed.METHODS.get(name, name)) in METHODS else "#555555"
+    """A method's colour in figures; grey for an unknown method."""
+    return METHODS[name].colour if name in METHODS else "#555555"
 
 
 def folder_of(run: Path, name: str) -> Path:
-    """Folder of a method in a run; that of a run made before may have the method's old name."""
+    """Folder of a method in a run; in an older run, the folder may have the method's old name."""
     before = next((old for old, now in renamed.METHODS.items() if now == name), name)
     return run / before if (run / before).is_dir() and not (run / name).exists() else run / name

@@ -1,4 +1,4 @@
-"""The same network trained on dead-reckoned positions: what encoders alone would teach."""
+"""The same network trained on dead-reckoned positions as labels: what the encoders alone would teach."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train on dead-reckoned positions."""
-    # A turning place has two readings at one position; either is its label. Lost readings leave no label.
+    # Where the robot turns, one observation has two readings; either gives its label. Lost readings give no label.
     index, first = np.unique(recording.reading[:, 1], return_index=True)
     place = dead_reckon(recording)[first, :2].astype(np.float32)
     data = prepare(recording, settings, seed, folder.parent)

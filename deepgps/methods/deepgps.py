@@ -2,8 +2,9 @@
 
 ``train_attempt`` is the method, step by step. The paper's loss (Eq. 2, 3, 5) has many minima in which the map is folded
 onto itself. So training needs an unfolded start: an initial map, which the network imitates at first, or, where
-segments have only two readings, more than two output dimensions, which are flattened later. A map that is folded all
-the same is trained again, by lifting. The network's task and the loss are the paper's; starts and fold detector ours.
+segments have only two readings, more than two output dimensions, which are flattened later. If a map is folded all the
+same, training is repeated with lifting. The network's task and the loss are the paper's; the starts and the fold
+detector are ours.
 """
 
 from collections.abc import Callable
@@ -34,17 +35,17 @@ from sim.recording.format import Recording
 
 INITIAL_MAPS = {"paths": find_initial_map, "ends": find_end_point_map}
 SLACK_M = {"paths": 0.03, "ends": 1.0}
-"""How far predictions may stay from the initial map unpunished [m]: about its error, which is large for end points."""
+"""Distance from the initial map that is not penalised [m]: about the map's error, which is large for end points."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """The observations that get an initial map, and are looked at for folds.
+    """The observations that get an initial map, and in which folds are searched for.
 
     Attributes:
-        chosen: Which of the training observations (n,).
+        chosen: Their indices among the training observations (n,).
         features: Their features (n, K).
-        segments: The segments through them, whose observations are numbered from 0 to n - 1.
+        segments: The segments through them, with observations numbered from 0 to n - 1.
     """
 
     chosen: torch.Tensor
@@ -53,7 +54,7 @@ class Sample:
 
 
 def make_initial_map(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
-    """Positions (n, 2) [m] without a network: from shortest paths made exact, or from the segments' end points."""
+    """Positions (n, 2) [m] without a network: from refined shortest paths, or from the segments' end points."""
     generator = make_generator(seed, "start", number)
     return torch.from_numpy(INITIAL_MAPS[start](sample.features, sample.segments, generator))
 
@@ -63,10 +64,10 @@ class Variant:
     """The steps that a variant of the method replaces; the defaults are the paper's method.
 
     Attributes:
-        weigh: Weights of a batch's residuals.
+        weigh: Returns the weights of a batch's residuals.
         make_initial_map: See the function of this name.
-        orient: Positions (N, 2) of all training observations -> -1 where the map is mirrored, else 1. Distances alone
-            cannot tell, so that the default takes the map as it is.
+        orient: Positions (N, 2) of all training observations -> -1 if the map is mirrored, else 1. Distances alone
+            leave a mirror ambiguity, so by default the map is taken as it is.
     """
 
     weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
@@ -88,7 +89,7 @@ def fit_data(
         data: Segments, features and the network's input.
         variant: Steps that differ from the paper's.
         settings: How to learn.
-        seed: Of weights and batches.
+        seed: Seed of weights and batches.
         folder: The method's folder, for checkpoints and the history.
         progress: Called with the steps done and their number.
     """
@@ -119,13 +120,13 @@ def train_attempt(
     progress: Report,
 ) -> Attempt:
     """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
-    # 1. What it learns from: segments of known length, and features that change slowly along them (ours).
+    # 1. The input: segments of known length, and features that change slowly along them (ours).
     sample = take_sample(data)
     draw = sample_from(data.segments.to(data.device), settings.train)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
     start = choose_start(settings, data.segments, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
-    # 3. The loss: distances on the map are as driven (Eq. 2, 3, 5), and segments straight (ours).
+    # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
     loss = segment_loss(settings, variant.weigh)
     # 4. An unfolded start (ours).
     if start in INITIAL_MAPS:
@@ -152,13 +153,14 @@ def train_attempt(
 
 
 def take_sample(data: TrainingData) -> Sample:
-    """Observations on segments spread evenly over the drive, none of which is doubted."""
+    """Observations on segments that are spread evenly over the drive, without down-weighted segments."""
     segments, chosen = subsample(keep_inliers(data.segments), len(data.features))
     return Sample(chosen, data.features[chosen], segments)
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:
-    """How attempt ``number`` unfolds: ``auto`` takes paths where segments are long enough, else and later lifting."""
+    """Choose the start of attempt ``number``: ``auto`` is paths in the first attempt if segments have enough readings,
+    else lifting."""
     if settings.start == "auto":
         return "paths" if number == 0 and has_lines(segments) else "lifting"
     if settings.start == "paths" and not has_lines(segments):
@@ -169,7 +171,7 @@ def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -
 
 
 def segment_loss(settings: LearnSettings, weigh: Callable[[Batch], losses.Weights]) -> Loss:
-    """The paper's dense loss (Eq. 5), and ours of straightness times its weight."""
+    """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight."""
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         weights = weigh(batch)

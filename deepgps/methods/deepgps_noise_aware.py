@@ -1,4 +1,4 @@
-"""DeepGPS that knows the encoders' data sheet: residuals count by their expected error, doubtful segments less."""
+"""DeepGPS with the encoders' data sheet: residuals are weighted by expected error, and doubtful segments count less."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from sim.recording.format import Recording
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train DeepGPS with weights for residuals; wheels that disagree on a segment make it count less."""
+    """Train DeepGPS with weighted residuals; a segment on which the wheels disagree counts less."""
     data = prepare(recording, settings, seed, folder.parent)
     segments = expect_errors(recording, data.segments)
     rounding_m2 = segments.rounding_m2

@@ -1,4 +1,4 @@
-"""DeepGPS that also knows how the wheels turned between segments: it starts from their path, and is never mirrored."""
+"""DeepGPS that also uses the turns between segments: it starts from the dead-reckoned path and is never mirrored."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from sim.recording.format import Recording
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train DeepGPS from the dead-reckoned path, with left and right as the wheels turned."""
+    """Train DeepGPS from the dead-reckoned path, with the chirality that the wheels' turns determine."""
     data, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
 
     def start_from_path(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:

@@ -1,9 +1,9 @@
 """Explicit positioning, the paper's rival without a network (Sec. III-B1): landmarks and positions as unknowns.
 
 The paper's Eq. 6 is a system of distances: between a landmark and a position, as observed, and between two positions of
-one segment, as driven. Both are ``|q_a - q_b| = c`` with points q, which here are positions first, then landmarks. Its
-least-squares solution by a trust region finds the nearest minimum, so all depends on where it starts: at random, as in
-the paper, or at a map of the landmarks by multidimensional scaling (MDS), which the paper does not try.
+one segment, as driven. Both are ``|q_a - q_b| = c`` with points q, which here are positions first, then landmarks. The
+trust-region least-squares solver finds the nearest minimum, so the result depends on the start: a random one, as in the
+paper, or a map of the landmarks by multidimensional scaling (MDS), which the paper does not try.
 """
 
 import time
@@ -32,21 +32,22 @@ TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Equations:
-    """Eq. 6: the distance of points ``first`` (R,) and ``second`` (R,) is ``length`` (R,) [m]."""
+    """Eq. 6: the distance between points ``first`` (R,) and ``second`` (R,) is ``length`` (R,) [m]."""
 
     first: np.ndarray
     second: np.ndarray
     length: np.ndarray
 
     def residual(self, unknown: np.ndarray) -> np.ndarray:
-        """By how much each distance (R,) [m] of the points in ``unknown`` (2 P,) is too long."""
+        """Excess of each distance (R,) [m] between the points in ``unknown`` (2 P,) over its required length."""
         return np.linalg.norm(self._apart(unknown), axis=1) - self.length
 
     def jacobian(self, unknown: np.ndarray) -> csr_matrix:
         """Derivative (R, 2 P) of the residuals, four numbers in each row.
 
-        Moving ``q_a`` changes ``|q_a - q_b|`` by its part along the unit vector u from ``q_b`` to ``q_a``, moving
-        ``q_b`` by the opposite: the row holds u at point a and -u at point b; zeros where both are one.
+        Moving ``q_a`` changes ``|q_a - q_b|`` by the motion's component along the unit vector u from ``q_b`` to
+        ``q_a``; moving ``q_b`` has the opposite effect. So the row holds u at point a and -u at point b, and zeros if
+        the points coincide.
         """
         apart = self._apart(unknown)
         direction = apart / np.linalg.norm(apart, axis=1).clip(1e-12)[:, None]
@@ -62,7 +63,7 @@ class Equations:
 
 
 Start = Callable[[np.ndarray, float, np.random.Generator], tuple[np.ndarray, np.ndarray]]
-"""From distances (n, M) [m], the reach [m] and chance to first positions (n, 2) and landmarks (M, 2) [m]."""
+"""(distances (n, M) [m], reach [m], random generator) -> initial positions (n, 2) and landmarks (M, 2) [m]."""
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -76,20 +77,20 @@ def fit_from_mds(recording: Recording, settings: LearnSettings, seed: int, folde
 
 
 def start_at_random(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and landmarks uniform in a square as large as the longest distance."""
+    """Draw positions and landmarks uniformly in a square whose side is the longest distance."""
     half = float(distance.max()) / 2.0
     return rng.uniform(-half, half, (len(distance), 2)), rng.uniform(-half, half, (distance.shape[1], 2))
 
 
 def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Landmarks by classical scaling of the shortest ways between them, positions by trilateration.
+    """Compute landmarks by classical scaling of the shortest paths between them, and positions by trilateration.
 
-    A way from landmark k over position i to landmark l is ``x_ik + x_il`` long; of many positions some lie nearly on
-    the straight line between both, so that the shortest is nearly their distance. Landmarks never seen together are
-    joined by ways over others.
+    A path from landmark k via position i to landmark l has the length ``x_ik + x_il``. Of many positions, some are
+    nearly on the straight line between both landmarks, so the shortest path is nearly their distance. Landmarks never
+    seen together are joined by paths via other landmarks.
 
     Raises:
-        InputError: Landmarks hang together by no positions.
+        InputError: The landmarks are not connected by positions from which several are seen.
     """
     measured = np.where(find_seen(distance, reach_m), np.asarray(distance, float), np.inf)
     way = np.stack([(measured[:, [k]] + measured).min(axis=0) for k in range(measured.shape[1])])
@@ -102,10 +103,10 @@ def start_by_mds(distance: np.ndarray, reach_m: float, rng: np.random.Generator)
 
 
 def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tensor]:
-    """Segments with every so many-th of their readings, so that about ``most`` are left.
+    """Thin out the readings of the segments evenly, so that about ``most`` are left.
 
     Returns:
-        The segments, their observations numbered anew, and which observation each of these is (n,) int64.
+        The segments, with observations renumbered from 0, and the original index of each observation (n,) int64.
     """
     every = max(1, -(-int(segments.count.sum()) // most))
     index, distance = segments.index[:, ::every].contiguous(), segments.distance[:, ::every]
@@ -115,7 +116,7 @@ def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tens
 
 
 def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
-    """Eq. 6 for positions that saw distances (n, M) [m] and lie on segments, whose numbers are theirs."""
+    """Set up Eq. 6 for positions with observed distances (n, M) [m], on segments whose indices are those positions."""
     position, landmark = np.nonzero(find_seen(distance, reach_m))
     i, j = torch.triu_indices(segments.index.shape[1], segments.index.shape[1], offset=1)
     pair = segments.valid[:, i] & segments.valid[:, j]
@@ -128,7 +129,7 @@ def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equation
 
 
 def solve(equations: Equations, first: np.ndarray, evaluations: int) -> OptimizeResult:
-    """Least squares of the equations from first points (P, 2) [m], by a trust region with a sparse Jacobian."""
+    """Solve the equations by least squares from initial points (P, 2) [m], by a trust region with a sparse Jacobian."""
     return least_squares(
         equations.residual,
         first.ravel(),
@@ -164,7 +165,7 @@ def _fit(
 
 
 def read_reach(recording: Recording) -> float:
-    """The distance at which landmarks are no longer seen [m], infinite where all are.
+    """Distance beyond which landmarks are not seen [m]; infinite if all are seen.
 
     Raises:
         InputError: The recording holds no distances to landmarks.

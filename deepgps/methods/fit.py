@@ -1,4 +1,4 @@
-"""Training one method: on plausible readings alone, and with the same bytes on any number of cores."""
+"""Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
 
 from importlib import import_module
 from pathlib import Path
@@ -17,18 +17,18 @@ from sim.recording.format import Recording, observation_file
 def fit_method(
     name: str, recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report = ignore
 ) -> Positioner:
-    """Train a method into ``folder``; a finished training is loaded, one that was stopped continues.
+    """Train a method into ``folder``; a finished training is loaded, and an interrupted one continues.
 
     Args:
-        name: Of the method, as in ``METHODS``.
-        recording: What it learns from.
-        settings: How it learns.
-        seed: Of weights and batches.
-        folder: Where the method's files go.
+        name: Name of the method, as in ``METHODS``.
+        recording: The recording that the method learns from.
+        settings: How the method learns.
+        seed: Seed of weights and batches.
+        folder: Where the method's files are written.
         progress: Called with the steps done and their number.
 
     Raises:
-        InputError: The readings or observations cannot be learned from.
+        InputError: The method cannot learn from these readings or observations.
     """
     module, _, function = METHODS[name].fit.partition(":")
     fit = getattr(import_module(module), function)

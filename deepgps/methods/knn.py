@@ -11,7 +11,7 @@ from deepgps.settings import LearnSettings
 from sim.recording.format import Recording
 
 NEIGHBOURS = 4
-"""Stored positions that are averaged."""
+"""Number of stored positions that are averaged."""
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:

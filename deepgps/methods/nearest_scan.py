@@ -1,4 +1,4 @@
-"""Positions by the stored scan that is most like the one observed: what the paper's PCA + KNN learns (its appendix)."""
+"""Positions by the stored scan most similar to the observed one: what the paper's PCA + KNN learns (its appendix)."""
 
 from dataclasses import dataclass
 
@@ -18,9 +18,9 @@ class ScanPositioner:
     Attributes:
         mean: Mean scan (rays,) [m].
         axes: Principal axes (components, rays).
-        known: Stored scans (N headings, components) float32, those of one position in a row.
+        known: Stored scans (N headings, components) float32, with those of one position adjacent.
         places: Their positions (N, 2) float64 [m].
-        headings: Scans stored of each position.
+        headings: Number of scans stored for each position.
     """
 
     mean: np.ndarray
@@ -30,7 +30,7 @@ class ScanPositioner:
     headings: int
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
-        """Positions (B, 2) float64 [m] of scans (B, headings, rays), of which the first heading is taken."""
+        """Positions (B, 2) float64 [m] of scans (B, headings, rays), using only the first heading."""
         from sklearn.metrics import pairwise_distances_argmin
 
         if observations.ndim != 3 or observations.shape[2] != len(self.mean):
@@ -39,7 +39,7 @@ class ScanPositioner:
             )
         if not len(observations):
             return np.zeros((0, 2))
-        with threadpool_limits(1):  # which of two equal neighbours is found depends on how the work is shared out
+        with threadpool_limits(1):  # which of two equal neighbours is found depends on how the work is divided
             nearest = pairwise_distances_argmin(self.project(np.asarray(observations[:, 0])), self.known)
         return self.places[nearest // self.headings]
 
@@ -48,5 +48,5 @@ class ScanPositioner:
         return (scans - self.mean) @ self.axes.T
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        """What is stored, by name."""
+        """The stored arrays as tensors, by name."""
         return {name: torch.from_numpy(getattr(self, name)) for name in NAMES}

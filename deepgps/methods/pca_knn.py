@@ -1,7 +1,7 @@
 """The paper's rival on scans (its appendix): a map of stored scans at many headings, with true positions.
 
-A scan turned by whole rays is the same scan shifted in a circle, so the many headings need not be observed again. They
-are stored all the same, each as its principal components: that is what the method's memory is.
+Turning the robot by a whole number of rays shifts the scan in a circle, so the many headings need not be observed. They
+are stored all the same, each as its principal components, which is what the method's memory holds.
 """
 
 import time
@@ -18,7 +18,7 @@ from sim.errors import InputError
 from sim.recording.format import Recording, open_truth
 
 FITTED = 50_000
-"""Scans whose principal components are sought, at most."""
+"""Approximate maximum number of scans from which the principal components are computed."""
 CHUNK = 100
 COMPONENTS = 128
 """Principal components of a scan, as in the paper."""
@@ -53,18 +53,18 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
 
 def draw_turns(count: int, possible: int, wanted: int, rng: np.random.Generator) -> np.ndarray:
-    """Different turns (count, n) of so many places: ``wanted`` of the ``possible``, or as many as there are."""
+    """Draw distinct turns (count, n) for ``count`` places: ``wanted`` of the ``possible`` ones, or all of them."""
     if wanted >= possible:
         return np.tile(np.arange(possible), (count, 1))
     return rng.permuted(np.tile(np.arange(possible), (count, 1)), axis=1)[:, :wanted]
 
 
 def turn_scans(scans: np.ndarray, turns: np.ndarray) -> np.ndarray:
-    """Scans (n h, rays) of robots that turned left.
+    """Scans (n h, rays) [m] as seen after the robot has turned left.
 
     Args:
-        scans: What they saw (n, headings, rays) [m].
-        turns: By what they turned (n, h), in parts of a ray's angle as small as there are headings.
+        scans: Scans before the turns (n, headings, rays) [m].
+        turns: Turns (n, h), in units of the angle between two rays divided by the number of headings.
     """
     _, headings, rays = scans.shape
     ray = (np.arange(rays) + turns[..., None] // headings) % rays

@@ -18,14 +18,14 @@ LABEL_NOISE_M = 0.01
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train on labels, or on true positions where there are none."""
+    """Train on labels, or on true positions if the recording has no labels."""
     index, place = read_places(recording)
     data = prepare(recording, settings, seed, folder.parent)
     return fit_positions(data, index, place.float(), settings, seed, folder, progress)
 
 
 def fit_noisy(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """The same with labels as a surveyor would make them: each off by ``LABEL_NOISE_M`` in x and in y."""
+    """Train on labels with a surveyor's errors: Gaussian noise of ``LABEL_NOISE_M`` in x and in y."""
     index, place = read_places(recording)
     noise = torch.randn(place.shape, generator=make_generator(seed, "labels"))
     place = place.float() + LABEL_NOISE_M * noise

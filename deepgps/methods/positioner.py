@@ -1,4 +1,4 @@
-"""What a method learned: from observations to positions, saved as weights and JSON, loaded from its folder alone."""
+"""Trained methods as maps from observations to positions: saved as weights and JSON, loaded from a folder alone."""
 
 import hashlib
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 CHUNK = 500
 LARGEST_TABLE = 16_000_000
-"""Distances between observations and stored neighbours that are held at once, at most."""
+"""Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class NetworkPositioner:
 
     Attributes:
         shape: Shape of one observation.
-        features: What turns observations into the network's input; none: the network takes images.
-        settings: Which network.
-        network: Its weights, in evaluation mode, on the CPU.
-        centre: Middle of the plane in the network's output space (D,) [m].
+        features: The map from observations to the network's input; none: the network takes images.
+        settings: Settings of the network.
+        network: The trained network, in evaluation mode, on the CPU.
+        centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
     """
 
@@ -55,7 +55,7 @@ class NetworkPositioner:
         return self.embed(observations) @ self.axes.double().numpy()
 
     def embed(self, observations: np.ndarray) -> np.ndarray:
-        """What the network says before it is laid into the plane (B, D) float64 [m], from the middle of the plane."""
+        """Outputs of the network (B, D) float64 [m], relative to ``centre``, before projection onto the plane."""
         check_shape(observations, self.shape)
         found = np.empty((len(observations), len(self.centre)))
         with torch.inference_mode():
@@ -73,10 +73,10 @@ class NeighbourPositioner:
     """Positions by the nearest training observations in feature space, averaged with weights 1 / distance squared.
 
     Attributes:
-        features: What turns observations into features.
+        features: The map from observations to features.
         known: Features of the training observations (N, components).
         places: Their positions (N, 2) float64 [m].
-        neighbours: How many are averaged.
+        neighbours: Number of neighbours that are averaged.
     """
 
     features: Features
@@ -104,8 +104,8 @@ class Fitted(NamedTuple):
     """A trained method.
 
     Attributes:
-        positioner: What it learned.
-        training: What the training was, for ``training.json``.
+        positioner: The learned map from observations to positions.
+        training: The record of the training, for ``training.json``.
     """
 
     positioner: Positioner
@@ -113,12 +113,12 @@ class Fitted(NamedTuple):
 
 
 def is_finished(folder: Path) -> bool:
-    """Whether a method's folder holds a whole positioner."""
+    """Whether a method's folder holds a complete positioner."""
     return (folder / INDEX).is_file()
 
 
 def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str, Any]) -> None:
-    """Write ``weights.safetensors``, ``training.json`` (what the training was) and, last, ``positioner.json``."""
+    """Write ``weights.safetensors``, ``training.json`` (the record of the training) and, last, ``positioner.json``."""
     tensors, description = _take_apart(positioner)
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
@@ -127,7 +127,7 @@ def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str,
 
 
 def load_positioner(folder: Path) -> Positioner:
-    """Load what ``save_positioner`` wrote; raises InputError where it is missing or damaged."""
+    """Load what ``save_positioner`` wrote; raises InputError if it is missing or damaged."""
     path = folder / INDEX
     if not path.is_file():
         raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
@@ -147,7 +147,7 @@ def load_positioner(folder: Path) -> Positioner:
 
 
 def check_positioner(folder: Path) -> dict[str, Any]:
-    """What a trained method is, its weights compared with their checksum; raises DamagedError."""
+    """Return the description of a trained method after checking its weights' checksum; raises DamagedError."""
     description = read_json(folder / INDEX)
     if "sha256" in description:  # earlier versions wrote none
         check_sha256(folder / WEIGHTS, str(description.pop("sha256")))
@@ -155,7 +155,7 @@ def check_positioner(folder: Path) -> dict[str, Any]:
 
 
 def read_training(folder: Path) -> dict[str, Any]:
-    """What the training of a method was, from its folder; raises DamagedError."""
+    """Read the record of a method's training from its folder; raises DamagedError."""
     try:
         return read_json(folder / "training.json")
     except DamagedError as error:

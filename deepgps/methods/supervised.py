@@ -23,18 +23,18 @@ def fit_positions(
     folder: Path,
     progress: Report,
 ) -> Fitted:
-    """Train on labelled observations with the paper's Eq. 1, the distance of prediction and label.
+    """Train on labelled observations with the paper's Eq. 1, the distance between prediction and label.
 
     Args:
         data: The network's input.
         index: Labelled observations (n,).
         label: Their positions (n, 2) [m].
         settings: Network and training.
-        seed: Of weights and batches.
+        seed: Seed of weights and batches.
         folder: The method's folder, for its checkpoint.
         progress: Called with the steps done and their number.
     """
-    # The middle of the labels is the origin, as a network starts near zero.
+    # The mean of the labels is the origin, since an untrained network predicts near zero.
     centre = label.float().mean(dim=0)
     device = data.device
     index, label = index.to(device), (label.float() - centre).to(device)

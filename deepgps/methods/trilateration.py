@@ -1,4 +1,4 @@
-"""Positions from distances to landmarks that are known: what explicit positioning does with a new observation."""
+"""Trilateration: positions from distances to known landmarks, which explicit positioning applies to observations."""
 
 from dataclasses import dataclass
 
@@ -16,8 +16,8 @@ class LandmarkPositioner:
     """Positions by trilateration from landmarks.
 
     Attributes:
-        landmark: Where the landmarks are (M, 2) float64 [m].
-        reach_m: Distances of this and more say only that a landmark is not seen [m]; infinite: all are seen.
+        landmark: Positions of the landmarks (M, 2) float64 [m].
+        reach_m: A distance of this or more only means that a landmark is not seen [m]; infinite: all are seen.
     """
 
     landmark: np.ndarray
@@ -32,12 +32,12 @@ class LandmarkPositioner:
 
 
 def find_seen(distance: np.ndarray, reach_m: float) -> np.ndarray:
-    """Which of the distances (..., M) [m] were measured: those below the reach, rounded as they are."""
+    """Which of the distances (..., M) [m] were measured: those below the reach, rounded to the distances' type."""
     return distance < distance.dtype.type(reach_m)
 
 
 def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> np.ndarray:
-    """Points whose distances to known landmarks are as measured, by least squares.
+    """Points whose distances to known landmarks fit those measured, by least squares.
 
     The first guess solves ``2 (m_k - m) . p = |m_k|^2 - x_k^2 - mean_k(|m_k|^2 - x_k^2)``, linear in p (m: the mean of
     the landmarks seen); Gauss-Newton then minimises ``sum_k (|m_k - p| - x_k)^2``, the upper line of the paper's Eq. 6.
@@ -48,7 +48,7 @@ def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> n
         reach_m: Landmarks at this distance and beyond are not seen.
 
     Returns:
-        Points (B, 2) [m]; two landmarks or fewer do not tell where, and give a point that fits them.
+        Points (B, 2) [m]; two landmarks or fewer do not determine a point, and give one that fits them.
     """
     weight = find_seen(distance, reach_m).astype(float)
     measured = np.asarray(distance, float)
@@ -68,9 +68,10 @@ def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> n
 
 
 def _hold(point: np.ndarray, middle: np.ndarray, farthest: np.ndarray) -> np.ndarray:
-    """Points (B, 2), those farther from the middle (B, 2) of what they see than the farthest of it (B,) moved there.
+    """Limit points (B, 2) to the distance ``farthest`` (B,) from ``middle`` (B, 2), the mean of the landmarks seen.
 
-    True points are never that far; of landmarks that are all wrong Gauss-Newton would run away without end.
+    True points are never farther away than the farthest landmark seen; with landmarks that are all wrong, Gauss-Newton
+    would diverge.
     """
     away = point - middle
     length = np.linalg.norm(away, axis=1)

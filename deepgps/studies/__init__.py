@@ -1,4 +1,4 @@
 """Studies: many runs from one YAML file, planned here and collected in one table.
 
-How runs are carried out is in ``engine``, what is said about them in ``reports``.
+``engine`` carries out the runs; ``reports`` turns their results into text and figures.
 """

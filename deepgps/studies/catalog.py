@@ -1,4 +1,4 @@
-"""The reports of studies by name: one record each. It imports nothing heavy, so that a study can be read at once."""
+"""The reports of studies by name, one record each. The module imports nothing heavy, so reading a study is fast."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Report:
-    """What a report shows. Functions are named "module:function", modules of ``deepgps.studies.reports``.
+    """What a report shows. Functions are named "module:function", with modules from ``deepgps.studies.reports``.
 
     Attributes:
-        text: (rows measured, names that vary) -> blocks of Markdown.
-        pictures: (rows measured, names that vary, the study's folder) -> a figure, by the name of its file.
-        measure: Rows measured -> figures that a target can be set for.
+        text: (measured rows, names that vary) -> blocks of Markdown.
+        pictures: By file name, functions (measured rows, names that vary, the study's folder) -> a figure.
+        measure: Measured rows -> figures that a target can be set for.
         targets: Names of these figures.
-        columns: (run folder, row) -> columns of its own in the study's table.
+        columns: (run folder, row) -> the report's own columns in the study's table.
     """
 
     text: str
@@ -96,7 +96,7 @@ REPORTS: dict[str, Report] = {
         "camera:report",
         {"camera": "camera:draw"},
         "camera:measure",
-        ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "use_rms_ratio", "use_median_ratio"),
+        ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
     ),
     "lidar": Report(
         "lidar:report",

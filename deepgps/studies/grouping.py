@@ -1,4 +1,4 @@
-"""Rows of a study's table grouped by what was varied."""
+"""Group the rows of a study's table by the settings that vary."""
 
 from collections.abc import Mapping, Sequence
 
@@ -9,7 +9,7 @@ Groups = Mapping[tuple[str, ...], Sequence[Row]]
 
 
 def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """Names that vary by choice: seeds vary only to repeat, and what follows from names before it is no choice."""
+    """Names that vary by choice, without seeds, which only repeat runs, and names that follow from earlier names."""
     found: list[str] = []
     for name in varied:
         before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (found, [*found, name]))
@@ -19,7 +19,7 @@ def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def group_rows(rows: Sequence[Row], names: Sequence[str]) -> Groups:
-    """Rows by the values of these names, and the method at the end."""
+    """Rows by the values of these names followed by the method."""
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
         groups.setdefault((*(str(row[name]) for name in names), row["method"]), []).append(row)
@@ -27,14 +27,14 @@ def group_rows(rows: Sequence[Row], names: Sequence[str]) -> Groups:
 
 
 def describe(key: tuple[str, ...], names: Sequence[str]) -> str:
-    """A group in words; numbers and flags are told with their names."""
+    """Describe a group in words; numbers and flags appear with their names."""
     pairs = zip(shorten(names), key, strict=False)
     words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
     return ", ".join([*words, title_of(key[-1])])
 
 
 def shorten(names: Sequence[str]) -> list[str]:
-    """Dotted names without their groups, but for the last group where two would be the same."""
+    """Dotted names without their groups, except for the last group where two names would otherwise be equal."""
     last = [name.rpartition(".")[2] for name in names]
     return [
         short if last.count(short) == 1 else ".".join(name.split(".")[-2:])

@@ -1,4 +1,4 @@
-"""The study: one scenario, what varies in it, and the runs that follow, all checked before the first starts."""
+"""The study: one scenario, what varies in it, and the resulting runs, all checked before the first one starts."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,23 +37,23 @@ from sim.user_input import quote, shorten
 ReportName = Annotated[str, one_of(REPORTS)]
 MOST_RUNS = 10_000
 MOST_WRONG = 500
-"""Wrong runs after which no more are planned."""
+"""Number of invalid runs after which planning stops."""
 STRIDE = 100
-"""Runs that are planned between two reports of progress."""
+"""Runs planned between two progress reports."""
 Point = dict[str, Any]
 
 
 class Variation(Group):
-    """What varies; in a study's ``tiny`` and ``full`` only what is given replaces the study's own."""
+    """What varies; in a study's ``tiny`` and ``full``, only the given fields replace the study's own."""
 
     methods: tuple[MethodName, ...] | None = None
-    """Methods to train and compare; none: the scenario's own."""
+    """Methods to train and compare; None: the scenario's own."""
     set: Point = Field(default_factory=dict)
     """Settings by dotted name, the same for all runs."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
-    """Settings by dotted name, listed one by one; ``scenario`` names another scenario than the study's own."""
+    """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
-    """Values by dotted name; each case is run with every combination of them."""
+    """Values by dotted name; each case is run with every combination of these values."""
     seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
     """Seeds of the scenario."""
 
@@ -77,22 +77,22 @@ class Study(Variation):
     """One scenario and what varies in it."""
 
     name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the study; it lies under runs/studies/<name>."""
+    """Name of the study; its folder is runs/studies/<name>."""
     scenario: str
-    """A name in assets/scenarios, or the path of a YAML file, seen from the study's own folder."""
+    """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
     report: ReportName = "plain"
-    """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means and who wins;
-    compare: means over seeds of all else that varies; curves: errors along the last axis."""
+    """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means, and which method
+    wins; compare: means over seeds for everything else that varies; curves: errors along the last axis."""
     record: bool = False
-    """Draw figures and write a Rerun recording for every run; deepgps view makes the recording of one when asked to."""
+    """Draw figures and write a Rerun recording for every run; deepgps view writes a single run's on request."""
     target: dict[str, float] = Field(default_factory=dict)
-    """What the report's figures shall reach."""
+    """Target values of the report's figures."""
     paper: dict[str, float] = Field(default_factory=dict)
-    """What the paper reports for them."""
+    """The paper's values of the report's figures."""
     tiny: Variation = Variation()
-    """What --tiny replaces; its set is added to the study's."""
+    """Fields that --tiny replaces; its ``set`` is added to the study's."""
     full: Variation | None = None
-    """What --full replaces, for those who can wait; its set is added to the study's. None: there is no such version."""
+    """Fields that --full replaces for a long version; its ``set`` is added to the study's. None: no such version."""
 
     @model_validator(mode="after")
     def _curves_run_along_numbers(self) -> "Study":
@@ -121,10 +121,10 @@ class Plan:
     """One run of a study.
 
     Attributes:
-        scenario: What is run.
-        varied: What sets it apart from the study's other runs, by dotted name.
-        run: Hash of all the run depends on, the name of its folder.
-        recording: Hash of all the recording depends on, the name of its folder.
+        scenario: The scenario to run.
+        varied: Settings that distinguish the run from the study's other runs, by dotted name.
+        run: Hash of everything the run depends on, which names its folder.
+        recording: Hash of everything the recording depends on, which names its folder.
     """
 
     scenario: Scenario
@@ -138,11 +138,11 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
 
     Args:
         source: A name in assets/studies, or the path of a YAML file.
-        tiny: Whether to take the small one that its ``tiny`` describes.
-        full: Whether to take the long one that its ``full`` describes.
+        tiny: Whether to use the small version that the study's ``tiny`` describes.
+        full: Whether to use the long version that the study's ``full`` describes.
 
     Raises:
-        InputError: Names every wrong field, the value and what is allowed.
+        InputError: The study is invalid; the message names every wrong field, its value and what is allowed.
     """
     if tiny and full:
         raise InputError("--tiny and --full exclude each other")
@@ -159,15 +159,15 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
 
 
 def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
-    """Every run of a study in order, each checked.
+    """Plan every run of a study, in order, and check each one.
 
     Args:
         study: The study.
-        progress: Told how many runs are planned.
+        progress: Called with the number of runs planned and their total.
 
     Raises:
-        InputError: There are too many runs, two are the same, or some are wrong: it describes the first, and says how
-            many more problems there are.
+        InputError: There are too many runs, two are the same, or some are invalid; the message describes the first
+            problems and says how many more there are.
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:
@@ -193,7 +193,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
 
 
 def describe(plan: Plan) -> str:
-    """What sets a run apart, in words."""
+    """Describe in words what distinguishes a run."""
     return ", ".join([*(f"{name} {value}" for name, value in plan.varied.items()), f"seed {plan.scenario.seed}"])
 
 
@@ -204,7 +204,7 @@ def write_out(study: Study) -> str:
 
 def _shrink(study: Study) -> Study:
     small = _replace(study, study.tiny, "tiny")
-    return small.model_copy(update={"target": {}, "paper": {}})  # so small a study meets no target and misses none
+    return small.model_copy(update={"target": {}, "paper": {}})  # targets say nothing about so small a study
 
 
 def _enlarge(study: Study) -> Study:
@@ -223,7 +223,7 @@ def _replace(study: Study, other: Variation, kind: str) -> Study:
 
 
 def _seek_scenarios(study: Study, folder: Path) -> Study:
-    """The same study, scenarios' files that lie in its own folder named by their paths."""
+    """The same study, with the paths of the scenario files that are in the study's own folder."""
 
     def seek(source: str) -> str:
         beside = folder / source
@@ -235,8 +235,8 @@ def _seek_scenarios(study: Study, folder: Path) -> Study:
 
 
 def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
-    """What plans one run; it reads each scenario and each room once, however many runs they have."""
-    room = lru_cache(maxsize=4)(read_room)  # each may have megabytes
+    """Make a function that plans one run and that reads each scenario and room only once for all runs."""
+    room = lru_cache(maxsize=4)(read_room)  # few, since a room may take megabytes
     methods = {} if study.methods is None else {"methods": study.methods}
 
     @cache

@@ -1,4 +1,4 @@
-"""A study's table: a row for each run and method, from the runs' own files."""
+"""A study's table: one row for each run and method, read from the runs' own files."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from io import BytesIO
@@ -16,27 +16,27 @@ from sim.files import drop_sum, write_bytes, write_sum
 from sim.renamed import translate_row
 
 Row = dict[str, Any]
-# of a method, as they stand in metrics.json
+# figures of a method, by their names in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
     *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
 )
-# those that the paper's tables have
+# the errors in the paper's tables
 PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
-# those that every report shows, with their headings
+# the errors that every report shows, with their headings
 ERRORS = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
-    """Rows of all runs of a study in order, of failed ones too; each row has every column.
+    """Rows of all runs of a study in order, including failed runs; each row has every column.
 
     Args:
         plans: The runs.
-        failures: Why runs failed, by their hash.
+        failures: Reasons why runs failed, by the hash of the run.
         folder: The study's folder.
     """
     names = dict.fromkeys(name for plan in plans for name in plan.varied)
-    # what only some cases set comes first, and axes last
+    # settings that only some cases set come first, axes last
     varied = sorted(names, key=lambda name: all(name in plan.varied for plan in plans))
     return [row for plan in plans for row in _rows(plan, varied, failures.get(plan.run), folder)]
 
@@ -48,7 +48,7 @@ def varied_in(row: Row) -> list[str]:
 
 
 def tell_apart(rows: Sequence[Row], names: Sequence[str]) -> list[str]:
-    """As many of these settings as it takes to tell all cases apart; the scenario, which says most, comes first."""
+    """The fewest leading settings that tell all cases apart; the scenario, which says most, comes first."""
     names = sorted(names, key=lambda name: name != "scenario")
     cases = [len({tuple(row[name] for name in names[:count]) for row in rows}) for count in range(len(names) + 1)]
     return names[: cases.index(cases[-1])]
@@ -65,22 +65,22 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a table that ``write_table`` wrote, perhaps before settings and methods were renamed."""
+    """Read a table that ``write_table`` wrote, possibly before settings and methods were renamed."""
     return [translate_row(row) for row in pq.read_table(path).to_pylist()]
 
 
 def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
-    """Rows by what one column says, in the order in which it first says so."""
+    """Rows by the values of one column, in the order of their first occurrence."""
     return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
 
 
 def find_methods(rows: Iterable[Row]) -> list[str]:
-    """The methods of these rows, as the study lists them."""
+    """The methods of these rows, in the study's order."""
     return list(dict.fromkeys(row["method"] for row in rows))
 
 
 def is_seed(name: str) -> bool:
-    """Whether what varies is a seed, of a run or of a room, which varies only to repeat."""
+    """Whether a setting is the seed of a run or of a room, which varies only to repeat runs."""
     return name.rpartition(".")[2] == "seed"
 
 
@@ -95,7 +95,7 @@ def write_errors(row: Mapping[str, Any]) -> list[str]:
 
 
 def read_setting(scenario: Scenario, dotted: str) -> Any:
-    """A setting by its dotted name as a column holds it; a whole group as text."""
+    """Read a setting by its dotted name, as a table column stores it; a group of settings becomes text."""
     if dotted == "scenario":
         return scenario.name
     value: Any = scenario
@@ -125,7 +125,7 @@ def _rows(plan: Plan, varied: Sequence[str], failure: str | None, folder: Path) 
 
 
 def _figures(measured: Mapping[str, Any]) -> Row:
-    # only what may fold has a detector
+    # only methods whose map can fold have a fold detector
     fold = measured.get("fold", {})
     score = {name: fold.get(name) for name in ("length_error_fraction", "overlap_fraction")}
     return {**{name: measured.get(name) for name in FIGURES}, "fold_found": fold.get("found"), **score}

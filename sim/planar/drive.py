@@ -1,7 +1,7 @@
-"""What all plane worlds share: a robot that is a point drives straight, turns by chance and drives on. No MuJoCo.
+"""What all plane worlds share: a point robot drives straight, turns in a random direction and drives on. No MuJoCo.
 
-The robot observes every ``drive.spacing_m``. What is written is a recording as any other; encoders are read from the
-way as those of a room are, with the faults that the settings ask for.
+The robot takes an observation every ``drive.spacing_m``. The result is a recording like any other; encoder readings are
+computed from the distance travelled as in a room, with the errors that the settings ask for.
 """
 
 import time
@@ -22,11 +22,11 @@ from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import SimSettings
 
 WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
-"""Wheels that the robot would have, by which a way becomes ticks; those of a TurtleBot3 Burger."""
+"""Nominal wheels that convert a distance travelled to ticks: those of a TurtleBot3 Burger."""
 LEAST_STEPS = 3
-"""A heading that leads to a wall in fewer steps than this is drawn again."""
+"""A heading that meets a wall in fewer steps than this is drawn again."""
 TRIES = 10_000
-"""So often: where no heading leads far enough, none ever will."""
+"""Draws of a heading before the robot is taken to be stuck."""
 PACKAGES = ("numpy",)
 Report = Callable[[str, int, int], None]
 Observe = Callable[[np.ndarray], np.ndarray]
@@ -34,7 +34,7 @@ Observe = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class Drive:
-    """What was driven.
+    """A finished drive.
 
     Attributes:
         pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
@@ -55,7 +55,7 @@ class PlaneWorld(Protocol):
     Attributes:
         bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive, at most.
-        relocate_after: Segments after which the robot is relocated to another place; 0: it never is.
+        relocate_after: Segments after which the robot is relocated; 0: never.
     """
 
     bounds: np.ndarray
@@ -63,11 +63,11 @@ class PlaneWorld(Protocol):
     relocate_after: int
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
-        """Where the robot is set down (2,) [m]."""
+        """Draw the place where the robot is set down (2,) [m]."""
         ...
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
-        """Way from a place (2,) [m] along a heading [rad] until something is met [m]."""
+        """Return the distance from a place (2,) [m] along a heading [rad] to the first obstruction [m]."""
         ...
 
 
@@ -86,19 +86,19 @@ def record(
 
     Args:
         world: Where to drive.
-        observe: What is seen at poses (..., 3).
+        observe: Returns the observations at poses (..., 3).
         test_pose: Poses of the test grid (C, H, 3).
         space: Where the robot can be.
-        truth: Arrays that the truth holds besides, by file name.
+        truth: Further ground-truth arrays, by file name.
         settings: Encoder and drive (speeds, spacing, samples at most) are used.
-        seed: Driving and encoder draw from streams of this number.
+        seed: Seed of the RNG streams for driving and encoder.
         folder: The recording's folder.
-        progress: Told how far it is, in samples of the most that there can be.
+        progress: Called with the samples done and the largest number that there can be.
     """
     start = time.perf_counter()
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)
     ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
-    remove_recording(folder)  # what a killed collection left
+    remove_recording(folder)  # what an interrupted collection left behind
     save_free_space(folder / "truth" / "free_space.npz", space)
     sensors = name_sensors(settings.model_dump())
     sensor, *_ = sensors
@@ -129,7 +129,7 @@ def record(
 
 
 def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Generator, progress: Report) -> Drive:
-    """Drive straight segments from wall to wall, headings by chance (paper, Sec. IV-A)."""
+    """Drive straight segments from wall to wall, with random headings (paper, Sec. IV-A)."""
     drive, wanted = settings.drive, world.segments
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
     pose, reading, angles, times = [np.array([*place, yaw])], [], [], []
@@ -163,14 +163,14 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
 def choose_heading(
     world: PlaneWorld, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
 ) -> tuple[float, int]:
-    """A heading [rad], uniform among those that do not end at once, and how many spacings it leads ahead.
+    """Draw a heading [rad], uniform among those that are clear for a while, and return it with its clear spacings.
 
     Raises:
-        WorkError: None is found.
+        WorkError: No such heading is found.
     """
     for _ in range(TRIES):
         heading = rng.uniform(-np.pi, np.pi)
-        # A place at the wall may lie beyond it by a rounding error.
+        # A place at the wall may be beyond it by a rounding error.
         steps = int(min(world.way_ahead(place, heading), longest_m) / spacing_m + 1e-9)
         if steps >= LEAST_STEPS:
             return heading, steps
@@ -182,13 +182,13 @@ def choose_heading(
 
 
 def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:
-    """Poses (C, H, 3) at points (C, 2) [m], headings spread evenly from +x."""
+    """Return poses (C, H, 3) at points (C, 2) [m], with headings spread evenly from +x."""
     yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
     return np.concatenate([points[:, None].repeat(headings, axis=1), yaw], axis=-1)
 
 
 def count_drive(drive: Drive) -> dict[str, float]:
-    """What the manifest says of a drive."""
+    """Return the manifest's entries about a drive."""
     number, way_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
     return {
         "samples": len(drive.pose),

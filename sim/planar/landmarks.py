@@ -1,7 +1,7 @@
-"""The paper's plane world (Sec. IV-A): a square with landmarks, seen as distances, and a robot that is a point.
+"""The paper's plane world (Sec. IV-A): a square with landmarks, seen as distances, and a point robot.
 
-No MuJoCo: the robot drives straight until it meets a wall, turns by chance and drives on. It observes every
-``drive.spacing_m`` the distance to each landmark, a vector in place of an image.
+No MuJoCo: the robot drives straight until it meets a wall, turns in a random direction and drives on. Every
+``drive.spacing_m`` it observes the distance to each landmark, a vector instead of an image.
 """
 
 from pathlib import Path
@@ -17,19 +17,19 @@ CELL_M = 0.02
 
 
 class LandmarkWorld:
-    """A square about the origin with landmarks in it.
+    """A square around the origin with landmarks in it.
 
     Attributes:
-        landmark: Where they stand (M, 2) [m].
+        landmark: Positions of the landmarks (M, 2) [m].
         bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive.
-        relocate_after: The robot never is.
+        relocate_after: 0: the robot is never relocated.
     """
 
     relocate_after = 0
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
-        """Place the landmarks uniformly over the square, from the settings' own seed or else from this one."""
+        """Place the landmarks uniformly over the square, from the settings' own seed if given, else from ``seed``."""
         self.settings = settings.landmarks
         self.segments = self.settings.segments
         half = self.settings.side_m / 2
@@ -38,35 +38,35 @@ class LandmarkWorld:
         self.landmark = rng.uniform(-half, half, (self.settings.count, 2))
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
-        """Whether ``points`` (..., 2) [m] lie in the square."""
+        """Whether ``points`` (..., 2) [m] are in the square."""
         return np.all(np.abs(points) <= self.settings.side_m / 2, axis=-1)
 
     def observe(self, poses: np.ndarray) -> np.ndarray:
-        """Distances (..., M) float32 [m] from poses (..., 3) to the landmarks; the reach for what lies beyond it."""
+        """Return distances (..., M) float32 [m] from poses (..., 3) to the landmarks, capped at the reach."""
         distance = np.linalg.norm(poses[..., None, :2] - self.landmark, axis=-1)
         return np.minimum(distance, self.settings.reach_m or np.inf).astype(np.float32)
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
-        """A random place (2,) [m]."""
+        """Draw a random place (2,) [m]."""
         return rng.uniform(*self.bounds)
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
-        """Way from a place (2,) [m] in the square along a heading [rad] to the wall [m]."""
+        """Return the distance from a place (2,) [m] in the square along a heading [rad] to the wall [m]."""
         direction = np.array([np.cos(yaw), np.sin(yaw)])
         low, high = self.bounds
         room = np.where(direction > 0, high - place, place - low)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # along a wall the way to it is infinite
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # infinite along a wall
             return float(np.nanmin(room / np.abs(direction)))
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
-    """Make a recording of the landmarks world, or leave the finished one that stands.
+    """Make a recording of the landmarks world, unless there is a complete one.
 
     Args:
         settings: Landmarks, encoder, drive (speeds, spacing, samples at most) and test grid are used.
-        seed: Landmarks, driving and encoder draw from streams of this number.
-        folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Told how far it is, in samples of the most that there can be.
+        seed: Seed of the RNG streams for landmarks, driving and encoder.
+        folder: The recording's folder; complete once it holds ``manifest.json``.
+        progress: Called with the samples done and the largest number that there can be.
     """
     if (folder / "manifest.json").is_file():
         return
@@ -77,14 +77,14 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
 
 
 def lay_grid(world: LandmarkWorld, settings: SimSettings) -> np.ndarray:
-    """Poses (C, H, 3) of the test grid over the square, walls included, headings spread evenly from +x."""
+    """Return poses (C, H, 3) of the test grid over the square, walls included, headings spread evenly from +x."""
     low, high = world.bounds[:, 0]
     side = np.linspace(low, high, round((high - low) / settings.grid.spacing_m) + 1)
     return spread_headings(np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), settings.grid.headings)
 
 
 def lay_free_space(world: LandmarkWorld) -> FreeSpace:
-    """The square as cells, all of it reachable, with a rim of cells that are not."""
+    """Return the square as cells, all of them reachable, with a border of cells that are not."""
     low, high = world.bounds[:, 0]
     side = np.arange(round((high - low) / CELL_M) + 3)
     origin = np.full(2, low - CELL_M)

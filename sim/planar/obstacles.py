@@ -1,8 +1,8 @@
-"""The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a robot that is a point.
+"""The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a point robot.
 
-The robot drives straight until it comes near a wall or an obstacle, turns in a random direction and drives on; now and
-then it is relocated, or it would seldom find what is behind a narrow passage. It observes scans: exact distances to
-walls and obstacles, all around. No MuJoCo.
+The robot drives straight until it comes near a wall or an obstacle, turns in a random direction and drives on. Now and
+then it is relocated, because it would otherwise seldom find what is behind a narrow passage. Its observations are
+scans: exact distances to walls and obstacles, all around. No MuJoCo.
 """
 
 from pathlib import Path
@@ -18,37 +18,37 @@ from sim.sensors.lidar_scan import arrange, measure, ray_angles
 from sim.settings import SimSettings
 
 SMALLEST, LARGEST = 0.03, 0.2
-"""Sides of an obstacle as fractions of the square's."""
+"""Shortest and longest side of an obstacle, as fractions of the square's side."""
 PASSAGE, TRIES = 0.06, 100
-"""Width of a passage between two obstacles, at least, as a fraction of the square's side."""
+"""Smallest width of a passage between two obstacles, as a fraction of the square's side; draws per obstacle."""
 CELLS = 200
 """Cells of the free space along a side."""
 CHUNK = 16
-"""Places whose rays are cast at once: what a processor's cache holds."""
+"""Places whose rays are cast at once: few enough for a processor's cache."""
 _TINY = 1e-9
 
 
 class LidarWorld:
-    """A walled square about the origin with obstacles in it.
+    """A walled square around the origin with obstacles in it.
 
     Attributes:
         box: Lower and upper corner of each obstacle (n, 2, 2) [m].
         bounds: Lower and upper corner of the square (2, 2) [m].
         segments: Straight segments to drive, at most.
-        relocate_after: Segments after which the robot is relocated to another place.
-        space: Where it can be.
+        relocate_after: Segments after which the robot is relocated.
+        space: Where the robot can be.
     """
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
-        """Place the obstacles uniformly over the square, from the settings' own seed or else from this one."""
+        """Place the obstacles uniformly over the square, from the settings' own seed if given, else from ``seed``."""
         self.settings, self.lidar = settings.obstacles, settings.lidar
         side = self.settings.side_m
         self.bounds = np.array([[-side, -side], [side, side]]) / 2
-        self.segments = settings.drive.samples  # each gives several
+        self.segments = settings.drive.samples  # each segment gives several
         self.relocate_after = self.settings.relocate_after
         rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
         self.box = side * place_obstacles(self.settings.count, rng)
-        # What the robot's own point may not enter: obstacles grown, and the square shrunk, by the clearance.
+        # The point robot must stay out of the obstacles grown, and in the square shrunk, by the clearance.
         grow = np.array([[-1.0], [1.0]]) * self.settings.clearance_m
         self._grown, self._room = self.box + grow, self.bounds - grow
         self.space = lay_free_space(self)
@@ -60,7 +60,7 @@ class LidarWorld:
         return ~met & ((at >= self._room[0]) & (at <= self._room[1])).all(axis=(-1, -2))
 
     def observe(self, poses: np.ndarray) -> np.ndarray:
-        """Scans (..., headings, rays) [m] from poses (..., 3), exact."""
+        """Return exact scans (..., headings, rays) [m] from poses (..., 3)."""
         flat, angles = poses.reshape(-1, 3), ray_angles(self.lidar)
         scans = np.empty((len(flat), self.lidar.headings, self.lidar.rays), np.float32)
         for start in range(0, len(flat), CHUNK):
@@ -70,26 +70,26 @@ class LidarWorld:
         return scans.reshape(*poses.shape[:-1], *scans.shape[1:])
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
-        """A random place (2,) [m] from where most places can be reached."""
+        """Draw a random place (2,) [m] in the largest connected part of the free space."""
         row, column = rng.choice(np.argwhere(self.space.reachable))
         return self.space.origin + np.array([column, row]) * self.space.cell_m
 
     def way_ahead(self, place: np.ndarray, yaw: float) -> float:
-        """Way from a free place (2,) [m] along a heading [rad] until the clearance is used up [m]."""
+        """Return the distance from a free place (2,) [m] along a heading [rad] until only the clearance is left [m]."""
         return float(cast_rays(self._grown, self._room, place[None], np.array([[yaw]]))[0, 0])
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
-    """Make a recording of a lidar map, or leave the finished one that stands.
+    """Make a recording of a lidar map, unless there is a complete one.
 
     Args:
         settings: Map, lidar, encoder, drive (speeds, spacing, samples) and test grid are used.
-        seed: Map, driving, encoder and noise draw from streams of this number.
-        folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Told how far it is, in samples of the most that there can be.
+        seed: Seed of the RNG streams for map, driving, encoder and noise.
+        folder: The recording's folder; complete once it holds ``manifest.json``.
+        progress: Called with the samples done and the largest number that there can be.
 
     Raises:
-        InputError: Nowhere is there room for the robot, or for a test position.
+        InputError: There is no room for the robot, or for any test position.
     """
     if (folder / "manifest.json").is_file():
         return
@@ -104,9 +104,10 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
 
 
 def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
-    """Rectangles (n, 2, 2) by chance in a square of side 1 about the origin, as lower and upper corner.
+    """Place random rectangles in a square of side 1 around the origin; return their lower and upper corners (n, 2, 2).
 
-    One overlaps what stands, or leaves a passage to it; of ``TRIES`` that do neither, it is left out.
+    Each either overlaps a wall or a placed rectangle, or leaves a passage to it. A rectangle is left out if ``TRIES``
+    draws do neither.
     """
     placed = np.empty((0, 2, 2))
     for _ in range(count):
@@ -122,21 +123,21 @@ def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
 
 
 def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Distance along rays to the first box or to the wall, by slabs (Kay and Kajiya 1986).
+    """Return distances along rays to the first box or to the wall, by the slab method (Kay and Kajiya 1986).
 
-    A ray is inside a box while it is between both of its pairs of sides; it meets the box where it enters the later.
+    A ray is inside a box while it is between both pairs of sides; it meets the box where it enters the second pair.
 
     Args:
         box: Lower and upper corners (n, 2, 2) [m].
         bounds: Lower and upper corner of the square within the walls (2, 2) [m].
-        place: Where rays begin (p, 2) [m], in the square and in no box but by a rounding error.
-        angle: Their directions (p, m) [rad].
+        place: Where rays begin (p, 2) [m], in the square and, except for rounding errors, in no box.
+        angle: Directions of the rays (p, m) [rad].
 
     Returns:
-        (p, m) [m].
+        Distances (p, m) [m].
     """
     direction = np.stack([np.cos(angle), np.sin(angle)])
-    # Along an axis a ray never leaves the slab across it, or never enters it.
+    # A ray parallel to a slab never leaves it, or never enters it.
     per_metre = 1.0 / np.where(np.abs(direction) < 1e-12, 1e-12, direction)
     wall = np.where(direction > 0, bounds[1, :, None, None], bounds[0, :, None, None])
     nearest = ((wall - place.T[..., None]) * per_metre).min(axis=0).clip(0.0)
@@ -150,7 +151,7 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
 
 
 def lay_free_space(world: LidarWorld) -> FreeSpace:
-    """Cells where the robot may be; reachable is the largest part that hangs together."""
+    """Return the cells where the robot may be; reachable is the largest connected part."""
     cell = world.settings.side_m / CELLS
     side = world.bounds[0, 0] + cell * np.arange(CELLS + 1)
     free = world.is_free(np.stack(np.meshgrid(side, side), axis=-1))
@@ -167,7 +168,7 @@ def lay_free_space(world: LidarWorld) -> FreeSpace:
 
 
 def lay_grid(world: LidarWorld, settings: SimSettings) -> np.ndarray:
-    """Poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x."""
+    """Return poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x."""
     count = int(world.bounds[1, 0] / settings.grid.spacing_m)
     side = settings.grid.spacing_m * np.arange(-count, count + 1)
     points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Calibration: the wheel radius and the track that the compiled robot has, each from one drive on a bare floor."""
+"""Calibration: wheel radius and track of the compiled robot, each from one drive on an empty floor."""
 
 import numpy as np
 
@@ -8,15 +8,15 @@ from sim.rooms.spec import empty_room
 from sim.settings import SimSettings
 
 RAMP_S = 0.5
-"""Time over which a test drive starts and stops [s]."""
+"""Time in which a test drive speeds up and slows down [s]."""
 
 
 def calibrate(settings: SimSettings) -> tuple[float, float]:
-    """Measure what WHEEL_RADIUS_M and TRACK_M of sim/robot/model.py should say.
+    """Measure the values that WHEEL_RADIUS_M and TRACK_M of sim/robot/model.py should have.
 
     Returns:
-        Effective wheel radius [m]: the way of a 5 m straight over the mean wheel angle; and effective track [m]: the
-        difference of the wheels' ways over the angle turned in four turns in place.
+        Effective wheel radius [m]: distance travelled on a 5 m straight over the mean wheel angle; and effective track
+        [m]: difference of the distances of the wheels over the angle turned in four turns in place.
     """
     world = RoomWorld(settings, empty_room())
     world.place(np.zeros(3))
@@ -30,7 +30,7 @@ def calibrate(settings: SimSettings) -> tuple[float, float]:
 
 
 def run(world: RoomWorld, speed_mps: float, turn_rate_rps: float, duration_s: float) -> np.ndarray:
-    """Drive with ramps at both ends, then stand for a moment; gives the yaw (n,) after each period [rad]."""
+    """Drive with ramps at both ends, then pause for a moment; return the yaw (n,) after each period [rad]."""
     period = CONTROL_PERIOD_S
     periods, ramp = round((duration_s + RAMP_S) / period), round(RAMP_S / period)
     yaw = [world.pose()[2]]

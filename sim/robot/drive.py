@@ -1,11 +1,14 @@
-"""The drive: turn in place, drive straight until something says stop, and again. Wheel angles, ranges and bumper only.
+"""The drive: turn in place, drive straight until something stops the robot, and repeat.
 
-Headings are drawn by chance, but a robot that only bounces about seldom finds a nook whose mouth is hardly wider than
-itself. So it turns into some of the gaps that it passes; and now and then it searches for a while: after every
-segment it turns back to one side as far as it can, and stops wherever there is anything to turn into on that side.
+It uses only wheel angles, ranges and the bumper.
 
-No position, no map: the same code could drive the real robot. Each call of `next_segment` starts and ends with the
-robot at rest and keeps only a `DriveMode`, so that a drive can be cut off and continued after any segment.
+Headings are drawn at random, but a robot that only bounces around seldom finds a region whose entrance is hardly wider
+than itself. So the robot turns into some of the gaps that it passes, and now and then it searches for a while: after
+every segment it turns back to one side as far as it can, and it stops at every gap on that side.
+
+The drive knows neither a position nor a map: the same code could drive the real robot. Each call of `next_segment`
+starts and ends with the robot at rest and keeps only a `DriveMode`, so that a drive can be interrupted and continued
+after any segment.
 """
 
 from collections.abc import Iterator
@@ -24,51 +27,51 @@ from sim.settings import DriveSettings
 
 Ended = Literal["length", "gap", "range", "contact", "stall"]
 TOUCHED = ("contact", "stall")
-"""After these the robot no longer stands where it last took a sample."""
+"""After these endings the robot is no longer where it took its last sample."""
 Mode = Literal["chance", "enter", "search"]
 
 STRAIGHTEN_PER_S = 4.0
-"""Gain that keeps the wheel angles equal: difference of their speeds over difference of their angles [1/s]."""
+"""Gain that keeps the wheel angles equal: difference of the speeds over difference of the angles [1/s]."""
 SHARES = (1.0, 0.5, 0.25, 0.125)
-"""In a narrow place the robot is content with less and less of SHORTEST_M and of the stopping distance."""
+"""In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
 CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Shares of the turn rate with which the robot looks for a clear heading, one after another."""
+"""Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
 FURTHER_RAD = 0.3
-"""After the first clear heading the robot turns on by up to this [rad], not to graze what it just missed."""
+"""After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
 CLOSE_M = 0.002
-"""Nearer than this to its goal the robot stops: a controller that decides in periods cannot do better."""
+"""The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
 SHORTEST_M = 0.16
-"""A heading is taken when at least this is clear ahead [m]."""
+"""A heading is accepted when at least this distance is clear ahead [m]."""
 SEARCHED = 20
-"""Segments for which the robot searches, on average."""
+"""Average number of segments in a search."""
 TOWARDS_RAD = 0.6 * np.pi
-"""To search, the robot turns by this to one side, then back until the way is clear [rad]."""
+"""To search, the robot turns by this to one side, then back until the path is clear [rad]."""
 GRAZE_RAD = 0.05
-"""Searching, it turns on by up to this [rad]: it is to graze."""
+"""In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
 DOUBT_M = 0.12
-"""A contact or stall makes the samples of this last stretch of wheel way doubtful: they are dropped [m]."""
+"""A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2
-"""Wheels that turned less than half of what they were told for this long are blocked [s]."""
+"""Wheels that turn at less than half the commanded speed for this long are blocked [s]."""
 SLIP_M = 0.10
-"""The wheels turned by this while what is ahead came no nearer: they slip [m]."""
+"""The wheels slip if they roll this far while what is ahead comes no nearer [m]."""
 TRIES = 500
 WEDGED = 20
-"""Between two legs wheels slip, and a whole turn hardly is one: the robot rolls back and turns on, at most so often
-before a person has to carry it back to where it started."""
+"""When the robot is wedged between two legs, its wheels slip and a full turn barely turns it. It rolls back and tries
+again at most this many times before it is relocated to the start, as if a person carried it."""
 
 
 class DriveMode(NamedTuple):
-    """Where the next segment is to go, and what it must know of the last."""
+    """Where the next segment goes, and what it must know about the last one."""
 
     continues: bool = False
-    """The robot stands where the last segment ended."""
+    """Whether the robot is where the last segment ended."""
     kind: Mode = "chance"
     side: int = 0
-    """Of the gap to enter, or on which it searches: 1 left, -1 right."""
+    """Side of the gap to enter, or side to search: 1 left, -1 right."""
 
 
 class Sample(NamedTuple):
-    """What is noted at one place: the way since the segment's start [m] and what the simulation writes beside."""
+    """What is recorded at one place: distance travelled in the segment [m], wheel angles, time, full positions."""
 
     way_m: float
     wheel_angle: np.ndarray
@@ -81,14 +84,14 @@ class Segment:
     """One straight drive.
 
     Attributes:
-        state: Full positions of the simulation at each sample (m, nq), kept beside for the camera and the truth.
+        state: Full positions of the simulation at each sample (m, nq), kept for the camera and the ground truth.
         wheel_angle: Wheel-joint angles at each sample (m, 2): left, right [rad].
         time: Time of each sample (m,) [s].
-        continues: The first sample is where the last segment ended, before the turn: the same observation.
-        ended: What ended it.
-        dropped: How many samples were dropped as doubtful.
-        mode: How to go on.
-        relocated: How often the robot was relocated before it.
+        continues: Whether the first sample is where the last segment ended, before the turn: the same observation.
+        ended: What ended the segment.
+        dropped: Number of samples dropped as doubtful.
+        mode: How to continue.
+        relocated: How often the robot was relocated before this segment.
     """
 
     state: np.ndarray
@@ -107,7 +110,7 @@ class Segment:
 
 
 def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
-    """Drive for ever, one segment after another."""
+    """Drive forever, one segment after another."""
     mode = DriveMode()
     while True:
         segment = next_segment(robot, settings, rng, mode)
@@ -119,10 +122,10 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     """Turn to a clear heading and drive one straight segment of at least two samples.
 
     Args:
-        robot: Stands still.
-        settings: How to drive and when to look.
-        rng: Decides headings, when to enter or search, and where a relocated robot is put.
-        mode: The last segment's, or a new one.
+        robot: The robot, at rest.
+        settings: How to drive and when to sample.
+        rng: Draws headings, when to enter or search, and the heading of a relocated robot.
+        mode: The last segment's mode, or a new one.
 
     Raises:
         WorkError: the robot is stuck.
@@ -149,17 +152,18 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
 
 
 def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> float | None:
-    """Turn where the mode says, and on until enough is clear ahead.
+    """Turn as the mode says, then on until enough is clear ahead.
 
     Returns:
-        The room to leave before the body [m]: the settings' own, less where a whole turn found nothing clear; None: it
-        found nothing at all.
+        Distance to leave ahead of the body [m]: the settings' stopping distance, or less if a full turn found nothing
+        clear; None if no heading is clear even then.
     """
     angle, sense, further_rad = _aim(rng, mode)
     turn(robot, settings, angle)
     for share in SHARES:
         enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
-        # The clear headings may be fewer than a brisk turn overshoots: from try to try more slowly and less far on.
+        # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
+        # less far past it.
         for caution in CAUTION:
             if look(robot, REACH_M) - stop_m >= enough_m:
                 return stop_m
@@ -170,7 +174,7 @@ def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generat
 
 
 def _aim(rng: np.random.Generator, mode: DriveMode) -> tuple[float, float, float]:
-    """Angle to turn [rad]; the sense to go on where that is not clear; how far past what blocks it [rad]."""
+    """Angle to turn [rad], direction to turn on in if that is not clear, and how far to turn past what blocks [rad]."""
     if mode.kind == "search":
         return mode.side * TOWARDS_RAD, -mode.side, GRAZE_RAD
     angle = mode.side * np.pi / 2 if mode.kind == "enter" else rng.uniform(-np.pi, np.pi)
@@ -180,14 +184,14 @@ def _aim(rng: np.random.Generator, mode: DriveMode) -> tuple[float, float, float
 def _go_straight(
     robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode
 ) -> Segment:
-    """Drive straight until the length, an gap, the ranges, the bumper or a stall stop it, and take the samples.
+    """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, and take the samples.
 
     Args:
-        robot: Stands still.
-        settings: How fast, how far, when to look.
-        rng: Decides at which gaps to stop, and how to go on.
-        stop_m: Room to leave before the body [m].
-        mode: Whether it continues the last segment, and on which side it searches.
+        robot: The robot, at rest.
+        settings: How fast and how far to drive, and when to sample.
+        rng: Decides at which gaps to stop, and how to continue.
+        stop_m: Distance to leave ahead of the body [m].
+        mode: Whether the segment continues the last one, and which side to search.
     """
     period, spacing = CONTROL_PERIOD_S, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
@@ -197,7 +201,7 @@ def _go_straight(
         gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m), 1.0
     else:
         gaps, heed = Gaps((1, -1) if settings.enter > 0.0 else (), None), settings.enter
-    # Near rays are enough to stop in time, and cheaper.
+    # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + RADIUS_M + SEEN_M
     ended: Ended | None = None
@@ -227,7 +231,7 @@ def _go_straight(
         samples = []
     else:
         samples.append(_sample(robot, way(robot, start)))
-        # The end is the next segment's start: a regular sample just before it gives way.
+        # The end is the next segment's start, so a regular sample just before it is dropped.
         if len(samples) > 2 and samples[-1].way_m - samples[-2].way_m < spacing / 2:
             del samples[-2]
     return Segment(
@@ -258,7 +262,7 @@ def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, res
 
 
 def _go_on(settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, ended: Ended, gap: int) -> DriveMode:
-    """Draw the next mode; the next segment continues this one if the robot stands where its last sample is."""
+    """Draw the next mode; the next segment continues this one if the robot is still at its last sample."""
     continues, chance = ended not in TOUCHED, rng.uniform()
     if mode.kind == "search" and chance > 1 / SEARCHED:
         return DriveMode(continues, "search", mode.side)

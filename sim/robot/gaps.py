@@ -1,4 +1,4 @@
-"""Gaps beside the robot: where what it passes recedes, and it could turn in."""
+"""Gaps to the side of the robot: places where what it passes recedes, so that it could turn in."""
 
 import numpy as np
 
@@ -7,19 +7,19 @@ from sim.robot.motion import SEEN_M, Robot, look
 from sim.robot.range_finder import REACH_M
 
 RISE_M = 0.8
-"""Another part of the room begins where what is beside the robot recedes at once by this [m]."""
+"""Another part of the room begins where the clear distance to the side grows by this between two looks [m]."""
 NEAR_RISE_M = 0.1
-"""A place to turn in begins where it recedes by this [m]."""
+"""A place to turn in begins where the clear distance to the side grows by this [m]."""
 EVERY_M = 0.015
-"""It looks again after this way [m]: often enough for a mouth that leaves a few centimetres."""
+"""Distance travelled between two looks [m]: small enough for an entrance with a few centimetres to spare."""
 
 
 class Gaps:
-    """Watches one side or both on one straight segment.
+    """Looks for gaps on one side or both along one straight segment.
 
     Args:
         sides: Where to look: 1 left, -1 right.
-        enough_m: Any place counts where this much becomes clear [m]; none: only where another part of the room begins.
+        enough_m: Any place counts where this much becomes clear [m]; None: only where another part of the room begins.
     """
 
     def __init__(self, sides: tuple[int, ...], enough_m: float | None) -> None:
@@ -28,7 +28,7 @@ class Gaps:
         self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
 
     def find(self, robot: Robot, way_m: float) -> list[int]:
-        """The sides on which an gap has begun since the last look, ``way_m`` [m] after the segment's start."""
+        """Return the sides on which a gap has begun since the last look, ``way_m`` [m] after the segment's start."""
         if way_m < self.next_m:
             return []
         self.next_m = way_m + EVERY_M

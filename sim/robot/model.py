@@ -1,4 +1,4 @@
-"""The robot: its model, its dimensions and its kinematics. assets/robot/README.md gives each figure's source."""
+"""The robot: its model, dimensions and kinematics. assets/robot/README.md gives the source of each figure."""
 
 import mujoco
 import numpy as np
@@ -12,15 +12,15 @@ BUMPER = "bumper"
 CAMERA_SITE = "camera"
 CAMERA = "fisheye"
 TIMESTEP_S, CONTROL_PERIOD_S = 0.005, 0.04
-"""Time between two steps of the physics, and between two decisions of the controller, a whole multiple of it [s]."""
+"""Time step of the physics, and period of the controller, an integer multiple of the time step [s]."""
 TAG_CAMERA_SITE = "tag_camera"
 
 RADIUS_M = 0.105
-"""Radius of the round body about the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
+"""Radius of the round body around the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
 BODY_HEIGHT_M = 0.19
 """Top of the body, where the mast begins [m] (e-Manual: 192 mm)."""
 WHEEL_RADIUS_M = 0.03299
-"""Effective wheel radius [m]: distance driven over the mean wheel angle, from sim.robot.calibrate (nominal 0.033)."""
+"""Effective wheel radius [m]: distance travelled over mean wheel angle, from sim.robot.calibrate (nominal 0.033)."""
 TRACK_M = 0.16
 """Effective track [m]: difference of the wheels' distances over the angle turned, from sim.robot.calibrate
 (nominal 0.160)."""
@@ -39,7 +39,7 @@ def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
 
 
 def mount_tag_camera(robot: mujoco.MjSpec, settings: TagCameraSettings) -> None:
-    """Put the tag camera on the robot: a small box without mass, and a site whose x looks out and z up."""
+    """Put the tag camera on the robot: a small massless box, and a site whose x axis points outwards and z axis up."""
     base, place, half = robot.body(BASE), (settings.ahead_m, 0.0, settings.height_m), np.radians(settings.yaw_deg) / 2
     turned = (np.cos(half), 0.0, 0.0, np.sin(half))
     base.add_site(name=TAG_CAMERA_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
@@ -57,18 +57,18 @@ def mount_tag_camera(robot: mujoco.MjSpec, settings: TagCameraSettings) -> None:
 
 
 def robot_height(camera: CameraSettings) -> float:
-    """Full height of the robot, floor to lens [m]."""
+    """Return the full height of the robot, floor to lens [m]."""
     return max(camera.height_m, BODY_HEIGHT_M)
 
 
 def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
-    """Wheel speeds (2,) left, right [rad/s] for a forward speed and a turn rate: (v -+ omega track / 2) / radius."""
+    """Return wheel speeds (2,) left, right [rad/s] for a speed and a turn rate: (v -+ omega track / 2) / radius."""
     half = turn_rate_rps * TRACK_M / 2
     return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
 
 
 def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:
-    """Make the left wheel larger about its own axle, which rises with it so that the body stays level."""
+    """Scale the left wheel about its own axle, which is raised or lowered with it so that the body stays level."""
     wheel = spec.body("left_wheel")
     wheel.pos[2] *= factor
     for geom in wheel.geoms:
@@ -81,7 +81,7 @@ def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:
 
 
 def _raise_lens(spec: mujoco.MjSpec, lens_m: float) -> None:
-    """Put the lens at a height [m] and stretch the mast below it."""
+    """Move the lens to a height [m] and stretch the mast below it."""
     rise = lens_m - _LENS_M
     spec.site(CAMERA_SITE).pos[2] = lens_m
     spec.camera(CAMERA).pos[2] = lens_m

@@ -1,4 +1,4 @@
-"""How the robot moves: it turns in place, looks about, rolls back and stands, all closed on its own wheel angles."""
+"""How the robot moves: it looks around, turns in place, rolls back and pauses, all controlled by its wheel angles."""
 
 from typing import Protocol
 
@@ -11,19 +11,19 @@ from sim.settings import DriveSettings
 ACCELERATION_MPS2 = 0.5
 TURN_ACCELERATION_RPS2 = 6.0
 REST_S = 0.12
-"""The robot stands this long after it has stopped, so that it no longer rocks [s]."""
+"""The robot pauses this long after a stop, until it no longer rocks [s]."""
 PATIENCE_TURNS = 4
-"""A turn that takes longer than this many whole turns would is given up."""
+"""A turn is given up if it takes longer than this many full turns would."""
 CLOSE_RAD = 0.01
-"""Nearer than this to its goal the robot stops: a controller that decides in periods cannot do better."""
+"""The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
 SEEN_M = 0.01
-"""Ranges that differ by less tell nothing new [m]."""
+"""Ranges that differ by less than this count as unchanged [m]."""
 BACK_M = 0.06
 BACK_MPS = 0.08
 
 
 class Robot(Protocol):
-    """What the drive needs of a robot; none of it is the truth, and it never looks into a snapshot."""
+    """What the drive needs from a robot. None of it is ground truth: the drive never reads what is in a snapshot."""
 
     def step(self, wheel_speed: np.ndarray) -> None: ...
     def wheel_angle(self) -> np.ndarray: ...
@@ -35,7 +35,13 @@ class Robot(Protocol):
 
 
 def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
-    """How far the robot could go straight before it touches [m], ahead or so much to its left, by rays of a reach."""
+    """Return how far the robot could drive straight before a contact [m], ahead or at an angle to the left.
+
+    Args:
+        robot: The robot.
+        reach_m: Length of the rays [m].
+        turned_rad: Angle to the left of straight ahead [rad].
+    """
     return clear_length(robot.ranges(reach_m, turned_rad))
 
 
@@ -46,17 +52,17 @@ def turn(
     until_clear_m: float | None = None,
     caution: float = 1.0,
 ) -> bool:
-    """Turn in place by an angle [rad], closed on the wheel angles.
+    """Turn in place by an angle [rad], measured by the wheel angles.
 
     Args:
-        robot: Stands still.
+        robot: The robot, at rest.
         settings: How fast to turn.
-        angle: How far; counted from the first heading with this much clear ahead where ``until_clear_m`` [m] is given.
-        until_clear_m: See there.
-        caution: Share of the settings' turn rate to turn with.
+        angle: How far to turn [rad]; with ``until_clear_m``, counted from the first clear heading.
+        until_clear_m: A heading is clear if this much is free ahead [m].
+        caution: Fraction of the settings' turn rate to turn at.
 
     Returns:
-        False where a whole turn found nothing clear.
+        False if a full turn found nothing clear.
     """
     period, start = CONTROL_PERIOD_S, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
@@ -79,7 +85,7 @@ def turn(
 
 
 def back_off(robot: Robot, settings: DriveSettings) -> None:
-    """Roll back a little from what was touched."""
+    """Roll back a little from the contact."""
     start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
     while way(robot, start) > -BACK_M and robot.time() < deadline:
         robot.step(wheel_speeds(-BACK_MPS, 0.0))
@@ -92,15 +98,15 @@ def stand(robot: Robot, settings: DriveSettings) -> None:
 
 
 def ramp(speed: float, highest: float, acceleration: float, rest: float, period: float) -> float:
-    """Speed for the next period: rises and falls no faster than the acceleration, and is zero where nothing rests.
+    """Return the speed for the next period: it changes no faster than the acceleration and is zero at the goal.
 
-    Braking from v needs v^2 / 2a; the way of the period to come is spent before braking can begin.
+    Braking from v needs v^2 / 2a, and the robot travels for one more period before braking can begin.
     """
     braking = np.sqrt(2 * acceleration * max(rest - speed * period, 0.0))
     return float(min(highest, speed + acceleration * period, braking))
 
 
 def way(robot: Robot, start: np.ndarray) -> float:
-    """Way by the wheel angles since they were ``start`` (2,) [m]."""
+    """Return the distance travelled by the wheel angles since they were ``start`` (2,) [m]."""
     left, right = robot.wheel_angle() - start
     return float(left + right) / 2 * WHEEL_RADIUS_M

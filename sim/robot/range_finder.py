@@ -1,7 +1,7 @@
 """The range finder: level fans of rays from the robot's axis at several heights, floor to mast top.
 
-It answers what a short lidar of several layers would: distance to the first thing that collides. The room without
-the robot is its model, so that it cannot see the robot itself, and a curtain or a lamp's light does not stop it.
+It measures what a short-range multi-layer lidar would: the distance to the first thing that collides. Its model is the
+room without the robot, so that no ray hits the robot itself; things without collision, such as curtains, stop no ray.
 """
 
 import math
@@ -13,18 +13,18 @@ from sim.robot.model import RADIUS_M
 from sim.rooms.spec import compile_solid
 
 REACH_M = 3.5
-"""Longest distance measured [m] (LDS-01: 3.5 m); nothing nearer reads as this."""
+"""Longest distance measured [m] (LDS-01: 3.5 m); a ray that meets nothing nearer reads this."""
 LOWEST_M = 0.015
-"""Height of the lowest fan [m]: sees the foot of a lamp, not a rug."""
+"""Height of the lowest fan [m]: it sees the foot of a lamp, but not a rug."""
 HIGHEST_GAP_M = 0.25
 """Largest distance between two fans [m]."""
 SIDE_M = 0.008
-"""What is further beside the body than this does not count as ahead [m]."""
+"""What is further to the side of the body than this does not count as ahead [m]."""
 
 _FRONT = np.arctan(np.linspace(-1, 1, 13) * (RADIUS_M + SIDE_M) / 0.30)
 _SIDE = np.linspace(_FRONT[-1], np.radians(85.0), 9)[1:]
 ANGLE = np.concatenate([-_SIDE[::-1], _FRONT, _SIDE])
-"""Angles of a fan's rays from straight ahead [rad]: in the middle 19 mm apart at 0.3 m, the others watch the flanks."""
+"""Angles of a fan's rays from straight ahead [rad]: 19 mm apart at 0.3 m in the middle; the others cover the sides."""
 _COS, _SIN = np.cos(ANGLE), np.sin(ANGLE)
 _AHEAD = np.stack([_COS, _SIN, np.zeros_like(ANGLE)], axis=1)
 # Beyond this distance a ray has left the strip that the body sweeps.
@@ -35,7 +35,7 @@ class RangeFinder:
     """Casts the rays in a room."""
 
     def __init__(self, room: mujoco.MjSpec, height_m: float) -> None:
-        """Prepare for a room (without the robot) and a robot of a height [m]."""
+        """Prepare for a room (without the robot) and a robot of the given height [m]."""
         self._model, self._data = compile_solid(room)
         self.heights_m = fan_heights(height_m)
         self._distance = np.empty((len(self.heights_m), len(ANGLE)))
@@ -43,29 +43,29 @@ class RangeFinder:
         self._ray = np.empty((len(ANGLE), 3))
 
     def measure(self, x: float, y: float, yaw: float, reach_m: float) -> np.ndarray:
-        """Distances (K,) [m] from the robot's axis when it stands at a pose, fan after fan; at most ``reach_m``."""
+        """Return distances (K,) [m] from the robot's axis at a pose, fan after fan; at most ``reach_m``."""
         cos, sin = math.cos(yaw), math.sin(yaw)
         np.matmul(_AHEAD, ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)), out=self._ray)
         rays, model, data, geom = self._ray.reshape(-1), self._model, self._data, self._geom
         for distance, height in zip(self._distance, self.heights_m, strict=True):
             point = np.array((x, y, height))
             mujoco.mj_multiRay(model, data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
-        # MuJoCo says -1 where a ray meets nothing, and may tell of what is beyond the reach.
+        # MuJoCo returns -1 where a ray meets nothing, and may return distances beyond the reach.
         missed = (self._distance < 0) | (self._distance > reach_m)
         return np.where(missed, reach_m, self._distance).reshape(-1)
 
 
 def fan_heights(height_m: float) -> np.ndarray:
-    """Heights of the fans [m]: the lowest, then evenly from 0.10 m to just below the top of a robot of a height [m]."""
+    """Return the heights of the fans [m]: the lowest, then evenly from 0.10 m to just below the top of the robot."""
     top = height_m - 0.015
     count = int(np.ceil((top - 0.10) / HIGHEST_GAP_M)) + 1
     return np.concatenate([[LOWEST_M], np.linspace(0.10, top, count)])
 
 
 def clear_length(distance: np.ndarray) -> float:
-    """How far the round body can go straight ahead before it touches what the rays met (K,) [m].
+    """Return how far the round body can go straight ahead [m] before it touches what the rays (K,) [m] met.
 
-    A ray of length r at angle a met something r cos a ahead and r sin a aside; the body's rim is there after
+    A ray of length r at angle a met something r cos a ahead and r sin a to the side; the body's rim gets there after
     r cos a - sqrt(R^2 - (r sin a)^2).
     """
     distance = distance.reshape(-1, len(ANGLE))

@@ -1,4 +1,4 @@
-"""The scene: a room with the robot in it, its physics and its picture quality the same whatever the room says."""
+"""The scene: a room with the robot in it. Physics and image quality are the same whatever the room specifies."""
 
 import mujoco
 
@@ -9,25 +9,25 @@ from sim.rooms.spec import PREFIX, freeze
 from sim.settings import DeploymentSettings, SimSettings
 
 AMBIENT = 0.4
-"""Brightness of the light that comes from everywhere; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
+"""Brightness of the ambient light; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
 AMBIENT_WITHOUT_LAMPS = 0.9
 NEAR_M = 0.01
 FAR_M = 60.0
 
-# MuJoCo would print a warning and add it to a file MUJOCO_LOG.TXT in the user's folder. Whoever steps the physics reads
-# warnings from its state, and what a file is warned of is refused.
+# By default MuJoCo prints warnings and appends them to a file MUJOCO_LOG.TXT in the user's folder. The code that steps
+# the physics reads warnings from the state instead, and a file that causes a warning is refused.
 mujoco.set_mju_user_warning(lambda text: None)
 
 
 def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
-    """Attach the robot to a copy of a room, force physics and picture quality, and compile.
+    """Attach the robot to a copy of a room, force physics and image quality, and compile.
 
     Args:
-        room: The room, without moving parts; it is not changed.
+        room: The room, without moving parts; not modified.
         settings: Wheel error, camera height and the light in use are used.
 
     Raises:
-        InputError: the room and the robot do not go together, as where both have parts of one name.
+        InputError: The room and the robot do not fit together, for instance because both have parts of the same name.
     """
     spec = freeze(room)
     _force_physics(spec)
@@ -51,13 +51,13 @@ def _force_physics(spec: mujoco.MjSpec) -> None:
     spec.option.timestep = TIMESTEP_S
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # A state that went wrong must be seen, not silently set back to the start.
+    # A diverged state must be noticed, not silently reset to the start.
     spec.option.disableflags = mujoco.mjtDisableBit.mjDSBL_AUTORESET
     spec.memory = defaults.memory
 
 
 def _force_picture(spec: mujoco.MjSpec) -> None:
-    # Coarse primitives, no oversampling and no shadows: pictures cost by geometry, not by pixels.
+    # Coarse primitives, no oversampling and no shadows: geometry, not pixels, sets the cost of an image.
     quality = spec.visual.quality
     quality.numslices, quality.numstacks, quality.numquads = 12, 6, 1
     quality.offsamples, quality.shadowsize = 0, 0
@@ -66,6 +66,6 @@ def _force_picture(spec: mujoco.MjSpec) -> None:
     headlight.active = 1
     headlight.ambient = [AMBIENT if spec.lights else AMBIENT_WITHOUT_LAMPS] * 3
     headlight.diffuse = headlight.specular = [0.0] * 3
-    # Clip planes scale with the extent: fixed, so that they do not depend on the room's size.
+    # Clip planes scale with the extent, which is fixed so that they do not depend on the room's size.
     spec.stat.extent = 1.0
     spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M

@@ -1,4 +1,4 @@
-"""The room as a world: the compiled scene, its state, the robot's motors and sensors, and the truth beside."""
+"""The room as a world: the compiled scene, its state, the robot's motors and sensors, and the ground truth."""
 
 import math
 from functools import cached_property
@@ -26,17 +26,17 @@ class RoomWorld:
 
     Attributes:
         model: The compiled scene.
-        data: Its state.
+        data: The state of the scene.
         room: The compiled room without the robot.
     """
 
     def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None, drawn: bool = True) -> None:
-        """Build the room of the settings, or take a ready one, and put the robot into it at rest.
+        """Build the settings' room, or take a given one, and put the robot into it at rest.
 
         Args:
-            settings: Room, what has changed in it, robot, camera height and control period are used.
-            room: A ready room instead of the settings' own.
-            drawn: Whether ``model`` holds what nothing can touch; physics is a third faster without.
+            settings: The room, its changes before deployment, the robot and the camera height are used.
+            room: A room to use instead of the settings' own.
+            drawn: Whether ``model`` includes geoms that nothing can touch; physics is a third faster without them.
         """
         still = freeze(build_room(settings.room) if room is None else room)
         if settings.deployment.moved_m:
@@ -59,7 +59,7 @@ class RoomWorld:
 
     @property
     def bounds(self) -> np.ndarray:
-        """Lower and upper corner (2, 2) of the box about all places the robot can reach [m]."""
+        """Lower and upper corner (2, 2) of the bounding box of all places that the robot can reach [m]."""
         row, column = np.nonzero(self.free_space.reachable)
         cell = np.array([[column.min(), row.min()], [column.max(), row.max()]])
         return self.free_space.origin + cell * self.free_space.cell_m
@@ -69,24 +69,24 @@ class RoomWorld:
         return self.free_space.is_free(points)
 
     def place(self, pose: np.ndarray) -> None:
-        """Stand the robot at a pose (3,) x, y [m], yaw [rad], settled and at rest, its wheel angles zero."""
+        """Place the robot at a pose (3,) x, y [m], yaw [rad], settled and at rest, with wheel angles zero."""
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[:] = self.rest_states(np.asarray(pose)[None])[0]
         mujoco.mj_forward(self.model, self.data)
 
     def start(self, rng: np.random.Generator) -> None:
-        """Stand the robot at the room's start with a random heading."""
+        """Place the robot at the room's start with a random heading."""
         self.place(np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi))))
 
     def carry(self, rng: np.random.Generator) -> None:
-        """Set the robot down at rest at the room's start, with a random heading: neither wheels nor clock notice."""
+        """Relocate the robot, at rest, to the start with a random heading; wheel angles and time do not change."""
         pose = np.array((*self.free_space.start, rng.uniform(-np.pi, np.pi)))
         self.data.qpos[:7] = self.rest_states(pose[None])[0, :7]
         self.data.qvel[:] = self.data.qacc_warmstart[:] = 0.0
         mujoco.mj_forward(self.model, self.data)
 
     def rest_states(self, poses: np.ndarray) -> np.ndarray:
-        """Full positions (n, nq) of the robot standing at rest at poses (n, 3), wheel angles zero."""
+        """Return full positions (n, nq) of the robot at rest at poses (n, 3), with wheel angles zero."""
         poses = np.asarray(poses, float)
         half = poses[:, 2] / 2
         w, i, j, k = self._rest[3:7]
@@ -100,28 +100,28 @@ class RoomWorld:
         """Drive the wheels at speeds (2,) left, right [rad/s] for one control period.
 
         Raises:
-            WorkError: MuJoCo warned, which it also does when the state is no longer finite.
+            WorkError: MuJoCo gave a warning, as it also does when the state is no longer finite.
         """
         data = self.data
         data.ctrl[:] = wheel_speed
         mujoco.mj_step(self.model, data, self._substeps)
         if data.warning.number.any():
             raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
-        # A step leaves the sensors one step behind the joints: read them where the robot is now.
+        # After a step the sensors are one step behind the joints: evaluate them for the current state.
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_sensorPos(self.model, data)
 
     def wheel_angle(self) -> np.ndarray:
-        """Wheel-joint angles (2,) left, right [rad], from the joint-position sensors."""
+        """Return wheel-joint angles (2,) left, right [rad], from the joint-position sensors."""
         sensor = self.data.sensordata
         return np.array((sensor[self._left], sensor[self._right]))
 
     def ranges(self, reach_m: float = REACH_M, turned_rad: float = 0.0) -> np.ndarray:
-        """Distances (K,) of the range rays [m], fan after fan; ``reach_m`` where nothing is nearer.
+        """Return distances (K,) of the range rays [m], fan after fan; ``reach_m`` where nothing is nearer.
 
         Args:
             reach_m: Longest distance to measure [m].
-            turned_rad: Where the fans look: 0 straight ahead, positive to the left [rad].
+            turned_rad: Direction of the fans: 0 straight ahead, positive to the left [rad].
         """
         x, y, yaw = self.pose()
         return self._finder.measure(x, y, yaw + turned_rad, reach_m)
@@ -131,26 +131,26 @@ class RoomWorld:
         return bool(self.data.sensordata[self._bumper] > 0.0)
 
     def time(self) -> float:
-        """Time since the start [s]."""
+        """Return the time since the start [s]."""
         return self.data.time
 
     def snapshot(self) -> np.ndarray:
-        """Full positions (nq,), for the camera and the truth; the robot itself does not look at it."""
+        """Return full positions (nq,), for the camera and the ground truth; the drive does not use them."""
         return self.data.qpos.copy()
 
     def pose(self) -> np.ndarray:
-        """The true pose (3,): x, y [m], yaw [rad]."""
+        """Return the true pose (3,): x, y [m], yaw [rad]."""
         x, y, _, w, i, j, k = self.data.qpos[:7].tolist()
         return np.array((x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))))
 
     def state(self) -> np.ndarray:
-        """All that decides what happens next, as one array."""
+        """Return the full state of the simulation, on which all that follows depends, as one array."""
         state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
         mujoco.mj_getState(self.model, self.data, state, _STATE)
         return state
 
     def set_state(self, state: np.ndarray) -> None:
-        """Return to a state, exactly: what follows is bit for bit what followed then."""
+        """Restore a state exactly: the simulation continues bit for bit as it did from there."""
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, state, _STATE)
         mujoco.mj_forward(self.model, self.data)
@@ -159,7 +159,7 @@ class RoomWorld:
 
 
 def _settle(settings: SimSettings) -> np.ndarray:
-    """Positions (nq,) of the robot standing at rest on a level floor at the origin, heading +x."""
+    """Return full positions (nq,) of the robot at rest on a level floor at the origin, heading +x."""
     model = compile_scene(empty_room(), settings)
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(_SETTLE_S / TIMESTEP_S))

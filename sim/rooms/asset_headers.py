@@ -1,4 +1,4 @@
-"""What files that a room draws on would take in memory, from their headers: they are not decoded."""
+"""Memory that a room's files would take, estimated from their headers without decoding them."""
 
 import struct
 import zlib
@@ -8,17 +8,17 @@ from sim.errors import InputError
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _LONGEST_TEXT = 64 * 1024
-"""Compressed text in a PNG: it grows a thousandfold."""
+"""Most bytes of compressed text in a PNG: text can inflate a thousandfold."""
 _EXPANDS = 1032
-"""Deflate makes at most this many bytes of one."""
+"""Deflate expands one byte to at most this many."""
 _CHUNK = 1024 * 1024
 
 
 def measure_picture(path: Path, what: str) -> tuple[int, int] | None:
-    """Width and height of a PNG file [px], or None where it is none.
+    """Return width and height of a PNG file [px], or None for another format.
 
     Raises:
-        InputError: The file holds more than a picture of its size.
+        InputError: The header is wrong, or the file holds more data than a picture of its size.
     """
     with path.open("rb") as file:
         head = file.read(33)
@@ -30,14 +30,14 @@ def measure_picture(path: Path, what: str) -> tuple[int, int] | None:
         channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}.get(colour)
         if not width or not height or channels is None or depth not in {1, 2, 4, 8, 16}:
             raise InputError(f"{what}: the header of the PNG file is wrong")
-        # One byte a row says how it is filtered; an interlaced picture has twice as many rows.
+        # Each row has one byte for its filter; an interlaced picture has up to twice as many rows.
         raw = 2 * height + height * ((width * channels * depth + 7) // 8 + 8)
         _refuse_hidden(file, raw, what)
     return width, height
 
 
 def measure_terrain(path: Path, what: str) -> int:
-    """Cells of a height field's file: a PNG, or MuJoCo's own format, two int32 and as many floats as they say."""
+    """Return the cells of a height field: a PNG, or MuJoCo's own format of rows and columns (int32), then floats."""
     if size := measure_picture(path, what):
         return size[0] * size[1]
     with path.open("rb") as file:
@@ -49,7 +49,7 @@ def measure_terrain(path: Path, what: str) -> int:
 
 
 def count_triangles(path: Path) -> int:
-    """About how many triangles a mesh's file has: by the lines of an OBJ, by the size of any other."""
+    """Estimate the triangles of a mesh file: by the lines of an OBJ file, by the size of any other."""
     if path.suffix.lower() != ".obj":
         return path.stat().st_size // (50 if path.suffix.lower() == ".stl" else 12)
     with path.open("rb") as file:
@@ -75,7 +75,7 @@ def _refuse_hidden(file, raw: int, what: str) -> None:
 
 
 def _inflate(file, length: int, inflate, room: int) -> int:
-    """Bytes that a chunk inflates to; no more than one above ``room`` is counted, and none is kept."""
+    """Count the bytes that a chunk inflates to, up to just above ``room``, without keeping them."""
     found = 0
     while length > 0 and found <= room:
         part = file.read(min(length, _CHUNK))
@@ -86,7 +86,7 @@ def _inflate(file, length: int, inflate, room: int) -> int:
             try:
                 found += len(inflate.decompress(part, _CHUNK))
             except zlib.error:
-                break  # MuJoCo says what is wrong with it
+                break  # MuJoCo reports what is wrong with it
             part = inflate.unconsumed_tail
     file.seek(length, 1)
     return found

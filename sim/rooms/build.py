@@ -1,4 +1,4 @@
-"""Builds a furnished room from a seed: walls, floor, ceiling, lamps, and what stands and hangs in it."""
+"""Building a furnished room from a seed: walls, floor, ceiling, lamps and furniture."""
 
 from pathlib import Path
 from typing import get_args
@@ -25,11 +25,11 @@ PILLAR_FINISHES: tuple[Finish, ...] = ("brick", "plaster", "boards")
 def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     """Build a room, ready for a robot to be attached.
 
-    What is drawn lies in group 2 and collides with nothing; what collides lies in group 3 and is not drawn. The floor
-    is the plane ``floor`` at z = 0, the origin the middle of the room's extent.
+    Drawn geoms are in group 2 and collide with nothing; colliding geoms are in group 3 and are not drawn. The floor is
+    the plane ``floor`` at z = 0; the origin is the middle of the room's extent.
 
     Raises:
-        InputError: the MJCF file that the settings name cannot be used.
+        InputError: The MJCF file that the settings name cannot be used.
     """
     if settings.mjcf is not None:
         from sim.rooms.mjcf import load_room
@@ -78,12 +78,12 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
     walls = room.layout.walls
     for number, wall in enumerate(walls):
         body = room.spec.worldbody.add_body(name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw))
-        # Out over an outer corner by the thickness; at an inner one a little short, so that no two faces coincide.
+        # A wall reaches over an outer corner by its thickness and ends just short of an inner one: no two faces coincide.
         before, after = (_overlap(walls[number - 1], wall), _overlap(wall, walls[(number + 1) % len(walls)]))
         length = wall.length_m + before + after
         middle = (before - after) / 2
         finish = finishes[(number + shift) % len(finishes)]
-        # The golden section keeps the hues of neighbours apart, however many walls there are.
+        # Steps by the golden section keep the hues of neighbouring walls apart, however many walls there are.
         colour = textures.muted(room.rng, first_hue + 0.382 * number) * 0.7 + 0.28 * room.rng.uniform(0.6, 1.0)
         material = surface(room.look, room.rng, finish, (length, room.height_m), colour)
         size = (length, WALL_M, room.height_m)
@@ -92,7 +92,7 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
 
 
 def _overlap(wall, following) -> float:
-    """How far two walls that meet reach over their corner [m]."""
+    """Return how far two walls that meet reach over their corner [m]."""
     (ax, ay), (bx, by) = wall.end - wall.start, following.end - following.start
     return WALL_M if ax * by > ay * bx else -CORNER_GAP_M
 
@@ -112,7 +112,7 @@ def _close_ceiling(room: Room, plan: RoomPlan) -> None:
 
 
 def _raise_pillars(room: Room) -> None:
-    """One or two pillars off the middle, where they leave paths."""
+    """Add one or two pillars off the middle, where they leave paths."""
     rng = room.rng
     for number in range(int(rng.integers(1, 3))):
         side = float(rng.uniform(0.32, 0.5))
@@ -130,7 +130,7 @@ def _raise_pillars(room: Room) -> None:
 
 
 def _lay_lintel(room: Room, plan: RoomPlan) -> None:
-    """The wall above the doorway between two rooms."""
+    """Add the wall above the doorway between two rooms."""
     low, high = room.layout.corners[2], room.layout.corners[8]  # where the doorway begins and ends
     size = (*(high - low), room.height_m - DOORWAY_HEIGHT_M)
     colour = textures.muted(room.rng) * 0.7 + 0.25
@@ -140,7 +140,7 @@ def _lay_lintel(room: Room, plan: RoomPlan) -> None:
 
 
 def _light(spec: mujoco.MjSpec) -> None:
-    """Two fixed directions of light: from above, and weaker back from the floor; neither turns with the view."""
+    """Add two directional lights, from above and more weakly from the floor; neither turns with the view."""
     for direction, strength in (((0.45, 0.3, -0.85), 0.32), ((-0.3, -0.55, 0.8), 0.26)):
         spec.worldbody.add_light(
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,

@@ -1,4 +1,4 @@
-"""What has changed in a room between training and use: its light, and where small pieces stand."""
+"""What has changed in a room between training and use: its light, and where small pieces are."""
 
 import mujoco
 import numpy as np
@@ -9,27 +9,27 @@ from sim.settings import DeploymentSettings
 
 MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
 MOVABLE += ("plant", "stool")
-"""Pieces that a person pushes aside."""
+"""Pieces that a person would push aside."""
 STEP_M = 0.05
-"""A piece is tried at every such step of its way [m]."""
+"""Spacing of collision checks along the path of a pushed piece [m]."""
 TRIES = 24
 GAMMA = 2.2
-"""Colours of the simulator are codes, about the 2.2th root of light (IEC 61966-2-1)."""
+"""Colours in the simulator are gamma-encoded: about the 2.2th root of light (IEC 61966-2-1)."""
 
 
 def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjSpec:
-    """Push each small piece of a room straight aside, where nothing stands in its way; what is shut in stays.
+    """Push each small piece of a room straight in a random direction that is clear; a piece without one stays.
 
     Args:
-        room: Is not changed.
-        moved_m: How far [m].
-        seed: Directions come from this number.
+        room: The room; not modified.
+        moved_m: How far to push each piece [m].
+        seed: Seed of the directions.
 
     Returns:
         A copy of the room.
 
     Raises:
-        InputError: Nothing can be pushed so far, so that nothing would be changed.
+        InputError: No piece can be pushed that far, so nothing would change.
     """
     spec, rng = room.copy(), np.random.default_rng(seed)
     model = spec.compile()
@@ -37,7 +37,7 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
     pushed = 0
     for body in spec.bodies:
         if body.name.rpartition("_")[0] in MOVABLE:
-            angles = rng.uniform(-np.pi, np.pi, TRIES)  # as many for each, whichever is taken
+            angles = rng.uniform(-np.pi, np.pi, TRIES)  # as many for each piece, whichever it takes
             ways = moved_m * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
             number = model.body(body.name).id
             way = next((way for way in ways if _is_clear(model, number, way, solid)), np.zeros(2))
@@ -50,8 +50,10 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
 
 
 def dim(room: mujoco.MjSpec, deployment: DeploymentSettings) -> None:
-    """Dim a scene's light: a material's glow is a lamp's where it has one colour, a window's or a screen's where it
-    shows a picture."""
+    """Dim a scene's light.
+
+    A glowing material of one colour belongs to a lamp; one with a picture belongs to a window or a screen.
+    """
     windows, lamps = deployment.light ** (1.0 / GAMMA), (deployment.light * deployment.lamps) ** (1.0 / GAMMA)
     headlight = room.visual.headlight
     headlight.ambient = np.multiply(headlight.ambient, windows)
@@ -64,7 +66,7 @@ def dim(room: mujoco.MjSpec, deployment: DeploymentSettings) -> None:
 
 
 def _is_clear(model: mujoco.MjModel, body: int, way: np.ndarray, solid: np.ndarray) -> bool:
-    """Whether a body can be pushed along a way (2,) [m] without touching more than it does where it stands."""
+    """Whether a body can be pushed along a vector (2,) [m] without deeper contacts than it has where it is."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     mine = model.geom_bodyid[solid] == body
@@ -80,7 +82,7 @@ def _is_clear(model: mujoco.MjModel, body: int, way: np.ndarray, solid: np.ndarr
 
 
 def _distance(model: mujoco.MjModel, data: mujoco.MjData, one: int, other: int) -> float:
-    """Signed distance of two geoms, 0 where they are not even near [m]."""
+    """Return the signed distance between two geoms [m], 0 if their bounding spheres do not meet."""
     apart = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other])
     if apart > model.geom_rbound[one] + model.geom_rbound[other]:
         return 0.0

@@ -8,7 +8,7 @@ from sim.errors import InputError
 from sim.occupancy import FreeSpace
 
 CLEARANCE_M = 0.005
-"""What is lower than this the wheels climb over: the floor itself, rugs, thresholds."""
+"""The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds."""
 LARGEST_CELLS = 4_000_000
 COARSEST = 32
 START = "start"
@@ -18,8 +18,8 @@ _FLAT = 1e-6
 def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cell_m: float = 0.02) -> FreeSpace:
     """Find the cells in which an upright cylinder of the robot's size touches no colliding geom.
 
-    A block of cells is decided at once where the cylinder in its middle is further from a geom than the block's
-    corners are from its middle: the signed distance between two bodies changes by no more than one of them moves.
+    A block of cells is decided at once if the cylinder in its middle is further from a geom than the block's corners
+    are from its middle: the signed distance between two bodies changes by no more than one of them moves.
 
     Args:
         model: The compiled room, without the robot.
@@ -28,7 +28,7 @@ def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cel
         cell_m: Side of a cell [m].
 
     Raises:
-        InputError: nothing is enclosed by walls, the site ``start`` is not free, or the room is too large.
+        InputError: No free space is enclosed by walls, the site ``start`` is not free, or the room is too large.
     """
     probe = _Probe(model, radius_m, height_m)
     origin, shape = _search_area(probe, radius_m, cell_m)
@@ -52,12 +52,12 @@ def find_free_space(model: mujoco.MjModel, radius_m: float, height_m: float, cel
 
 
 def collides(model: mujoco.MjModel) -> np.ndarray:
-    """Which geoms (ngeom,) collide with a robot whose geoms have contype = conaffinity = 1."""
+    """Return a mask (ngeom,) of the geoms that collide with a robot whose geoms have contype = conaffinity = 1."""
     return ((model.geom_contype & 1) | (model.geom_conaffinity & 1)) != 0
 
 
 class _Probe:
-    """A model of its own with the probe and a copy of each colliding geom, where it is in the room's rest state."""
+    """A separate model with the probe and a copy of each colliding geom, at its place in the room's rest state."""
 
     def __init__(self, model: mujoco.MjModel, radius_m: float, height_m: float) -> None:
         rest = mujoco.MjData(model)
@@ -83,7 +83,7 @@ class _Probe:
         self.top_m = height_m
 
     def distance(self, geom: int, x: float, y: float, limit_m: float) -> float:
-        """Signed distance between geom and the probe standing at (x, y); at most ``limit_m`` [m]."""
+        """Return the signed distance between a geom and the probe at (x, y), at most ``limit_m`` [m]."""
         self.data.geom_xpos[self.probe] = (x, y, self.middle_z_m)
         return mujoco.mj_geomDistance(self.model, self.data, self.probe, geom, limit_m, None)
 
@@ -97,7 +97,7 @@ def _below(model: mujoco.MjModel, data: mujoco.MjData, geom: int, z_m: float) ->
 
 
 def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) of the world-aligned box about a geom, from its own bounding box [m]."""
+    """Return the lower and upper corner (3,) of the world-aligned box around a geom's own bounding box [m]."""
     rotation = data.geom_xmat[geom].reshape(3, 3)
     centre = data.geom_xpos[geom] + rotation @ model.geom_aabb[geom, :3]
     half = np.abs(rotation) @ model.geom_aabb[geom, 3:]
@@ -105,7 +105,7 @@ def _box_of(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[np.n
 
 
 def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, geom: int, copied: set[str]) -> None:
-    """Copy a geom to the world body of another model, and its mesh if that is not among the ``copied``."""
+    """Copy a geom to the world body of another model, with its mesh unless that is already ``copied``."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, data.geom_xmat[geom])
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
@@ -116,7 +116,7 @@ def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, 
         if name not in copied:
             copied.add(name)
             first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-            # Its points alone: MuJoCo collides a mesh as their convex hull.
+            # Only the vertices are needed: MuJoCo collides a mesh as their convex hull.
             spec.add_mesh(name=name, uservert=model.mesh_vert[first : first + count].ravel())
         copy.type = mujoco.mjtGeom.mjGEOM_MESH
         copy.meshname = name
@@ -125,13 +125,13 @@ def _copy_geom(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData, 
 
 
 def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndarray, tuple[int, int]]:
-    """Middle of the first cell (2,) [m] and the number of rows and columns: all obstacles, and a border around."""
+    """Return the middle of the first cell (2,) [m] and the rows and columns that hold all obstacles and a border."""
     corners = []
     for geom in probe.obstacles:
         if probe.model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE:
             corners += _box_of(probe.model, probe.data, geom)
             continue
-        # A plane blocks its far side for ever; where it stands is what bounds the room.
+        # A plane blocks everything behind it; only its drawn rectangle bounds the room.
         rotation = probe.data.geom_xmat[geom].reshape(3, 3)
         half = np.abs(rotation[:, :2]) @ probe.model.geom_size[geom, :2]
         corners += [probe.data.geom_xpos[geom] - half, probe.data.geom_xpos[geom] + half]
@@ -140,7 +140,7 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
     if not corners:
         raise InputError("room: nothing stands on the floor, so no free space is enclosed by walls")
     border = radius_m + 3 * cell_m
-    # The lattice passes through the room's origin, wherever its walls are.
+    # The grid passes through the room's origin, wherever its walls are.
     low = np.floor((np.min(corners, axis=0)[:2] - border) / cell_m)
     high = np.ceil((np.max(corners, axis=0)[:2] + border) / cell_m)
     columns, rows = (high - low + 1).tolist()
@@ -153,7 +153,7 @@ def _search_area(probe: _Probe, radius_m: float, cell_m: float) -> tuple[np.ndar
 
 
 def _block(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, cell_m: float) -> None:
-    """Mark the cells in which the probe touches one geom, coarse blocks first."""
+    """Mark the cells in which the probe touches one geom, starting with coarse blocks."""
     rows, columns = blocked.shape
     size = COARSEST
     todo = [(r, c) for r in range(0, rows, size) for c in range(0, columns, size)]
@@ -167,7 +167,7 @@ def _block(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, ce
             distance = probe.distance(geom, x, y, half_diagonal + cell_m)
             if size == 1:
                 blocked[row, column] = distance < 0.0
-            # A penetration depth is less exact than a distance: trust it with room to spare.
+            # A penetration depth is less exact than a distance, so it needs a safety margin.
             elif distance < -1.5 * half_diagonal:
                 blocked[row : row + size, column : column + size] = True
             elif distance <= half_diagonal:
@@ -186,7 +186,7 @@ def _block(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, ce
 
 
 def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.ndarray, cell_m: float) -> None:
-    """Mark the cells from which a terrain's surface is higher than the clearance within the probe's radius."""
+    """Mark the cells where a terrain is higher than the clearance anywhere within the probe's radius."""
     model, data = probe.room, probe.room_data
     low, high = _box_of(model, data, geom)
     reach = int(np.ceil(probe.radius_m / cell_m))
@@ -210,7 +210,7 @@ def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.nda
 def _enclosed_region(
     model: mujoco.MjModel, label: np.ndarray, origin: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The region of the start, or the largest that does not reach the border; and the start (2,) [m]."""
+    """Return the region of the start site, or else the largest one off the border, and the start (2,) [m]."""
     outside = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
     start = _start_site(model)
     if start is not None:
@@ -240,7 +240,7 @@ def _start_site(model: mujoco.MjModel) -> np.ndarray | None:
 
 
 def _roomiest(region: np.ndarray, origin: np.ndarray, cell_m: float) -> np.ndarray:
-    """Middle of the cell that is furthest from all that is not in the region."""
+    """Return the middle (2,) [m] of the cell that is furthest from everything outside the region."""
     inner = np.asarray(ndimage.distance_transform_edt(region))
     row, column = np.unravel_index(inner.argmax(), region.shape)
     return origin + np.array((column, row)) * cell_m
@@ -248,5 +248,5 @@ def _roomiest(region: np.ndarray, origin: np.ndarray, cell_m: float) -> np.ndarr
 
 def _shorter_side(region: np.ndarray, cell_m: float) -> float:
     rows, columns = np.flatnonzero(region.any(axis=1)), np.flatnonzero(region.any(axis=0))
-    # Half a cell is free on either side of the outermost middles, on average.
+    # On average, half a cell is free beyond the outermost cell middles on either side.
     return cell_m * float(min(np.ptp(rows), np.ptp(columns)) + 1)

@@ -25,7 +25,7 @@ from sim.rooms.placement import (
 
 
 def enter(room: Room, windows: int, roller: bool = False) -> None:
-    """Every room: a door whose front stays open, then windows with their curtains and radiators."""
+    """Add what every room has: a door with free floor before it, then windows with curtains and radiators."""
     found = hang(room, "door", wall.door)
     if found is not None:
         room.layout.keep_open(*found, width_m=0.9, depth_m=0.9)
@@ -39,13 +39,13 @@ def enter(room: Room, windows: int, roller: bool = False) -> None:
 
 
 def put_stand(room: Room) -> None:
-    """A coat stand near the door."""
+    """Place a coat stand near the door."""
     entrance = room.layout.entrance
     stand(room, "coat_stand", decor.coat_stand, None if entrance is None else near(entrance))
 
 
 def sit(room: Room, width_m: float) -> None:
-    """A sofa, a television that it faces, a coffee table on a rug between them, an armchair at its side."""
+    """Place a sofa facing a television, a coffee table on a rug between them, an armchair and a lamp at the sides."""
     rng = room.rng
     sofa = stand(room, "sofa", partial(seating.sofa, width_m=width_m), _not_in_a_corner(room))
     if sofa is None:
@@ -66,7 +66,7 @@ def sit(room: Room, width_m: float) -> None:
 
 
 def sleep(room: Room, width_m: float) -> None:
-    """A bed with its head to the wall, a table at each side, a rug at its foot."""
+    """Place a bed with its head to the wall, a table at each side and a rug at its foot."""
     bed = stand(room, "bed", partial(seating.bed, width_m=width_m), _not_in_a_corner(room))
     if bed is None:
         return
@@ -82,7 +82,7 @@ def sleep(room: Room, width_m: float) -> None:
 
 
 def dine(room: Room, seats: int) -> None:
-    """A table in the open with chairs around it."""
+    """Place a table with chairs around it away from the walls."""
     rng = room.rng
     small = (0.85, 0.8)
     for size, count in (((float(rng.uniform(1.35, 1.7)), 0.85), 4), (small, 2)):
@@ -97,18 +97,18 @@ def dine(room: Room, seats: int) -> None:
 
 
 def _with_chairs(body, rng, look, size):
-    """A dining table whose footprint leaves room for its chairs."""
+    """Build a dining table whose footprint leaves room for its chairs."""
     it = tables.dining_table(body, rng, look, width_m=size[0], depth_m=size[1])
     return Footprint(it.width_m + 0.1, it.depth_m + 0.7, it.height_m)
 
 
 def work(room: Room, width_m: float) -> None:
-    """A desk with its chair, and something on the wall above it."""
+    """Place a desk and its chair."""
     rng, side = room.rng, int(room.rng.choice((-1, 1)))
     desk = stand(room, "desk", partial(tables.desk, width_m=width_m, side=side))
     if desk is None:
         return
-    # Left where its owner stood up, or pushed in whole: half-way it all but closes the place below the desk.
+    # The chair is where its user left it, or fully pushed in: half-way it would nearly close the space below the desk.
     aside, turn = float(rng.uniform(-0.1, 0.1)), np.pi + float(rng.uniform(-0.5, 0.5))
     left_behind = [desk.ahead(ahead, aside, turn) for ahead in (1.02, 1.1, 1.2)]
     if put(room, "office_chair", seating.office_chair, left_behind) is None:
@@ -117,7 +117,7 @@ def work(room: Room, width_m: float) -> None:
 
 
 def adorn(room: Room, plants: int, pictures: int, lamp: bool = True) -> None:
-    """Plants in corners, a lamp, pictures of all sizes."""
+    """Add plants in corners, a floor lamp, and pictures of all sizes."""
     rng = room.rng
     grown: list[Pose] = []
     for _ in range(plants):
@@ -135,7 +135,7 @@ def _not_in_a_corner(room: Room):
 
 
 def _open_cost(room: Room) -> Cost:
-    """A cost: standing close to anything."""
+    """Return a cost for being close to anything."""
     layout = room.layout
     clear = layout.clearance()
     return lambda pose: -float(min(clear[layout.cell(pose)], 1.6))

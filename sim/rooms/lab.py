@@ -1,4 +1,4 @@
-"""What makes a room a laboratory: AprilTags on the walls and on posts that stand about."""
+"""What makes a room a laboratory: AprilTags on the walls and on free-standing posts."""
 
 from functools import partial
 
@@ -16,13 +16,13 @@ POST_M, POST_HEIGHT_M = 0.26, 1.3
 POST_TAGS_M = (0.3, 0.72)
 """Heights of the tags on each face of a post [m]."""
 WALL_TAGS_M = (0.22, 1.25)
-"""Lowest and highest middle of a tag on a wall [m]."""
+"""Lowest and highest centre of a tag on a wall [m]."""
 PLATE_THICK_M = 0.006
 TRIES = 40
 
 
 def place_posts(room: Room) -> int:
-    """Stand posts with tags on all faces where they leave paths; returns how many tags they carry."""
+    """Place posts with tags on all faces where they leave paths; return the number of tags on them."""
     tags = 0
     stood: list[Pose] = []
     for _ in range(POSTS):
@@ -35,7 +35,7 @@ def place_posts(room: Room) -> int:
 
 
 def hang_tags(room: Room, first: int) -> None:
-    """Hang the tags from number ``first`` on along the walls; raises InputError where they do not fit."""
+    """Hang the tags from number ``first`` on along the walls; raise InputError if they do not fit."""
     for number in range(first, TAGS):
         material = paper(room.look.spec, draw_tag(number))
         for _ in range(TRIES):
@@ -70,7 +70,7 @@ def wall_tag(
 
 
 def _plate(body: mujoco.MjsBody, number: int, material: str, at: tuple[float, float, float], yaw: float) -> None:
-    """A tag's plate with its back at ``at``, turned by ``yaw`` from facing -y, and a site that has the tag's frame."""
+    """Add a tag's plate with its back at ``at``, turned by ``yaw`` from facing -y, and a site with the tag's frame."""
     out = np.array((np.sin(yaw), -np.cos(yaw), 0.0))
     x, y, z = (np.array(at) + out * PLATE_THICK_M / 2).tolist()
     box(body, (x, y, z), (PLATE_M, PLATE_THICK_M, PLATE_M), material, quat=turned(yaw))
@@ -85,5 +85,5 @@ def _multiply(a: Quaternion, b: Quaternion) -> np.ndarray:
 
 
 def _nearness(at: Pose, others: list[Pose]) -> float:
-    """A cost: standing near another post."""
+    """Return a cost for being near another post."""
     return -min((min(float(np.hypot(at.x - o.x, at.y - o.y)), 2.5) for o in others), default=0.0)

@@ -1,7 +1,7 @@
-"""Where things stand: the floor and the walls of a room, and a search for places that a person would choose.
+"""Where things are: the floor and the walls of a room, and a search for places that a person would choose.
 
-The floor is a grid of cells; each piece takes its footprint, keeps the floor before it open, and may stand only where
-a person can still walk from the door to everything that is used.
+The floor is a grid of cells. Each piece occupies its footprint and keeps the floor before it open; it may be placed
+only where a person can still walk from the door to everything that is used.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,17 +17,17 @@ CELL_M = 0.05
 PATH_RADIUS_M = 0.3
 """Half the width that a person needs to walk."""
 CUT_OFF_SHARE = 0.1
-"""Floor wide enough to walk on but cut off from the door may be this part of what is not."""
+"""Walkable floor that is cut off from the door may be at most this fraction of the floor that is not."""
 GAP_CELLS = 2
-"""Pieces may stand this near to one another..."""
+"""Gaps between pieces may be at most this wide..."""
 BROOM_CELLS = 7
-"""...or leave a gap for a broom, at least so many cells wide; what lies behind a gap between the two is a nook."""
+"""...or at least this wide, enough for a broom; floor behind a gap in between counts as an unswept region (nook)."""
 NEAR_WALL_M = 0.3
-"""What stands nearer to a wall than this hides what hangs there."""
+"""A piece nearer to a wall than this hides what hangs there."""
 
 
 class Pose(NamedTuple):
-    """Where a piece stands: the middle of its footprint [m] and its turn; at yaw 0 it faces -y."""
+    """Pose of a piece: the middle of its footprint [m] and its yaw [rad]; at yaw 0 it faces -y."""
 
     x: float
     y: float
@@ -35,22 +35,22 @@ class Pose(NamedTuple):
 
     @property
     def front(self) -> np.ndarray:
-        """The direction in which it faces (2,)."""
+        """Direction that the piece faces (2,)."""
         return np.array((np.sin(self.yaw), -np.cos(self.yaw)))
 
     def ahead(self, forward_m: float, right_m: float = 0.0, turn_rad: float = 0.0) -> "Pose":
-        """The pose so far before it and to its own right, turned by so much."""
+        """Return the pose at these distances before the piece and to its own right, turned by an angle."""
         s, c = float(np.sin(self.yaw)), float(np.cos(self.yaw))
         x, y = self.x + forward_m * s - right_m * c, self.y - forward_m * c - right_m * s
         return Pose(x, y, self.yaw + turn_rad)
 
 
 Cost = Callable[[Pose], float]
-"""What a person would rather not: the place with the least is tried first [m]."""
+"""Cost of a place, as a person would judge it [m]; the place with the lowest cost is tried first."""
 
 
 class Layout:
-    """The floor and the walls of one room, and what of them is taken.
+    """The floor and the walls of one room, and which parts of them are taken.
 
     Args:
         corners: The room's corners (V, 2), counter-clockwise [m].
@@ -75,7 +75,7 @@ class Layout:
     def against_wall(
         self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
     ) -> Pose | None:
-        """Find a place with the back to a wall; without a cost anywhere, a little rather in a corner."""
+        """Find a place with the back to a wall, the cheapest or, without a cost, a random one."""
         poses = []
         for wall in self.walls if walls is None else walls:
             reach = (wall.length_m - piece.width_m) / 2 - 0.02
@@ -98,11 +98,11 @@ class Layout:
         return self._first_good(piece, poses, rng, cost)
 
     def at(self, piece: Footprint, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
-        """Take the first of the given places that is good."""
+        """Return the first of the given places that is good."""
         return next((pose for pose in poses if self._good(piece, pose, walkable)), None)
 
     def take(self, piece: Footprint, pose: Pose) -> None:
-        """Let a piece stand there."""
+        """Mark what a piece at a pose occupies and keeps open."""
         self._footprint(piece, pose, self.taken)[:] = True
         self._front(piece, pose, self.kept)[:] = True
         area = self._footprint(piece, pose, self.tall)
@@ -116,7 +116,7 @@ class Layout:
     def hang(
         self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
     ) -> float | None:
-        """Find x [m] on a wall where (width, bottom, top) covers nothing, and take it."""
+        """Find x [m] on a wall where ``cover`` (width, bottom, top) overlaps nothing, and take it."""
         width, bottom, top = cover
         reach = (wall.length_m - width) / 2 - 0.05
         if reach < 0:
@@ -132,7 +132,7 @@ class Layout:
         return None
 
     def keep_open(self, wall: Wall, x: float, width_m: float, depth_m: float) -> None:
-        """Keep the floor before a place on a wall open, as before a door; the first is the entrance."""
+        """Keep the floor before a place on a wall open, as before a door; the first such place is the entrance."""
         front = Footprint(width_m, depth_m, 0.0)
         self._footprint(front, wall_pose(wall, x, depth_m / 2), self.kept)[:] = True
         if self.entrance is None:
@@ -141,7 +141,7 @@ class Layout:
     def overhang(
         self, size: tuple[float, float], rng: np.random.Generator, drop_m: float, cost: Cost | None = None
     ) -> np.ndarray | None:
-        """Find a place (2,) on the ceiling for something of ``size`` (x, y) that hangs down to ``drop_m``."""
+        """Find a place (2,) on the ceiling for a fitting of ``size`` (x, y) that hangs down to ``drop_m``."""
         spread = 0.15
         piece = Footprint(size[0] + 2 * spread, size[1] + 2 * spread, 0.0)
         rows, columns = np.nonzero(self.inside[::4, ::4])
@@ -160,26 +160,26 @@ class Layout:
         return None
 
     def clearance(self) -> np.ndarray:
-        """Distance (rows, columns) from each cell to the nearest wall or thing that stands [m]."""
+        """Return the distance (rows, columns) from each cell to the nearest wall or piece [m]."""
         return _clearance(self.inside & ~self.taken)
 
     def cell(self, pose: Pose) -> tuple[int, int]:
-        """Row and column of the cell in which a pose lies."""
+        """Return row and column of the cell that contains a pose."""
         column, row = np.clip(
             (np.array((pose.x, pose.y)) - self.low) / CELL_M, 0, np.array(self.inside.shape[::-1]) - 1
         )
         return int(row), int(column)
 
     def cover_ceiling(self, at: tuple[float, float], size: tuple[float, float]) -> None:
-        """Take a part of the ceiling, at its middle [m] and of a size along x and y [m]."""
+        """Take a rectangle of the ceiling with the given middle [m] and size along x and y [m]."""
         self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
 
     def is_inside(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether a footprint lies in the room, whatever stands there."""
+        """Whether a footprint is in the room, whatever else is there."""
         return self._whole(piece, pose)
 
     def is_clear(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether a footprint lies in the room on floor on which nothing stands; it may have to stay open."""
+        """Whether a footprint is in the room on unoccupied floor, which may be floor that must stay open."""
         return self._whole(piece, pose) and not self._footprint(piece, pose, self.taken).any()
 
     def _first_good(
@@ -205,7 +205,7 @@ class Layout:
         return not walkable or self._leaves_paths(piece, pose)
 
     def _whole(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether the footprint lies in the room."""
+        """Whether the footprint is completely in the room."""
         left, right, bottom, top = _rectangle(piece, pose)
         high = self.low + np.array(self.inside.shape[::-1]) * CELL_M
         tolerance = 1e-6
@@ -216,13 +216,13 @@ class Layout:
         return bool(self._footprint(piece, pose, self.inside).all())
 
     def _leaves_paths(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether one can still walk from the entrance to nearly all open floor and to the piece's front, and sweep."""
+        """Whether a person can still walk to nearly all open floor and to the piece's front, and sweep the floor."""
         if self.entrance is None:
             return True
         taken = self.taken.copy()
         self._footprint(piece, pose, taken)[:] = True
         joined, cut_off = self._walk(taken)
-        # Where something had to stand in the way before, it must not become worse.
+        # If earlier pieces already cut floor off, it must not become more.
         if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
             return False
         if self._count_nooks(taken) > self.nooks:
@@ -233,7 +233,7 @@ class Layout:
         return bool(self._front(piece, pose, reachable).any())
 
     def _walk(self, taken: np.ndarray) -> tuple[np.ndarray, int]:
-        """Where a person can walk to from the entrance, and how many cells of wide enough floor are cut off."""
+        """Return the cells to which a person can walk from the entrance, and the number of walkable cells cut off."""
         walkable = _clearance(self.inside & ~taken) > PATH_RADIUS_M - CELL_M / 2
         label = np.zeros(walkable.shape, np.int32)
         ndimage.label(walkable, output=label)
@@ -242,7 +242,7 @@ class Layout:
         return joined, int(walkable.sum() - joined.sum())
 
     def _count_nooks(self, taken: np.ndarray) -> int:
-        """How many cells lie behind a gap too wide to be closed and too narrow for a broom."""
+        """Count the cells behind a gap that is too wide to count as closed and too narrow for a broom."""
         clear = self.inside & ~taken
         broom = ndimage.binary_erosion(clear, np.ones((BROOM_CELLS, BROOM_CELLS)))
         label = np.zeros(clear.shape, np.int32)
@@ -253,7 +253,7 @@ class Layout:
         return int(np.logical_and(open_floor, np.logical_not(swept)).sum())
 
     def _behind(self, piece: Footprint, pose: Pose) -> list[tuple[Wall, tuple[float, float, float, float]]]:
-        """The walls that a piece stands close to, with the rectangle it hides on each."""
+        """Return the walls close to a piece, with the rectangle that it hides on each."""
         left, right, bottom, top = _rectangle(piece, pose)
         corners = np.array(((left, bottom), (right, bottom), (right, top), (left, top)))
         hidden = []
@@ -275,25 +275,25 @@ class Layout:
         return self._cells(*_rectangle(strip, pose.ahead((piece.depth_m + piece.front_m) / 2)), grid)
 
     def _cells(self, left: float, right: float, bottom: float, top: float, grid: np.ndarray) -> np.ndarray:
-        """The part of a grid that a rectangle covers, as a view."""
+        """Return the part of a grid that a rectangle covers, as a view."""
         first = np.clip(np.floor((np.array((left, bottom)) - self.low) / CELL_M + 0.01).astype(int), 0, None)
         last = np.clip(np.ceil((np.array((right, top)) - self.low) / CELL_M - 0.01).astype(int), 0, None)
         return grid[first[1] : last[1], first[0] : last[0]]
 
 
 def wall_pose(wall: Wall, x: float, off_m: float = 0.0) -> Pose:
-    """The pose with its back to a wall at ``x`` along it, ``off_m`` into the room."""
+    """Return the pose with its back to a wall at ``x`` along the wall, ``off_m`` into the room."""
     at = wall.middle + x * wall.along + off_m * wall.normal
     return Pose(float(at[0]), float(at[1]), wall.yaw)
 
 
 def _clearance(clear: np.ndarray) -> np.ndarray:
-    """Distance [m] from each cell to the nearest that is not clear, or to the grid's edge."""
+    """Return the distance [m] from each cell to the nearest one that is not clear, or to the grid's edge."""
     return np.asarray(ndimage.distance_transform_edt(np.pad(clear, 1)))[1:-1, 1:-1] * CELL_M
 
 
 def _rectangle(piece: Footprint, pose: Pose) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top [m] of the world-aligned rectangle about a footprint."""
+    """Return left, right, bottom and top [m] of the world-aligned rectangle around a footprint."""
     c, s = abs(np.cos(pose.yaw)), abs(np.sin(pose.yaw))
     x, y = (c * piece.width_m + s * piece.depth_m) / 2, (s * piece.width_m + c * piece.depth_m) / 2
     return pose.x - x, pose.x + x, pose.y - y, pose.y + y

@@ -1,4 +1,4 @@
-"""A room of your own: an MJCF file, vetted before MuJoCo reads it, and made a room that only stands there."""
+"""A user's own room: an MJCF file, vetted before MuJoCo reads it, and made static."""
 
 from pathlib import Path
 
@@ -18,13 +18,13 @@ _SUPPORT_M = 0.001
 
 
 def load_room(path: Path) -> mujoco.MjSpec:
-    """Read an MJCF file as a room: everything in it stands still, nothing of it acts, its own floor is kept.
+    """Read an MJCF file as a static room without actuators, keeping its own floor.
 
-    Files that it includes or draws on must lie in its own folder. A floor is a plane, or a horizontal top of a box, at
-    z = 0; where there is none, an endless plane ``floor`` is added.
+    Files that it includes or uses must be in its own folder. A floor is a plane, a horizontal box top or a terrain at
+    z = 0; if there is none, an infinite plane ``floor`` is added.
 
     Raises:
-        InputError: the file is missing, is not MJCF, reaches out of its folder, asks for plugins or is too large.
+        InputError: The file is missing, is not MJCF, refers outside its folder, uses plugins or is too large.
     """
     vet(path)
     what = f"room.mjcf {shorten(str(path), 300)}"
@@ -45,11 +45,12 @@ def load_room(path: Path) -> mujoco.MjSpec:
 
 
 def vet(path: Path) -> None:
-    """Refuse a file that could make MuJoCo open anything outside its folder, or take more memory or time than a room
-    needs, before MuJoCo sees it.
+    """Refuse a file that could harm, before MuJoCo sees it.
+
+    A room must not make MuJoCo open anything outside its folder, or take more memory or time than a room needs.
 
     Raises:
-        InputError: one line that names the file, the element and what is allowed.
+        InputError: The file is refused; one line names the file, the element and what is allowed.
     """
     files = Files(path)
     files.refuse_forbidden()
@@ -57,7 +58,7 @@ def vet(path: Path) -> None:
 
 
 def _still(spec: mujoco.MjSpec) -> None:
-    """Take away all that moves, acts, measures, decides about contacts or claims memory: a room only stands there."""
+    """Make a room static: remove all that moves, acts, measures, alters contacts or claims memory."""
     for element in [*list_active(spec), *spec.skins]:
         spec.delete(element)
     for body in spec.bodies:
@@ -71,7 +72,7 @@ def _still(spec: mujoco.MjSpec) -> None:
 
 
 def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
-    """Names that the robot's own parts will have."""
+    """Refuse names that the robot's own parts may have."""
     named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
     for element in [element for group in named for element in group]:
         if element.name.startswith(PREFIX):
@@ -79,7 +80,7 @@ def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
 
 
 def _refuse_large(model: mujoco.MjModel) -> None:
-    """What only the finished room tells: whether all is somewhere, and how many triangles are drawn."""
+    """Refuse what only the compiled room shows: infinite geoms, and too many geoms or triangles."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     if not (np.abs(data.geom_xpos) < FARTHEST).all() or not (np.abs(model.geom_size) < FARTHEST).all():

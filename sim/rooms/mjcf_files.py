@@ -1,4 +1,4 @@
-"""The files of a room of one's own, found and parsed before MuJoCo sees them: none lies outside the room's folder."""
+"""The files of a user's own room, found and parsed before MuJoCo sees them; none may be outside the room's folder."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ MOST_ATTRIBUTES = 1_000_000
 MOST_FILES = 200
 MOST_CHECKS = 20_000
 LARGEST_ASSETS = 2 * 1024**3
-"""Bytes of all files that a room draws on."""
+"""Total bytes of the files that a room uses."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 _REFUSED = {"plugin": "plugins", "extension": "extensions", "flex": "flexible bodies", "flexcomp": "flexible bodies"}
 
@@ -25,9 +25,9 @@ class Document:
     """An MJCF file with what it includes, and the models that it may attach.
 
     Attributes:
-        roots: Parsed files by path: itself, and all that it includes.
-        included: Root of the file that an element includes or, where it may name one of two, of both.
-        models: Documents that it may attach, by the element that names them.
+        roots: Parsed files by path: the file itself and all that it includes.
+        included: Roots of the files that an element includes; two if its path may mean either of two files.
+        models: Documents that the file may attach, by the element that names them.
     """
 
     roots: dict[Path, ET.Element] = field(default_factory=dict)
@@ -35,7 +35,7 @@ class Document:
     models: dict[ET.Element, list["Document"]] = field(default_factory=dict)
 
     def elements(self) -> Iterator[ET.Element]:
-        """Every element of the file and of what it includes."""
+        """Iterate over every element of the file and of what it includes."""
         for root in self.roots.values():
             yield from root.iter()
 
@@ -44,16 +44,16 @@ class Files:
     """All files of a room, each read once.
 
     Attributes:
-        what: Begins every message.
-        main: The document of the room's own file.
-        documents: The same and all models, by path.
+        what: Beginning of every error message.
+        main: Document of the room's own file.
+        documents: The main document and all models, by path.
     """
 
     def __init__(self, path: Path) -> None:
         """Read a room's file and all XML files that it names.
 
         Raises:
-            InputError: One cannot be read or parsed, lies outside the folder, or there are too many.
+            InputError: A file cannot be read or parsed or is outside the folder, or there are too many files.
         """
         self.what = f"room.mjcf {shorten(str(path), 300)}"
         self.folder = path.resolve().parent
@@ -68,12 +68,12 @@ class Files:
         self._places = self._find_places()
 
     def elements(self) -> Iterator[ET.Element]:
-        """Every element of every file."""
+        """Iterate over every element of every file."""
         for root in self.roots.values():
             yield from root.iter()
 
     def refuse_forbidden(self) -> None:
-        """Refuse plugins, and all that could reach out of the room's folder."""
+        """Refuse plugins, and references to anything outside the room's folder."""
         assets: dict[Path, int] = {}
         for element in self.elements():
             if element.tag in _REFUSED:
@@ -85,7 +85,7 @@ class Files:
             raise InputError(f"{self.what}: its files have more than {LARGEST_ASSETS // 2**30} GiB")
 
     def find(self, element: ET.Element, name: str) -> list[Path]:
-        """Existing files that an element's attribute can mean, all in the room's own folder."""
+        """Return the existing files that an element's attribute can mean, all in the room's own folder."""
         value = element.get(name, "")
         if value not in self._found:
             self._found[value] = self._find_all(value, f"{element.tag} {name}")
@@ -94,7 +94,7 @@ class Files:
     def _find_all(self, value: str, name: str) -> list[Path]:
         found = []
         for base in self._places:
-            # With strippath, MuJoCo takes the last part of a path alone.
+            # With strippath, MuJoCo uses only the last part of a path.
             for part in dict.fromkeys((value, Path(value).name)):
                 path = self._inside(part, base, name)
                 if exists(path) and not isfile(path) and not isdir(path):
@@ -113,7 +113,7 @@ class Files:
         return self.documents[resolved]
 
     def _read_into(self, document: Document, path: Path, chain: list[Path]) -> None:
-        """Read a file of a document, and what it includes and attaches."""
+        """Read a file of a document, and the files that it includes and attaches."""
         resolved = path.resolve()
         if resolved in document.roots:
             raise InputError(f"{self.what}: {shorten(path.name)} is included twice")
@@ -152,7 +152,7 @@ class Files:
                 data.decode("utf-8")
         except UnicodeDecodeError:
             raise InputError(f"{named} is not UTF-8 text") from None
-        # Entities could name other files, or grow without end; MJCF has no use for them.
+        # Entities could name other files or expand without limit, and MJCF does not need them.
         if b"<!DOCTYPE" in data or b"<!ENTITY" in data:
             raise InputError(f"{self.what}: a DOCTYPE or an entity is not allowed in {shorten(path.name)}")
         self._elements += data.count(b"<") - data.count(b"</")
@@ -166,15 +166,15 @@ class Files:
         except (ET.ParseError, ValueError) as error:
             raise InputError(f"{self.what}: not XML: {error} in {shorten(path.name)}") from None
         for element in root.iter():
-            # MuJoCo knows no namespaces: <a:b> and <b xmlns="a"> would be another element to it than to us.
+            # MuJoCo has no namespaces: it would read <a:b> and <b xmlns="a"> as different elements than we do.
             if "{" in element.tag:
                 raise InputError(f"{self.what}: a namespace is not allowed in {shorten(path.name)}")
         return root
 
     def _find_places(self) -> list[Path]:
-        """Folders in which MuJoCo may look for a file.
+        """Return the folders in which MuJoCo may look for a file.
 
-        Which it takes depends on the file that says so last: a reference must be good in all.
+        Which folder it uses depends on the last file that sets one, so a reference must be valid in all of them.
         """
         bases = dict.fromkeys([self.folder, *(path.parent for path in self.roots)])
         places = list(bases)
@@ -186,7 +186,7 @@ class Files:
         return list(dict.fromkeys(places))
 
     def _inside(self, value: str, base: Path, name: str) -> Path:
-        """The path that a reference names, refused unless it and all links on its way lie in the room's folder."""
+        """Return the path that a reference names; refuse it if it, or a link on it, leads out of the room's folder."""
         what = f"{self.what}: {name} {shorten(value)}"
         self._checks += 1
         if self._checks > MOST_CHECKS:
@@ -203,5 +203,5 @@ class Files:
 
 
 def list_references(element: ET.Element) -> list[tuple[str, str]]:
-    """Attributes of an element that name files, and what they name."""
+    """Return the attributes of an element that name files, with their values."""
     return [(name, value) for name, value in element.attrib.items() if name.startswith("file")]

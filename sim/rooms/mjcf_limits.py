@@ -1,4 +1,4 @@
-"""What a room of one's own would cost, counted in its files before MuJoCo makes anything of them."""
+"""The cost of a user's own room, counted in its files before MuJoCo compiles them."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -11,11 +11,11 @@ from sim.rooms.mjcf_files import Document, Files, list_references
 from sim.user_input import quote, shorten
 
 FARTHEST = 1e10
-"""MuJoCo itself takes a larger number for a fault."""
+"""Largest magnitude of a number; MuJoCo itself treats a larger one as an error."""
 DEEPEST = 100
 MOST_SIDE_PX = 8192
 MOST_MESH_PARAM = 256
-"""Of a mesh that MuJoCo makes itself: its sides, or into how many parts it is divided."""
+"""Largest parameter of a mesh that MuJoCo generates: its sides, or the number of its subdivisions."""
 _COUNTS = {
     "replicate": ("count",),
     "composite": ("count",),
@@ -29,7 +29,7 @@ _WILD = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?|0x.*)", re.IGNORECASE)
 
 
 class Cost(NamedTuple):
-    """What a room would hold once it is built."""
+    """What a room would contain once it is built."""
 
     elements: int = 0
     bodies: int = 0
@@ -59,7 +59,7 @@ MOST = Cost(
     cells=16_000_000,
     triangles=10_000_000,
 )
-"""Times that MuJoCo takes grow with the square of bodies and copies: two seconds at these."""
+"""MuJoCo's compile time grows with the square of bodies and copies: two seconds at these limits."""
 _NAMES = (
     *("elements", "bodies", "geoms", "lights", "cameras", "copies by replicate, composite and attach"),
     *("bytes of textures", "cells of terrain", "triangles"),
@@ -67,22 +67,22 @@ _NAMES = (
 
 
 def refuse_excess(files: Files) -> None:
-    """Refuse numbers that are none and rooms that would be too large; raises InputError naming the element."""
+    """Refuse invalid numbers and rooms that would be too large; raise InputError naming the cause."""
     for element in files.elements():
         _judge_numbers(element, files.what)
     scales = _Scales(files)
-    for document in files.documents.values():  # those that are attached come before those that attach them
+    for document in files.documents.values():  # attached documents come before those that attach them
         scales.weigh(document)
 
 
 class _Scales:
-    """Counts what each document of a room holds, each once."""
+    """Counts what each document of a room contains, each document once."""
 
     def __init__(self, files: Files) -> None:
         self.files, self.what = files, files.what
         self.known: dict[int, Cost] = {}
         self.pictures: dict[Path, tuple[int, int]] = {}
-        # A texture without a size or a type of its own has those of a default: of which, is left open.
+        # A texture without its own size or type takes it from a default; any of the defaults may apply.
         defaults = [
             each for element in files.elements() if element.tag == "default" for each in element.iter("texture")
         ]
@@ -108,7 +108,7 @@ class _Scales:
                 count *= max(1, int(word))
             cost = cost.times(count)
             cost = cost._replace(copies=cost.copies + cost.elements - count)
-        # Later parts are only larger: what is too much here is too much in all, and the numbers stay small.
+        # Costs only grow: what is too large here is too large in total, and checking early keeps the numbers small.
         _refuse_large(cost, self.what)
         return cost
 
@@ -168,7 +168,7 @@ class _Scales:
 
 
 def _judge_numbers(element: ET.Element, what: str) -> None:
-    """Refuse what is infinite, no number, or too large to be meant, where a number belongs."""
+    """Refuse values that are infinite, NaN, or implausibly large where a number belongs."""
     for name in _COUNTS.get(element.tag, ()):
         _count(element, name, what)
     if element.tag == "texture" and max(_count(element, name, what) for name in ("width", "height")) > MOST_SIDE_PX:
@@ -185,7 +185,7 @@ def _judge_numbers(element: ET.Element, what: str) -> None:
 
 
 def _number(word: str) -> float:
-    """How large a number is; infinite for what is none, 0 for what is text."""
+    """Return the magnitude of a number: infinity for NaN, infinite or hexadecimal values, 0 for text."""
     if _WILD.fullmatch(word):
         return float("inf")
     try:
@@ -195,7 +195,7 @@ def _number(word: str) -> float:
 
 
 def _count(element: ET.Element, name: str, what: str) -> int:
-    """The largest of the whole numbers of an attribute, 0 where it has none."""
+    """Return the largest of the integers in an attribute, 0 if there is none."""
     words = element.get(name, "").split()
     for word in words:
         if not re.fullmatch(r"[+-]?\d{1,9}", word, re.ASCII):

@@ -14,13 +14,13 @@ DIVIDER_M, DOORWAY_M = 0.3, 0.9
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """One straight wall; the room lies to the left of the way from start to end.
+    """One straight wall; the room is on the left going from start to end.
 
     Attributes:
         start: First corner (2,) [m].
         end: Last corner (2,) [m].
-        taken: Rectangles (left, right, bottom, top) [m] of what hangs on it, in its own frame: x along it from its
-            middle, seen as a piece that stands with its back to it.
+        taken: Rectangles (left, right, bottom, top) [m] that are covered, in the wall's own frame: x runs along the
+            wall from its middle, as in the frame of a piece with its back to the wall.
     """
 
     start: np.ndarray
@@ -29,33 +29,33 @@ class Wall:
 
     @cached_property
     def length_m(self) -> float:
-        """Its length [m]."""
+        """Length of the wall [m]."""
         return float(np.abs(self.end - self.start).sum())
 
     @cached_property
     def middle(self) -> np.ndarray:
-        """Its middle (2,) [m]."""
+        """Middle of the wall (2,) [m]."""
         return (self.start + self.end) / 2
 
     @cached_property
     def normal(self) -> np.ndarray:
-        """The direction (2,) into the room."""
+        """Direction (2,) into the room."""
         along = (self.end - self.start) / self.length_m
         return np.array((-along[1], along[0]))
 
     @cached_property
     def yaw(self) -> float:
-        """Turn of a piece that stands with its back to this wall."""
+        """Yaw of a piece with its back to this wall [rad]."""
         return float(np.arctan2(self.normal[0], -self.normal[1]))
 
     @cached_property
     def along(self) -> np.ndarray:
-        """The direction (2,) of x in its own frame."""
+        """Direction (2,) of x in the wall's own frame."""
         return np.array((np.cos(self.yaw), np.sin(self.yaw)))
 
 
 def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Generator) -> np.ndarray:
-    """Corners (V, 2) of a room about the origin, counter-clockwise [m]; what L, U and two rooms lack is seeded."""
+    """Return corners (V, 2) of a room around the origin, counter-clockwise [m]; cut-outs and doorways are random."""
     w, d = width_m / 2, depth_m / 2
     if shape == "l":
         x, y = w - rng.uniform(0.34, 0.42) * width_m, d - rng.uniform(0.34, 0.42) * depth_m
@@ -81,7 +81,7 @@ def outline(shape: RoomShape, width_m: float, depth_m: float, rng: np.random.Gen
 
 
 def slabs(corners: np.ndarray) -> list[tuple[float, float, float, float]]:
-    """The room as rectangles (left, right, bottom, top) [m] side by side along x."""
+    """Divide the room into rectangles (left, right, bottom, top) [m] side by side along x."""
     found = []
     for left, right in pairwise(np.unique(corners[:, 0])):
         x = (left + right) / 2

@@ -1,4 +1,4 @@
-"""The verbs of furnishing: build a piece, look for its place, set it down there, or take it away again."""
+"""The steps of furnishing: build a piece, find a place for it, put it there, or remove it again."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,9 +16,9 @@ from sim.rooms.outline import Wall
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
 NEIGHBOUR_M = 0.58
-"""From the middle of a chair to that of the next: no gap between them that leads nowhere [m]."""
+"""Distance between the middles of two neighbouring chairs: it leaves no gap between them that leads nowhere [m]."""
 WALK_M = 0.5
-"""Left on each side of what stands freely, where the room allows it."""
+"""Free floor on each side of a free-standing piece, where the room allows it [m]."""
 Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]
 Overhead = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float]]
 
@@ -28,13 +28,13 @@ class Room:
     """A room while it is being furnished.
 
     Attributes:
-        spec: What it is built into.
-        rng: Its only source of chance.
-        look: Its materials.
-        layout: What stands where.
-        height_m: From the floor to the ceiling [m].
-        wall_bodies: One body for each wall of the layout; hangings are its children.
-        names: How many bodies of each name there are.
+        spec: Spec that the room is built into.
+        rng: The room's only random stream.
+        look: The room's materials.
+        layout: What is where.
+        height_m: Height from the floor to the ceiling [m].
+        wall_bodies: One body for each wall of the layout; its hangings are children of the body.
+        names: Number of the last body of each name.
     """
 
     spec: mujoco.MjSpec
@@ -54,19 +54,19 @@ class Room:
 def stand(
     room: Room, name: str, piece: Piece, cost: Cost | None = None, walls: Sequence[Wall] | None = None
 ) -> Pose | None:
-    """Stand a piece with its back to a wall."""
+    """Place a piece with its back to a wall."""
     return _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
 
 
 def stand_first(room: Room, name: str, pieces: Iterable[Piece], cost: Cost | None = None) -> Pose | None:
-    """Stand the first of the pieces, such as ever narrower ones, for which a wall has room."""
+    """Place the first of the pieces, such as ever narrower ones, for which a wall has room."""
     return next((pose for piece in pieces if (pose := stand(room, name, piece, cost)) is not None), None)
 
 
 def centre(
     room: Room, name: str, piece: Piece, cost: Cost | None = None, turns: Sequence[float] = (0.0, np.pi / 2)
 ) -> Pose | None:
-    """Stand a piece freely on the floor, where one can walk around it if there is such a place."""
+    """Place a piece on the open floor, if possible where a person can walk around it."""
 
     def find(it: Footprint) -> Pose | None:
         roomy = Footprint(it.width_m + 2 * WALK_M, it.depth_m + 2 * WALK_M, it.height_m)
@@ -77,14 +77,14 @@ def centre(
 
 
 def put(room: Room, name: str, piece: Piece, poses: Sequence[Pose], walkable: bool = True) -> Pose | None:
-    """Stand a piece at the first good one of the given places."""
+    """Place a piece at the first good one of the given places."""
     return _settle(room, name, piece, lambda it: room.layout.at(it, poses, walkable))
 
 
 def hang(
     room: Room, name: str, piece: Hanging, cost: Cost | None = None, walls: Sequence[Wall] | None = None
 ) -> tuple[Wall, float] | None:
-    """Hang something on the first wall, in the order given or by chance, that has a place for it."""
+    """Hang a fitting on the first wall, in the given or a random order, that has a place for it."""
     choice = room.layout.walls if walls is None else walls
     order = range(len(choice)) if walls is not None else _by_length(room)
     for number in order:
@@ -99,7 +99,7 @@ def hang(
 
 
 def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None = None) -> bool:
-    """Fix something to the ceiling where nothing tall stands ``drop_m`` above the floor."""
+    """Fix a fitting to the ceiling where no piece is taller than ``drop_m`` [m]."""
     body = room.spec.worldbody.add_body(name=_name(room, name))
     at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
     if at is None:
@@ -110,7 +110,7 @@ def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None
 
 
 def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
-    """Lay a rug about a point, clipped to the room's own extent."""
+    """Lay a rug around a point, moved and cropped to fit the room's extent."""
     c, s = abs(np.cos(at.yaw)), abs(np.sin(at.yaw))
     extent = np.array((c * size[0] + s * size[1], s * size[0] + c * size[1]))
     middle = np.array((at.x, at.y))
@@ -118,7 +118,7 @@ def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
     extent = np.minimum(extent, high - low)
     middle = np.clip(middle, low + extent / 2, high - extent / 2)
     body = room.spec.worldbody.add_body(name=_name(room, "rug"))
-    # Where two rugs overlap, the later lies on the other.
+    # Where two rugs overlap, the later one is on top.
     body.pos = (middle[0], middle[1], 0.001 * room.names["rug"])
     rug(body, room.rng, room.look, (float(extent[0]), float(extent[1])))
 
@@ -143,12 +143,12 @@ def beams(room: Room, name: str, draw: Callable[..., tuple[float, float]], count
 
 
 def near(point: Pose | np.ndarray) -> Cost:
-    """A cost: the distance from a pose or a point (2,)."""
+    """Return a cost: the distance from a pose or a point (2,)."""
     return lambda pose: float(np.hypot(pose.x - point[0], pose.y - point[1]))
 
 
 def facing(other: Pose) -> Cost:
-    """A cost: being off the axis of another piece that this one should face."""
+    """Return a cost for being off the axis of another piece that this one should face."""
 
     def cost(pose: Pose) -> float:
         away = np.array((pose.x - other.x, pose.y - other.y))
@@ -161,7 +161,7 @@ def facing(other: Pose) -> Cost:
 
 
 def in_a_corner(room: Room, others: Sequence[Pose] = ()) -> Cost:
-    """A cost: the distance from the nearest corner of the room in which none of the others stands."""
+    """Return a cost: the distance from the nearest corner of the room without one of the other pieces."""
     corners = room.layout.corners
     for other in others:
         far = np.hypot(*(corners - (other.x, other.y)).T) > 1.5
@@ -170,12 +170,12 @@ def in_a_corner(room: Room, others: Sequence[Pose] = ()) -> Cost:
 
 
 def away_from(*points: np.ndarray) -> Cost:
-    """A cost: being near any of the points (2,)."""
+    """Return a cost for being near any of the points (2,)."""
     return lambda pose: -float(min(np.hypot(pose.x - p[0], pose.y - p[1]) for p in points))
 
 
 def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Generator) -> list[Pose]:
-    """Places for chairs, half pushed in, at the long sides and then the ends of a table of ``size`` (width, depth)."""
+    """Return places for half pushed-in chairs: the long sides, then the ends, of a table of ``size`` (width, depth)."""
     c, s = np.cos(table.yaw), np.sin(table.yaw)
     along = 1 if size[0] < 1.3 else 2
     offsets = [((i - (along - 1) / 2) * NEIGHBOUR_M, side) for i in range(along) for side in (-1, 1)]
@@ -191,7 +191,7 @@ def around(table: Pose, size: tuple[float, float], seats: int, rng: np.random.Ge
 def set_at(
     room: Room, name: str, piece: Piece, poses: Sequence[Pose], jitter_rad: float = 0.0, at_table: bool = False
 ) -> None:
-    """Set a seat down at each of the places that is clear, or that its table keeps for it, a little askew."""
+    """Place a seat, slightly turned, at each of the places that is clear or that its table keeps free."""
     for pose in poses:
         body = room.spec.worldbody.add_body(name=_name(room, name))
         it = piece(body, room.rng, room.look)
@@ -207,7 +207,7 @@ def set_at(
 def surface(
     look: Look, rng: np.random.Generator, finish: Finish, size_m: tuple[float, float], colour: np.ndarray
 ) -> str:
-    """A wall's own material, as large as the wall (width, height) [m]."""
+    """Add a material for one wall of the size (width, height) [m] and return its name."""
     width, height = size_m
     shape = (int(np.clip(60 * height, 64, 256)), int(np.clip(60 * width, 64, 512)))
     if finish == "wallpaper":
@@ -240,14 +240,14 @@ def _settle(room: Room, name: str, piece: Piece, find: Callable[[Footprint], Pos
 
 
 def _by_length(room: Room) -> list[int]:
-    """Walls by chance, long ones rather first."""
+    """Return the walls in a random order in which long ones tend to be first."""
     walls = room.layout.walls
     weight = [wall.length_m * room.rng.uniform(0.3, 1.0) for wall in walls]
     return [int(i) for i in np.argsort(weight)[::-1]]
 
 
 def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float] | None:
-    """The longest stretch of room along a line at ``place`` on the given axis [m]."""
+    """Return start and end of the longest stretch of room along a line at ``place`` on the given axis [m]."""
     index = int((place - layout.low[axis]) / CELL_M)
     line = layout.inside[index] if axis == 1 else layout.inside[:, index]
     edges = np.flatnonzero(np.diff(np.concatenate([[0], line.astype(int), [0]])))

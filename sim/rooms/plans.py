@@ -1,4 +1,4 @@
-"""What each kind of room is furnished with, in the order in which a person would carry it in."""
+"""The furniture of each kind of room, in the order in which a person would carry it in."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ def furnish_living_room(room: Room) -> None:
 
 
 def furnish_bedroom(room: Room) -> None:
-    """A bed between two bedside tables on a rug; wardrobe, dressing mirror, a desk to write at."""
+    """A bed between two bedside tables on a rug; wardrobe, dressing mirror, and a desk."""
     rng = room.rng
     enter(room, windows=2)
     sleep(room, 1.6)
@@ -73,7 +73,7 @@ def furnish_office(room: Room) -> None:
 
 
 def furnish_kitchen(room: Room) -> None:
-    """A counter with wall cupboards, fridge and oven beside it; an island, a table to eat at."""
+    """A counter with wall cupboards, a fridge and an oven next to it; an island and a dining table."""
     rng = room.rng
     enter(room, windows=2)
     longest = max(w.length_m for w in room.layout.walls)
@@ -139,7 +139,7 @@ def furnish_workshop(room: Room) -> None:
 
 
 def furnish_lab(room: Room) -> None:
-    """Desks, a bench and racks around an open floor with posts; AprilTags wherever a wall has room."""
+    """A desk, a bench and a rack around an open floor with posts; AprilTags wherever a wall has room."""
     enter(room, windows=1)
     tags = place_posts(room)
     work(room, 1.4)
@@ -154,7 +154,7 @@ def furnish_lab(room: Room) -> None:
 
 
 def lamps_and_beams(room: Room) -> None:
-    """Beams, and lamps of a home."""
+    """Beams and domestic lamps."""
     rng = room.rng
     beams(room, "beam", ceiling.beam, int(rng.integers(2, 4)), float(rng.uniform(0.12, 0.2)))
     lamps = [ceiling.globe, ceiling.dish, ceiling.spots, ceiling.chandelier, ceiling.pendant]
@@ -164,13 +164,13 @@ def lamps_and_beams(room: Room) -> None:
 
 
 def tubes_and_ducts(room: Room) -> None:
-    """A duct, and lamps of a place of work."""
+    """A duct and workplace lamps."""
     beams(room, "duct", ceiling.duct, 1, 0.4)
     _finish_ceiling(room, [ceiling.tube, ceiling.tube, ceiling.tube, ceiling.dish, ceiling.spots])
 
 
 def _finish_ceiling(room: Room, lamps: list) -> None:
-    """Lamps of different kinds, vents, a hatch, a smoke detector; nothing in a pattern."""
+    """Lamps of different kinds, vents, a hatch and a smoke detector, in no regular pattern."""
     rng, height = room.rng, room.height_m
     count = int(np.clip(round(room.area_m2 / 7.5), 3, 6))
     order = [lamps[i % len(lamps)] for i in rng.permutation(max(count, len(lamps)))[:count]]
@@ -209,11 +209,11 @@ class RoomPlan:
 
     Attributes:
         size_m: Width, depth and height [m].
-        finishes: Of the walls, in turn.
-        furnish: Puts everything into the empty room that stands or hangs on walls.
+        finishes: Finishes of the walls, in turn.
+        furnish: Furnishes the empty room: all that is on the floor or on walls.
         floor: Draws the floor's texture.
-        finish_ceiling: Hangs lamps and what else is on the ceiling.
-        wooden_ceiling: Whether every other ceiling is of boards.
+        finish_ceiling: Adds lamps and whatever else is on the ceiling.
+        wooden_ceiling: Whether half of the ceilings, at random, are of boards.
     """
 
     size_m: tuple[float, float, float]
@@ -241,4 +241,4 @@ PLANS: dict[RoomKind, RoomPlan] = {
     ),
     "lab": RoomPlan((6.0, 5.0, 2.8), ("plaster", "brick", "plaster", "boards"), furnish_lab, carpet, tubes_and_ducts),
 }
-"""Every kind of room, in the order of ``RoomKind``; new ones go last, since the position enters the random seed."""
+"""Every kind of room, in the order of ``RoomKind``; new ones go last, because the position is part of the random seed."""

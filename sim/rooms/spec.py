@@ -5,27 +5,27 @@ from typing import Any
 import mujoco
 
 PREFIX = "robot/"
-"""Everything of the robot has this before its name once it is attached to a room."""
+"""Prefix of the names of the robot's parts once it is attached to a room."""
 
 
 def empty_room() -> mujoco.MjSpec:
-    """Nothing but an endless floor."""
+    """Return a room that has only an infinite floor."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_geom(name="floor", type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 0.05))
     return spec
 
 
 def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
-    """Copy a room without all that moves, drives or measures, and what would alter contacts with the robot."""
+    """Copy a room without anything that moves, drives, measures, or would alter contacts with the robot."""
     spec = room.copy()
     for element in list_active(spec):
         spec.delete(element)
     for body in spec.bodies:
         body.mocap = False
     for geom in spec.geoms:
-        # The robot's geoms have priority 2: their friction and stiffness count. Margins would add up.
+        # The robot's geoms have priority 2, so their friction and stiffness apply. Margins would add up.
         geom.priority, geom.margin, geom.gap = 0, 0.0, 0.0
-    # What the compiler would do to every mass of the model.
+    # Compiler options that would change every mass of the model, the robot's too.
     spec.compiler.settotalmass = -1.0
     spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
     spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
@@ -33,7 +33,7 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def list_active(spec: mujoco.MjSpec) -> list[Any]:
-    """Elements that move, drive, measure, or alter contacts."""
+    """Return the elements that move, drive, measure, or alter contacts."""
     groups = (spec.keys, spec.sensors, spec.actuators, spec.equalities, spec.tendons, spec.pairs, spec.excludes)
     return [element for group in (*groups, spec.joints) for element in group]
 
@@ -48,10 +48,10 @@ def bare(room: mujoco.MjSpec) -> mujoco.MjSpec:
 
 
 def compile_solid(room: mujoco.MjSpec) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Compile what rays can meet of a room, which is what collides, and its state."""
+    """Compile the colliding geoms of a room, which are what rays can meet; return the model and its state."""
     spec = bare(freeze(room))
     for geom in spec.geoms:
-        # Rays pass through what is wholly transparent, and collision geoms are often drawn so.
+        # Rays pass through fully transparent geoms, and collision geoms are often drawn so.
         geom.rgba[3], geom.material = 1.0, ""
     model = spec.compile()
     data = mujoco.MjData(model)

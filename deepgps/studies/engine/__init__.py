@@ -1,4 +1,4 @@
-"""Carries out the runs of a study, on this machine or on a Ray cluster, and shares recordings and trainings among them.
+"""The engine: carries out a study's runs, here or on a Ray cluster, and shares recordings and trainings among them.
 
-It knows no report and judges no result.
+It knows nothing of reports and does not judge results.
 """

@@ -1,8 +1,8 @@
-"""The engine of a study: first every missing recording, then every missing run, one process to each core.
+"""The engine of a study: it makes every missing recording, then every missing run, with one process per core.
 
-A recording is made by all cores, so one follows another; a training takes one core, so as many run at once as there
-are. What is done is a file in a folder named by a hash of all it depends on: nothing else is remembered, and a study
-that was killed, or that has grown, does what is missing, under this engine or another.
+All cores work on one recording, so recordings are made one after another; a training takes one core, so as many
+trainings run at once as there are cores. The only state is the finished files, in folders named by a hash of everything
+they depend on. A study that was killed, or that has grown, therefore does only what is missing, under any engine.
 """
 
 import re
@@ -41,16 +41,20 @@ RunAll = Callable[[Sequence[Plan], Path, bool, Report], Failures]
 
 
 def default_folder(study: Study) -> Path:
-    """Where a study lies when the user names no folder: runs/studies/<name>."""
+    """The folder of a study when the user names none: runs/studies/<name>."""
     return Path("runs") / "studies" / study.name
 
 
 @contextmanager
 def open_engine(name: EngineName, address: str | None) -> Iterator[RunAll]:
-    """What does the runs: processes of this machine, or tasks of the Ray cluster at an address; none: one started here.
+    """Open an engine and yield the function that does the runs, in local processes or as Ray tasks.
+
+    Args:
+        name: The engine.
+        address: Address of the Ray cluster; None: a cluster that is started here.
 
     Raises:
-        InputError: Ray is missing, or no cluster answers at the address.
+        InputError: Ray is missing, no cluster answers at the address, or another engine is given an address.
     """
     if name == "ray":
         with ray_cluster.open_cluster(address) as run_all:
@@ -63,18 +67,18 @@ def open_engine(name: EngineName, address: str | None) -> Iterator[RunAll]:
 
 @contextmanager
 def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
-    """Hold a study folder for one process.
+    """Hold a study folder for this process.
 
     Args:
-        study: What is run.
+        study: The study to run.
         folder: The study's folder.
-        fresh: Whether a study that is there is replaced. It stays whole until the new one is complete.
+        fresh: Whether to replace an existing study. The old one stays intact until the new one is complete.
 
     Yields:
         The folder to work in.
 
     Raises:
-        InputError: The folder is not ours, or is in use.
+        InputError: The folder does not belong to deepgps, or another process uses it.
     """
     with hold(folder, STUDY):
         place = find_place(folder, fresh)
@@ -92,22 +96,22 @@ def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
 
 
 def find_place(folder: Path, fresh: bool) -> Path:
-    """Folder that a study works in: its own, or where ``fresh`` builds beside one that is there."""
+    """The folder that a study works in: its own, or the one in which ``fresh`` builds while a study already exists."""
     return choose_place(folder, STUDY, fresh)
 
 
 def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll, progress: Report) -> Failures:
-    """Do all of a study's runs that are not done.
+    """Do all of a study's runs that are missing.
 
     Args:
-        study: What to run.
+        study: The study.
         plans: Its runs.
-        place: The folder that it works in, which this process holds.
-        run_all: Does runs whose recordings are made.
-        progress: Told how far recordings and runs are.
+        place: The folder that the study works in, which this process holds.
+        run_all: Function that does the runs whose recordings are finished.
+        progress: Called with the progress of recordings and runs.
 
     Returns:
-        Why runs failed; the others are done.
+        Reasons why runs failed, by the hash of the run; all other runs are done.
     """
     missing = find_missing(study, plans, place)
     unrecorded = record_all(plans, missing, place, progress)
@@ -117,7 +121,7 @@ def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll,
 
 
 def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]:
-    """Runs whose last file is missing or damaged."""
+    """Runs whose results, or whose Rerun recording if the study records, are missing or damaged."""
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run
@@ -127,6 +131,6 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
 
 
 def list_undriven(study: Study, plans: Sequence[Plan], folder: Path, fresh: bool) -> list[Scenario]:
-    """What ``carry_out`` would drive and look at."""
+    """Scenarios of the drives that ``carry_out`` would have to collect."""
     place = find_place(folder, fresh)
     return list(find_undriven(plans, find_missing(study, plans, place), place).values())

@@ -1,4 +1,4 @@
-"""The local engine: as many processes as there are cores, each doing run after run; no server."""
+"""The local engine: one worker process per core, each doing run after run, without a server."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -17,16 +17,16 @@ from sim.processes import start_process, usable_cores
 
 
 def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
-    """Train and measure these runs, whose recordings stand.
+    """Train and measure these runs, whose recordings are finished.
 
     Args:
         plans: The runs.
         folder: The study's folder.
-        record: Whether to draw figures and write a Rerun recording for each.
-        progress: Told how many training steps are done in all.
+        record: Whether to draw figures and write a Rerun recording for each run.
+        progress: Called with the training steps done and their number, summed over all runs.
 
     Returns:
-        Why some failed.
+        Reasons why runs failed, by the hash of the run.
     """
     failed, done = {}, {plan.run: 0 for plan in plans}
     total, waiting = sum(count_steps(plan.scenario) for plan in plans), list(plans)
@@ -57,14 +57,14 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
                     del active[pipe]
     finally:
         for _, process in active.values():
-            process.kill()  # what it has written is whole
+            process.kill()  # safe: files are written atomically
         for _, process in active.values():
             process.wait()
     return failed
 
 
 class Told(NamedTuple):
-    """What a process tells of its run: training steps done, whether it has ended, and if it failed, why."""
+    """Message of a worker process: its run's training steps done, whether the run has ended, and why it failed."""
 
     steps: int
     ended: bool = False
@@ -72,10 +72,10 @@ class Told(NamedTuple):
 
 
 def work(handle: int) -> None:
-    """In a process of its own: do the runs that come through a pipe, until no more come.
+    """Do the runs that arrive through a pipe until it is closed; this is the main function of a worker process.
 
     Args:
-        handle: The pipe's; first come the study's folder and whether to record, then one run after another.
+        handle: File descriptor of the pipe, which carries (the study's folder, whether to record), then the runs.
     """
     open_streams()
     warn_plainly()

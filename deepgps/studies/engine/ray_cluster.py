@@ -1,8 +1,8 @@
-"""The engine on Ray: each run a task of one core, on this machine or on a cluster of machines that share the folder.
+"""The Ray engine: each run is a task of one core, on this machine or on a cluster of machines that share the folder.
 
-The recordings are made before, on the machine that gives the command and by all of its cores: it alone needs a
-renderer. On all others the same version of this project is installed. Without an address a cluster of this machine's
-cores is started, with a token that no other process knows, and ended with the command.
+The recordings are made beforehand, on all cores of the machine where the command is given, so only that machine needs a
+renderer. All others need the same version of this project installed. Without an address, a cluster of this machine's
+cores is started, with a token that no other process knows; it ends with the command.
 """
 
 import logging
@@ -25,20 +25,20 @@ from sim.errors import InputError, one_line
 from sim.processes import ENDINGS, usable_cores
 
 RETRIES = 2
-"""How often a run is taken up again whose process or machine was lost; it goes on from its last checkpoint."""
+"""How often to retry a run whose process or machine was lost; the run continues from its last checkpoint."""
 KNOCK_S = 5.0
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
-    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # what GPUs can be seen stays as it is, without a word
+    "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # leaves the visible GPUs as they are, without a warning
 }
 
 
 @contextmanager
 def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path, bool, Report], Failures]]:
-    """Connect to the Ray cluster at an address, or start one here; ends what it started.
+    """Connect to the Ray cluster at an address, or start one here, and disconnect from it or end it afterwards.
 
     Args:
-        address: As Ray takes it: auto, host:port; none: a cluster of this machine's cores.
+        address: An address that Ray accepts: auto, host:port; None: a cluster of this machine's cores.
 
     Raises:
         InputError: Ray is not installed, or no cluster answers.
@@ -69,11 +69,11 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
 
 @contextmanager
 def _keep_handlers() -> Iterator[None]:
-    """Restore the handlers of signals: Ray sets its own, of which that of SIGTERM aborts with many lines."""
+    """Restore the signal handlers: Ray sets its own, and its handler of SIGTERM aborts with many lines of output."""
     before, ended = {number: signal.getsignal(number) for number in ENDINGS}, False
     try:
         yield
-    except SystemExit:  # by Ray's own handler, which has ended its processes
+    except SystemExit:  # raised by Ray's own handler after it has ended Ray's processes
         ended = True
     finally:
         for number, handler in before.items():
@@ -83,7 +83,7 @@ def _keep_handlers() -> Iterator[None]:
 
 
 def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
-    """Train and measure these runs, as ``engine_local.run_all``; the progress counts the steps of runs that ended."""
+    """Train and measure these runs like ``engine_local.run_all``; progress counts only the steps of ended runs."""
     failed, done, total = Failures(), 0, sum(count_steps(plan.scenario) for plan in plans)
     gpus = int("GPU" in ray.cluster_resources())
     running = {}
@@ -108,7 +108,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progre
 
 
 def _knock(address: str) -> None:
-    """Raise OSError where nothing answers at host:port: Ray itself would try for minutes."""
+    """Raise OSError if nothing answers at host:port, since Ray itself would keep trying for minutes."""
     host, _, port = address.rpartition(":")
     if host and "/" not in host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=KNOCK_S).close()

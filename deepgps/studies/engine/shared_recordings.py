@@ -1,8 +1,8 @@
-"""The recordings of a study, each drive made once: runs that differ only in encoder, image or length share it.
+"""The recordings of a study: runs that differ only in encoders, image faults or length share one drive.
 
-A drive is collected as its longest recording, with encoders and images as they are by default; each other recording of
-it is derived, which takes no simulator, and little room on the disk where the images are the same. One drive follows
-another, each made by all cores.
+A drive is collected once, at its greatest length and with the default encoders and images. All other recordings of the
+drive are derived from it, which needs no simulator, and little disk space where the images are the same. Drives are
+collected one after another, each on all cores.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,13 +22,13 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
     """Make the recordings that are missing.
 
     Args:
-        plans: All runs of the study: they tell how long a drive must be.
-        missing: Those whose recordings are needed now.
+        plans: All runs of the study, which determine how long each drive must be.
+        missing: Runs whose recordings are needed now.
         folder: The study's folder.
-        progress: Told how many samples of the drives are driven and drawn, and how many recordings derived.
+        progress: Called with the number of samples collected, then with the number of recordings derived.
 
     Returns:
-        Why recordings failed, by their hash.
+        Reasons why recordings failed, by the hash of the recording.
     """
     drives, home = find_drives(plans), folder / "recordings"
     wanted = _find_wanted(missing, home)
@@ -45,13 +45,13 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
 
 
 def find_undriven(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path) -> dict[str, Scenario]:
-    """What must still be driven, by its hash, for the runs that are missing; the arguments are those of record_all."""
+    """Scenarios of drives still to collect for the missing runs, by hash; takes the arguments of ``record_all``."""
     home = folder / "recordings"
     return _choose_undriven(find_drives(plans), _find_wanted(missing, home), home)
 
 
 def find_drives(plans: Sequence[Plan]) -> dict[str, Scenario]:
-    """What to collect for each recording, by its hash: the longest of its drive, encoders and images without faults."""
+    """What to collect for each recording, by its hash: its drive at the greatest length, without any faults."""
     longest: dict[str, int] = {}
     for plan in plans:
         drive = _name_drive(plan.scenario)
@@ -65,7 +65,7 @@ def _choose(scenario: Scenario, samples: int) -> Scenario:
 
 
 def _name_drive(scenario: Scenario) -> str:
-    """The same for all recordings of a drive."""
+    """A hash that is the same for all recordings of a drive."""
     return digest_recording(_choose(scenario, 0 if can_be_cut(scenario.sim) else scenario.drive.samples))
 
 
@@ -100,7 +100,7 @@ def _try_to_derive(drive: Path, scenario: Scenario, folder: Path) -> Failures:
 
 
 def _half_and_half(progress: Report, before: int, size: int, total: int) -> Report:
-    """One bar of driving and rendering: each counts half of a recording's samples."""
+    """Report driving and rendering as one progress bar, in which each counts for half of a recording's samples."""
     share: dict[str, float] = {}
 
     def report(label: str, done: int, of: int, look: Look | None = None) -> None:

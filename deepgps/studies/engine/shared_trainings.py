@@ -1,8 +1,8 @@
-"""What runs of a study share whatever the encoders read: features are made from images, PoseNet learns from places too.
+"""Share trainings that read no ticks among a study's runs: image features, and PoseNet, which learns from positions.
 
-A finished training is left where the study's later runs find it, named by a hash of all that it has read. They take it
-as hard links, or as copies where there can be none: each run is whole without the others. Runs that are at work
-together may train the same, with the same bytes on the same machine.
+A finished training is left where the study's later runs find it, in a folder named by a hash of everything it has read.
+Later runs take it as hard links, or as copies where links are impossible, so that each run is complete on its own. Runs
+at the same time may both do the same training; on one machine, they produce the same bytes.
 """
 
 import errno
@@ -26,11 +26,11 @@ from sim.recording.format import Recording, open_recording
 
 log = logging.getLogger(__name__)
 TRAINED = re.compile(f"{TRAINED_FILES}|{FEATURE_FILES}")
-"""Names of the files of a training, or of features."""
+"""Names of the files of a training or of features."""
 
 
 def take_trainings(scenario: Scenario, run: Path) -> None:
-    """Give a run what others of its study have learned from the same."""
+    """Link into a run the trainings that other runs of its study have finished on the same data."""
     for name, shared in _find(scenario, run):
         if not _is_whole(run / name) and _is_sound(shared):
             remove_files(run / name, TRAINED)  # a training that was cut off
@@ -38,15 +38,15 @@ def take_trainings(scenario: Scenario, run: Path) -> None:
 
 
 def leave_trainings(scenario: Scenario, run: Path) -> None:
-    """Leave what a run has learned for others of its study."""
+    """Leave a run's finished trainings for other runs of its study."""
     for name, shared in _find(scenario, run):
         if _is_whole(run / name) and not _is_sound(shared):
             _link_folder(run / name, shared, shared.parent)
 
 
 def digest_training(scenario: Scenario, method: str, recording: Recording) -> str:
-    """Eight hexadecimal digits of all that decides a training without ticks: settings, seed, images, places, and which
-    images follow one another, from which features are chosen."""
+    """Eight hexadecimal digits of everything that determines a training without ticks: settings, seed, images,
+    positions, and the order of images along segments, by which features are chosen."""
     sums = {name: value for name, value in recording.manifest.sha256.items() if not name.startswith(NOT_LEARNED)}
     read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
     return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
@@ -67,7 +67,7 @@ def _is_whole(folder: Path) -> bool:
 
 
 def _is_sound(folder: Path) -> bool:
-    """Whether a shared training is whole; one that is damaged is removed, so that it is made again."""
+    """Whether a shared training is complete and intact; a damaged one is removed, so that it is made again."""
     if not _is_whole(folder):
         return False
     try:

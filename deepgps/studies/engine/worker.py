@@ -1,4 +1,4 @@
-"""One run of a study, in a process that does one after another: train, measure, and where asked, draw."""
+"""One run of a study, in a worker process: train, measure and, on request, draw."""
 
 import os
 import traceback
@@ -19,19 +19,19 @@ Failures = dict[str, str]  # reasons by the hash of the run
 
 
 def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progress: Report) -> str | None:
-    """Do what is missing of one run on a recording that stands.
+    """Do the missing stages of one run on a finished recording.
 
     Args:
-        scenario: What to run.
-        folder: The run's folder, in ``runs`` of the study's.
-        recording: Name of the recording's folder, in ``recordings`` of the study's.
+        scenario: The scenario to run.
+        folder: The run's folder, in ``runs`` of the study's folder.
+        recording: Name of the recording's folder, in ``recordings`` of the study's folder.
         record: Whether to draw figures and write a Rerun recording.
-        progress: Told how far each stage is.
+        progress: Called with the progress of each stage.
 
     Returns:
-        Why it failed; none: it is done.
+        The reason why the run failed; None: the run is done.
     """
-    # Read when torch is imported, which is not before the first run. The cores are shared out already.
+    # Torch reads these when it is imported, at the first run. One thread, since each worker has one core to itself.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
@@ -50,7 +50,7 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
             (folder / FAILURE).unlink(missing_ok=True)
     except (InputError, WorkError, OSError) as error:
         return one_line(error)
-    except Exception as error:  # a fault of ours must not take the other runs with it
+    except Exception as error:  # a bug must not stop the other runs
         with suppress(OSError):
             write_text(folder / FAILURE, traceback.format_exc())
         return f"{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
@@ -58,5 +58,5 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
 
 
 def count_steps(scenario: Scenario) -> int:
-    """Training steps of a run without restarts; one at least, so that every run counts."""
+    """Number of training steps of a run without restarts; at least one, so that every run counts."""
     return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in scenario.methods))

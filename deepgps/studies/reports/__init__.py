@@ -1,4 +1,4 @@
 """Reports and figures of studies, one module for each kind.
 
-They read the study's table; the runs are opened only for pictures.
+Reports read the study's table; they open the runs only for pictures and for their own columns.
 """

@@ -1,4 +1,4 @@
-"""The report of camera faults: one fault at a time, beside the camera without any; means over seeds."""
+"""The report of camera faults: one fault at a time, compared with the camera without faults; means over seeds."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
 
 CLEAN = "no fault"
-# how a strength is written, by the setting's name
+# formats of a fault's strength, by the setting's name
 TITLES = {
     "image_faults.read_noise": "read noise {:g}",
     "image_faults.shot_noise": "shot noise {:g}",
@@ -31,7 +31,7 @@ TITLES = {
     "deployment.lamps": "lamps x {:g}",
     "deployment.moved_m": "furniture moved {:g} m",
 }
-WHEN = {True: "use alone", False: "training and use"}
+WHEN = {True: "deployment alone", False: "training and deployment"}
 NOTE = (
     "Means over seeds; in brackets how many times that is the mean without faults. Errors in centimetres on the test "
     "grid, the worst heading of each position; aligned on training samples, never scaled. Of what has changed between "
@@ -42,14 +42,14 @@ NOTE = (
 
 
 class Fault(NamedTuple):
-    """One fault at one strength, in words, and whether it is there in use alone."""
+    """One fault at one strength, in words, and whether it is present in deployment alone."""
 
     title: str
     in_use: bool
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each fault and method, and how to read it."""
+    """A table with a line for each fault and method, and a note on how to read it."""
     faults = group_faults(rows, varied)
     cells = []
     for fault, group in faults.items():
@@ -63,14 +63,14 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS without faults, and how many times as much the worst fault makes of it."""
+    """DeepGPS's error without faults, and by what factor the worst fault increases it."""
     names = [name for name in TITLES if name in rows[0]]
     faults = group_faults([row for row in rows if row["method"] == "deepgps"], names)
     clean = faults.get(Fault(CLEAN, False), ())
     if not clean:
         return {}
     figures = {"clean_rms_m": Figure("RMS without faults", mean(clean, "rms_m"), "cm")}
-    for in_use, key in ((False, "both"), (True, "use")):
+    for in_use, key in ((False, "both"), (True, "deployment")):
         for name, title in (("rms_m", "RMS"), ("median_m", "median")):
             ratios = [
                 mean(group, name) / mean(clean, name)
@@ -84,7 +84,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Errors under each fault: RMS filled, median open, runs small and faint; without faults as lines."""
+    """Draw errors for each fault: RMS filled, median open, runs small and faint; errors without faults are lines."""
     faults = group_faults(rows, varied)
     methods = find_methods(rows)
     picture = Picture(figsize=(7.4, 1.5 + 0.3 * len(faults)), layout="constrained")
@@ -123,13 +123,13 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, Sequence[Row]]:
-    """Rows by what differs from the settings by default; those in use alone come last."""
+    """Group rows by the settings that differ from their defaults; faults in deployment alone come last."""
     usual = {name: read_setting(Scenario(), name) for name in varied if not is_seed(name)}
     groups: dict[Fault, list[Row]] = {}
     for row in rows:
         faults = [name for name in usual if row[name] != usual[name]]
         title = ", ".join(TITLES.get(name, f"{name} {{}}").format(row[name]) for name in faults) or CLEAN
-        in_use = bool(faults) and all(name.startswith("use.") for name in faults)
+        in_use = bool(faults) and all(name.startswith("deployment.") for name in faults)
         groups.setdefault(Fault(title, in_use), []).append(row)
     return dict(sorted(groups.items(), key=lambda item: item[0].in_use))
 

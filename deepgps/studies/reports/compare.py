@@ -1,4 +1,4 @@
-"""The report that compares: means over rooms and seeds for each choice of what else varies, and for each method."""
+"""The report "compare": means over seeds of runs and rooms, for each combination of other settings and each method."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,12 +22,12 @@ NOTE = (
 
 
 def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] | None = None) -> list[str]:
-    """A line for each group, and how to read it.
+    """A table with a line for each group, and a note on how to read it.
 
     Args:
-        rows: What was measured.
+        rows: Measured rows.
         varied: Names that vary.
-        also: More columns [m], written in centimetres, with their headings.
+        also: Headings of additional columns [m], which are written in centimetres.
     """
     more = {"heading_spread_m": "headings [cm]", **(also or {})}
     names = choices(rows, varied)
@@ -60,7 +60,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS (filled) and median (open) of every run, a line for each group."""
+    """Draw RMS (filled) and median (open) of every run, with a line for each group."""
     names = choices(rows, varied)
     groups = group_rows(rows, names)
     picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
@@ -78,7 +78,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """The error field of each group's run whose RMS is the middle one."""
+    """Draw the error field of each group's run with the median RMS."""
     names = choices(rows, varied)
     groups = group_rows(rows, names)
     columns = min(3, len(groups))
@@ -96,8 +96,8 @@ def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
 
 
 def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:
-    """With which choices a setting that follows from them is what: ``learn.start paths (dense), ends (endpoint)``."""
-    # few choices say it as well as all
+    """Values of a setting that follows from choices, each with them: ``learn.start paths (dense), ends (endpoint)``."""
+    # the fewest leading choices from which the setting follows
     few = next(names[: k + 1] for k in range(len(names)) if choices(rows, [*names[: k + 1], follows])[-1] != follows)
     with_value: dict[str, dict[str, None]] = {}
     for row in rows:

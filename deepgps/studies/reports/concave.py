@@ -1,4 +1,4 @@
-"""The report of concave: errors by how much of the room a straight drive reaches, the limit that the paper names."""
+"""The report "concave": errors by how much of the room a straight drive reaches, the limit that the paper names."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -22,9 +22,9 @@ from sim.recording.format import open_truth
 
 SHAPE = "room.shape"
 EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
-"""Shares of the floor between which positions are put together."""
+"""Edges of the bins of reach, as shares of the floor, into which positions are sorted."""
 LITTLE = 2
-"""So many of the first parts are what reaches little of the room."""
+"""Number of leading bins that count as reaching little of the room."""
 NOTE = (
     "Reach: share of the floor where the robot fits that straight drives from a position come to. Positions of all "
     "rooms together; errors of the worst heading. PoseNet learns from true positions: what both get wrong is not for "
@@ -33,7 +33,7 @@ NOTE = (
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each shape and method, then a line for each share of the floor that is reached."""
+    """A table with a line for each shape and method, then one with a line for each bin of reach."""
     methods = find_methods(rows)
     headings = ["reach", "positions", *(f"{title_of(name)}, RMS [cm]" for name in methods)]
     headings += [f"{title_of(name)}, median [cm]" for name in methods]
@@ -49,7 +49,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """How much worse it gets where little is reached, and in two rooms; for DeepGPS and for PoseNet."""
+    """How much larger each method's RMS is where little is reached than elsewhere, and in two rooms than in one."""
     figures = {}
     for (method,), group in group_rows(rows, []).items():
         little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, len(EDGES) - 1))
@@ -64,19 +64,19 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_reach(run: Path, row: Row) -> Row:
-    """Columns for each part of the floor by how much it reaches: the errors of all its positions [m]."""
+    """A column for each bin of reach: the errors of all its positions [m]."""
     field = read_fields(run)[row["method"]]
     part = np.digitize(measure_visible(open_truth(run / "recording").free_space, field.truth), EDGES[1:-1])
     return {f"errors_{number}_m": field.error[part == number].astype(np.float32) for number in range(len(EDGES) - 1)}
 
 
 def pool(rows: Sequence[Row], parts: Sequence[int]) -> np.ndarray:
-    """Errors (n,) [m] of all positions of these rows in these parts of the floor."""
+    """Errors (n,) [m] of all positions of these rows in these bins of reach."""
     return np.concatenate([np.asarray(row[f"errors_{part}_m"], float) for row in rows for part in parts])
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS (filled) and median (open) by how much of the floor is reached."""
+    """Draw RMS (filled) and median (open) by how much of the floor is reached."""
     middles = [50 * (low + high) for low, high in pairwise(EDGES)]
     picture = Picture(figsize=(6.4, 3.8), layout="constrained")
     axes = picture.add_subplot()
@@ -96,7 +96,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def draw_rooms(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """A room of each shape: how much of it each position reaches, and DeepGPS's error there."""
+    """Draw a room of each shape: how much of it each position reaches, and DeepGPS's error there."""
     rows = [row for row in rows if row["method"] == "deepgps"]
     shapes = {key[0]: group[0] for key, group in group_rows(rows, [SHAPE]).items()}
     picture = Picture(figsize=(9.6, 2.9 * len(shapes) + 0.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""The report of curves: errors of every method along an axis of numbers, a panel for each case, a band of the seeds."""
+"""The report "curves": errors of every method along a numeric axis, with a panel for each case and a band of seeds."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -15,7 +15,7 @@ from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
 
 TITLES = {"encoder.step_noise": "noise w of each gap between readings", "drive.samples": "training images"}
-# What the paper says of DeepGPS: the share of the side that its RMS is below (Sec. V-A); its RMS at a value [m] (V-B).
+# The paper on DeepGPS: its RMS is below this share of the room's side (Sec. V-A); its RMS at a value [m] (V-B).
 PAPER_SHARE = {"encoder.step_noise": 0.02}
 PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
 KNEE = 1.25
@@ -28,7 +28,7 @@ Panels = Mapping[tuple[str, ...], Sequence[Row]]
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each case, method and value of the axis; where the knee is; how to read it."""
+    """A table with a line for each case, method and value of the axis; where the knees are; and a note on the table."""
     axis, names = find_axis(rows), _name_panels(rows)
     paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
     headings = [*names, "method", axis, "seeds", *ERRORS.values(), "worst RMS", "RMS / side", "train [s]", *paper]
@@ -51,7 +51,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS at the highest value of the axis, means over the seeds of the worst case; and the farthest knee."""
+    """DeepGPS's errors at the highest value of the axis, as means over seeds in the worst case; and the last knee."""
     rows = [row for row in rows if row["method"] == "deepgps"]
     if not rows:
         return {}
@@ -76,7 +76,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS (line, and a band from the best to the worst seed) and median (dashed) of every method along the axis."""
+    """Draw every method's RMS (a line, and a band from best to worst seed) and median (dashed) along the axis."""
     axis, panels = find_axis(rows), _panels(rows)
     picture = Picture(figsize=(5.4 * len(panels) + 0.4, 4.2), layout="constrained")
     for place, ((title, panel), axes) in enumerate(
@@ -94,14 +94,15 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def find_axis(rows: Sequence[Row]) -> str:
-    """The setting along which curves run: the last that varies."""
+    """The setting along which curves run: the last one that varies."""
     return varied_in(rows[0])[-1]
 
 
 def find_knee(line: Sequence[Row], axis: str) -> float | None:
-    """The least value of the axis from which on the RMS, a mean over the seeds, is within KNEE times that at the end.
+    """The least value of the axis from which on the RMS (mean over seeds) is at most KNEE times the RMS at the end.
 
-    None where that is the first or the last: a line that is flat or rises has no knee, nor has one that still falls.
+    None if no value exceeds that bound or only the last is within it: a line without a drop, or one that still falls,
+    has no knee.
     """
     means = {value: mean(group, "rms_m") for value, group in sorted(split_by(line, axis).items())}
     end = max(means)
@@ -134,7 +135,7 @@ def _draw_paper(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
 
 
 def _scale(axes: Axes, axis: str, panel: Sequence[Row]) -> None:
-    """Logarithmic where numbers span decades; errors begin at zero elsewhere."""
+    """Use logarithmic scales for numbers that span a decade or more; otherwise errors begin at zero."""
     values, errors = [row[axis] for row in panel], [row[name] for row in panel for name in ("rms_m", "median_m")]
     if _span(values) >= DECADES:
         axes.set_xscale("log")
@@ -159,7 +160,7 @@ def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
 
 
 def _name_panels(rows: Sequence[Row]) -> list[str]:
-    """The settings beside the axis that tell all cases apart."""
+    """The settings other than the axis that tell all cases apart."""
     return tell_apart(rows, varied_in(rows[0])[:-1])
 
 

@@ -1,4 +1,4 @@
-"""The report of encoders: what each fault costs, beside what theory expects of it, and which encoder is good enough."""
+"""The report of encoders: what each fault costs, what theory predicts for it, and which encoder is good enough."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,9 +23,9 @@ from deepgps.studies.reports.encoder_sweeps import (
 from deepgps.studies.table import Row, find_methods, mean, split_by
 
 NEAR_M = (0.02, 0.05)
-"""How near the truth is good enough, for two kinds of builders [m]."""
+"""Errors that count as good enough, for two kinds of builders [m]."""
 PART = 0.8
-"""The part of the places that have to be so near."""
+"""The part of the test positions whose errors must be good enough."""
 CHOICE = (
     f"Up to where at least {100 * PART:g} % of the test positions, each at its worst heading, lie so near the truth, "
     "in the mean of the seeds. Not the RMS: a few places far off decide that, and no encoder mends them."
@@ -53,7 +53,7 @@ EXPLAIN = (
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A page to decide from: what is good enough, then each fault, pairs of faults, and what theory says."""
+    """A page for choosing encoders: what is good enough, then each fault, pairs of faults, and what theory says."""
     methods, sweeps, blocks = find_methods(rows), find_sweeps(rows), []
     for near in NEAR_M:
         title = f"## Which encoder keeps most of the room within {100 * near:g} cm"
@@ -68,7 +68,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """RMS at w = 0.10, and at 16 and 4 ticks relative to a perfect encoder, of both ways to learn."""
+    """RMS at w = 0.10, and RMS at 16 and 4 ticks relative to a perfect encoder, for both variants of DeepGPS."""
     figures = {}
     for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
         title = title_of(method)
@@ -86,20 +86,20 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_errors(run: Path, row: Row) -> Row:
-    """Part of the test positions that lie near the truth; errors of whole segments, and how many were doubted."""
+    """Columns for the part of test positions with small errors, errors of complete segments, and doubted segments."""
     error = read_fields(run)[row["method"]].error
     return {**{name_part(near): float(np.mean(error <= near)) for near in NEAR_M}, **read_metrics(run)["distances"]}
 
 
 def name_part(near_m: float) -> str:
-    """The table's column for the part of the test positions within so many metres."""
+    """The name of the column for the part of the test positions with errors of at most ``near_m`` [m]."""
     return f"within_{100 * near_m:g}_cm"
 
 
 def choose_encoders(
     sweeps: Sequence[Sweep], methods: Sequence[str], near_m: float
 ) -> tuple[list[str], list[list[str]]]:
-    """For each fault, the strongest measured up to which ``PART`` of the places stay within ``near_m``."""
+    """For each fault, the greatest measured strength up to which ``PART`` of the positions stay within ``near_m``."""
     lines = []
     for sweep in sweeps:
         found = [_strongest(sweep.by_value(method), sweep.names[0], name_part(near_m)) for method in methods]
@@ -108,7 +108,7 @@ def choose_encoders(
 
 
 def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], list[list[str]]]:
-    """A line for each value: errors of segments, of every method, the map's scale, and the segments doubted."""
+    """A line for each value: errors of segments and of every method, the map's scale, and segments doubted."""
     lines = []
     for value, group in sweep.by_value(methods[0]).items():
         segment = [f"{100 * mean(group, name):.2f}" for name in ("segment_rms_m", "segment_expected_m")]
@@ -121,13 +121,13 @@ def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], lis
 
 
 def _write_errors(rows: Sequence[Row]) -> str:
-    """RMS [cm] of the mean, the best and the worst seed, and the part of the places within the nearer distance."""
+    """RMS [cm]: mean, best and worst seed; and the part of the positions within the smaller distance."""
     low, high = (f"{100 * take(row['rms_m'] for row in rows):.1f}" for take in (min, max))
     return f"{100 * mean(rows, 'rms_m'):.1f} ({low} to {high}), {100 * mean(rows, name_part(NEAR_M[0])):.0f} %"
 
 
 def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[list[str]]]:
-    """Errors of every method where both faults are there, each alone, and none."""
+    """Errors of every method with both faults, with each alone, and with none."""
     methods, lines = find_methods(rows), []
     for values, group in split_by_values(rows, pair).items():
         found = split_by(group, "method")

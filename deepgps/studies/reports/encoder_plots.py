@@ -1,4 +1,4 @@
-"""Figures of encoders: the error as each fault grows, and how much of the room stays near the truth."""
+"""Figures of encoders: errors as each fault grows, and the part of test positions with small errors."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -14,12 +14,12 @@ from deepgps.studies.table import Row, find_methods, mean
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """A panel for each fault: RMS of every method with a band of the seeds, and errors of segments beside theory's."""
+    """Draw a panel for each fault: every method's RMS with a band of seeds, and segment errors next to theory's."""
     return _draw_panels(rows, _draw_errors, "error [cm]")
 
 
 def draw_near(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """A panel for each fault: the part of the room that stays near the truth, with a band of the seeds."""
+    """Draw a panel for each fault: the part of the test positions with small errors, with a band of seeds."""
     return _draw_panels(rows, _draw_near, f"places within {100 * NEAR_M[0]:g} cm [%]")
 
 
@@ -62,11 +62,11 @@ def _draw_near(axes: Axes, sweep: Sweep) -> None:
 
 
 def _draw_methods(axes: Axes, sweep: Sweep, name: str) -> None:
-    """Means over the seeds, a hundred times as large, and bands from the least to the most."""
+    """Draw each method's mean over seeds, times 100, and a band from the least to the greatest."""
     for method in find_methods(sweep.rows):
         groups, colour = sweep.by_value(method), colour_of(method)
         seeds = [[100 * row[name] for row in group] for group in groups.values()]
         place = range(len(groups))
         draw_band(axes, place, seeds, colour, title_of(method), marker=3)
-        # what is measured stands side by side: values grow by factors in some faults and by steps in others
+        # evenly spaced: some faults grow by factors and others by steps
         axes.set_xticks(place, [f"{value:g}" for value in groups], fontsize=8)

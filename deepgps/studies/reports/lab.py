@@ -15,7 +15,7 @@ from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, split_by
 
-# What an error is measured against: the name of its columns begins with the key.
+# References that errors are measured against, by the prefix of their column names.
 AGAINST = {"label_": "labels", "": "truth"}
 # Mean and standard deviation over the paper's six data sets: RMS, median and maximum [m].
 PAPER = {
@@ -33,7 +33,7 @@ NOTE = (
 
 
 def add(run: Path, row: Row) -> Row:
-    """Errors against labels, and how good these are."""
+    """Columns for errors against labels, and for the errors of the labels themselves."""
     metrics = read_metrics(run)
     labels, against = metrics["labels"], metrics["methods"][row["method"]]["against_labels"]
     return {
@@ -45,7 +45,7 @@ def add(run: Path, row: Row) -> Row:
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """Every data set and method, then mean and standard deviation, then the paper's; and how to read it."""
+    """A table of every data set and method, then means and standard deviations, then the paper's; and a note on it."""
     ours = [f"{title}, {kind} [cm]" for kind in AGAINST.values() for title in PAPERS_ERRORS.values()]
     headings = ["data set", "method", *ours, "unlabelled", "label RMS [cm]", "train [s]"]
     cells = [
@@ -70,7 +70,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Means over the data sets: errors of each method against labels and truth, and the labels' own."""
+    """Means over the data sets: each method's errors against labels and truth, and the labels' own error."""
     figures = {}
     for method, group in split_by(rows, "method").items():
         for prefix, kind in AGAINST.items():
@@ -84,7 +84,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS, median and maximum of every data set, against labels (filled) and truth (open), and the paper's mean."""
+    """Draw RMS, median and maximum of each data set against labels (filled) and truth (open), and the paper's mean."""
     picture = Picture(figsize=(9.6, 3.4), layout="constrained")
     seeds = list(dict.fromkeys(row["seed"] for row in rows))
     for axes, (place, (name, title)) in zip(picture.subplots(1, 3), enumerate(PAPERS_ERRORS.items()), strict=True):
@@ -112,9 +112,9 @@ def draw_errors(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
 
 
 def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Predictions (blue) and true positions (orange) of one data set, joined by red lines, as in the paper.
+    """Draw predictions (blue) and true positions (orange) of one data set, joined by red lines, as in the paper.
 
-    The data set is the one whose RMS of DeepGPS against the truth is in the middle.
+    The data set is the one with the median RMS of DeepGPS against the truth.
     """
     order = sorted((row for row in rows if row["method"] == "deepgps"), key=lambda row: row["rms_m"]) or list(rows)
     row = order[(len(order) - 1) // 2]

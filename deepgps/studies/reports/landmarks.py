@@ -1,4 +1,4 @@
-"""The report of landmarks: every method with complete and incomplete observations, beside the paper's Table I."""
+"""The report of landmarks: every method with complete and incomplete observations, next to the paper's Table I."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -13,7 +13,7 @@ from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row
 
 REACH = "landmarks.reach_m"
-# Table I of the paper: RMS, median and maximum [m]; MDS is a start that it does not try.
+# Table I of the paper: RMS, median and maximum [m]; it has no start from MDS.
 PAPER = {
     ("complete", "deepgps"): (0.004, 0.004, 0.021),
     ("complete", "posenet"): (0.006, 0.004, 0.024),
@@ -31,7 +31,7 @@ Groups = Mapping[tuple[str, str], Sequence[Row]]
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each kind of observation and method, the paper's figures at its end; and how to read it."""
+    """A table with a line for each kind of observation and method, next to the paper's figures; and a note on it."""
     ours = [f"{title} [mm]" for title in PAPERS_ERRORS.values()]
     paper = [f"paper's {title}" for title in PAPERS_ERRORS.values()]
     headings = ["observations", "method", "seeds", *ours, "worst RMS", "train [s]", *paper]
@@ -46,7 +46,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """RMS of every method with every kind of observation, and the longest training of all."""
+    """RMS of every method with every kind of observation, and the training time, mean and longest."""
     figures = {}
     for (kind, method), group in _group(rows).items():
         values = [row["rms_m"] for row in group]
@@ -58,7 +58,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS (filled) and median (open) of every method and seed, and the paper's RMS (diamond)."""
+    """Draw RMS (filled) and median (open) of every method and seed, and the paper's RMS (diamond)."""
     groups = _group(rows)
     kinds, methods = (list(dict.fromkeys(names)) for names in zip(*groups, strict=True))
     picture = Picture(figsize=(4.6 * len(kinds) + 0.6, 1.6 + 0.5 * len(methods)), layout="constrained")

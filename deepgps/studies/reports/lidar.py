@@ -1,4 +1,4 @@
-"""The report of lidar: DeepGPS against PCA + nearest neighbour on four maps, beside the paper's appendix."""
+"""The report of lidar: DeepGPS against PCA + nearest neighbour on four maps, next to the paper's appendix."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -31,7 +31,7 @@ NOTE = (
 
 
 def add(run: Path, row: Row) -> Row:
-    """Errors of each scan by itself, and how many numbers the method keeps to position."""
+    """Columns for the errors over single scans, and for how many numbers the method stores for positioning."""
     field = read_arrays(run / "error_field.npz")
     error = np.linalg.norm(field[row["method"]] - field["truth"][:, None], axis=-1)
     values = (np.sqrt(np.mean(error**2)), np.median(error), error.max())
@@ -41,7 +41,7 @@ def add(run: Path, row: Row) -> Row:
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each map and method, the paper's figures at its end; and how to read it."""
+    """A table with a line for each map and method, next to the paper's figures; and a note on how to read it."""
     each = [f"{title}, each scan" for title in EACH.values()]
     paper = [f"paper's {title}" for title in PAPERS_ERRORS.values()]
     headings = ["map", "method", *PAPERS_ERRORS.values(), *each, "stored [million]", "train [s]", *paper]
@@ -57,7 +57,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS, its errors over the rival's on the same map, and how much less it stores."""
+    """DeepGPS's errors, their ratio to the rival's on the same map, and how much less DeepGPS stores."""
     ours = [row for row in rows if row["method"] == "deepgps"]
     rival = {row["recording"]: row for row in rows if row["method"] == RIVAL}
     both = [(row, rival[row["recording"]]) for row in ours if row["recording"] in rival]
@@ -81,7 +81,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Maps with their obstacles, and the error of each method over them, on one scale."""
+    """Draw the maps with their obstacles, and the error of each method on them, on one scale."""
     maps = _by_map(rows, varied)
     methods = find_methods(rows)
     picture = Picture(figsize=(4.0 * len(maps) + 0.8, 4.3 * len(methods)), layout="constrained")

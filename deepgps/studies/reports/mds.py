@@ -1,10 +1,10 @@
-"""The report of mds: the distances that a network learned, and the map that classical scaling makes of them.
+"""The report "mds": the distances that a network learned, and the map that classical scaling makes of them.
 
-The paper's answer to why it works (Sec. III-A): the loss supervises a function of two observations that says how far
-apart they were taken. From the distances between all positions of a grid multidimensional scaling makes a map, and the
-network does that implicitly. With two outputs the last part is algebra: distances between points of a plane give the
-points back. What may fail is that distances are right where no straight segment ever joined two positions, and that
-a distance function free to use more dimensions than two needs no more.
+The paper explains why DeepGPS works (Sec. III-A): the loss supervises a function of two observations that predicts how
+far apart they were taken. Multidimensional scaling makes a map from the distances between all positions of a grid, and
+the network does that implicitly. With two outputs, the last step is algebra: the distances between points of a plane
+determine the points. Two claims may fail: that distances are right where no straight segment ever joined two positions,
+and that a distance function that is free to use more than two dimensions needs only two.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,11 +31,11 @@ from sim.occupancy import FreeSpace
 from sim.recording.format import open_recording, open_truth
 
 POSITIONS = 1500
-"""Positions of the grid that are scaled, at most."""
+"""Maximum number of grid positions for scaling."""
 PAIRED = 250
-"""Positions among which all pairs are looked at, at most."""
+"""Maximum number of positions among which all pairs are evaluated."""
 LARGEST = 10
-"""Eigenvalues that are kept."""
+"""Number of eigenvalues that are kept."""
 COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
 # columns in metres, with their headings in centimetres
 MAPS = {"own_m": "own RMS [cm]", "mds_m": "MDS RMS [cm]"}
@@ -50,18 +50,18 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Distances:
-    """What a network says about the distances between positions of the test grid.
+    """The distances that a network predicts between positions of the test grid.
 
     Attributes:
-        truth: The positions (n, 2) [m].
-        own: The network's positions of them (n, 2) [m], aligned.
+        truth: True positions (n, 2) [m].
+        own: The network's own predictions of them (n, 2) [m], aligned.
         scaled: The map by classical scaling (n, 2) [m], aligned.
-        dimensions: Outputs of the network.
-        eigenvalues: The largest of the centred squared distances, descending [m^2].
-        planar: Share of the two largest in the sum of the sizes of all.
-        true: Distance of each pair (p,) [m].
-        predicted: What the network says it is (p,) [m].
-        joined: Whether the robot could drive from one to the other in a straight line (p,).
+        dimensions: Number of outputs of the network.
+        eigenvalues: The largest eigenvalues of the centred squared distances, descending [m^2].
+        planar: Share of the two largest eigenvalues in the sum of all absolute eigenvalues.
+        true: True distance of each pair (p,) [m].
+        predicted: The network's distance of each pair (p,) [m].
+        joined: Whether the robot could drive between the two positions of a pair in a straight line (p,).
     """
 
     truth: np.ndarray
@@ -76,7 +76,7 @@ class Distances:
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each way of learning, and how to read it."""
+    """A table with a line for each way of learning, and a note on how to read it."""
     headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
     names, cells = choices(rows, varied), []
     for key, group in group_rows(rows, names).items():
@@ -87,7 +87,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Of maps that the detector calls unfolded, with two outputs and with more: how the map and the distances are."""
+    """Figures of maps and distances over runs that the detector calls unfolded, with two outputs and with more."""
     whole = [row for row in rows if not row["fold_found"]]
     plane, space = ([row for row in whole if (row["outputs"] > 2) == more] for more in (False, True))
     figures = {}
@@ -109,7 +109,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_distances(run: Path, row: Row) -> Row:
-    """Columns that say how good the distances are, and the map made of them."""
+    """Columns for the errors of the distances and of the map made from them."""
     found = find_distances(run, row["method"])
     error = np.abs(found.predicted - found.true)
     return {
@@ -124,7 +124,7 @@ def add_distances(run: Path, row: Row) -> Row:
 
 
 def find_distances(run: Path, method: str) -> Distances:
-    """Ask a trained network for the distances between positions of the test grid, and scale them."""
+    """Predict the distances between positions of the test grid with a trained network, and scale them."""
     positioner = load_positioner(run / method)
     if not isinstance(positioner, NetworkPositioner):
         raise InputError(f"{run / method}: {method} has no network that could be asked for distances")
@@ -154,7 +154,8 @@ def scale_all(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Classical multidimensional scaling of all distances (n, n) [m] to a plane.
 
     Returns:
-        The map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of two in the sum of all sizes.
+        The map (n, 2) [m]; the largest eigenvalues, descending [m^2]; the share of the two largest in the sum of all
+        absolute eigenvalues.
     """
     size, axes = (part[..., ::-1] for part in find_axes(distance))
     total = max(float(np.abs(size).sum()), 1e-300)
@@ -172,7 +173,7 @@ def are_joined(space: FreeSpace, first: np.ndarray, second: np.ndarray) -> np.nd
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Eigenvalues, errors of distances, and the maps of the first run of each way of learning."""
+    """Draw eigenvalues, errors of distances, and maps, of the first run of each way of learning."""
     names = choices(rows, varied)
     groups = group_rows(rows, names)
     found = {

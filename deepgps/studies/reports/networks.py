@@ -1,4 +1,4 @@
-"""The report of networks: which of them gives one position one answer, whichever way the robot faces."""
+"""The report of networks: which ones give a position the same answer whichever way the robot faces."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,12 +22,12 @@ NOTE = (
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each network, with and without shifted images in training; and how to read it."""
+    """A table with a line for each network, with and without shifted images in training; and a note on it."""
     return [*compare.report(rows, varied, {"turn_spread_m": "turned [cm]"}), NOTE]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """RMS of each network as the paper trains it, with shifted images; and what the padding is worth."""
+    """RMS of each network trained with shifted images, as in the paper; and the effect of the padding."""
     groups = {key[0]: group for key, group in grouping.group_rows(rows, [NETWORK]).items()}
     shifted = {name: [row for row in group if row.get(SHIFT, True)] for name, group in groups.items()}
     figures = {}
@@ -47,7 +47,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_turn_spread(run: Path, row: Row) -> Row:
-    """How much a trained network's prediction changes when one image is turned."""
+    """A column for how much a trained network's prediction changes when an image is turned."""
     images = open_recording(run / "recording").test_observation
     some = np.linspace(0, len(images) - 1, min(IMAGES, len(images))).round().astype(int)
     return {"turn_spread_m": measure_turn_spread(load_positioner(run / row["method"]), images[some, 0])}

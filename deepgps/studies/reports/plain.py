@@ -1,4 +1,4 @@
-"""The plain report: every run and method as it is."""
+"""The plain report: every run and method as a line of its own."""
 
 from collections.abc import Sequence
 
@@ -8,6 +8,6 @@ from deepgps.studies.table import ERRORS, Row, write_errors
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """One line for each run and method."""
+    """A table with one line for each run and method."""
     cells = [[*(str(row[name]) for name in varied), title_of(row["method"]), *write_errors(row)] for row in rows]
     return [tabulate([*varied, "method", *ERRORS.values()], cells)]

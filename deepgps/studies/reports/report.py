@@ -1,4 +1,4 @@
-"""What a study found: its table as Parquet, its report in Markdown and as figures."""
+"""The results of a study: its table as Parquet, and its report as Markdown and figures."""
 
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -16,28 +16,28 @@ from sim.errors import InputError
 from sim.files import sha256, write_bytes, write_text
 
 SUMS = "SHA256SUMS"
-"""List of what was published, as sha256sum writes it."""
+"""List of published files, in the format of sha256sum."""
 
 
 def load(name: str) -> Callable[..., Any]:
-    """The function called "module:function" in a module of this package."""
+    """Import the function "module:function" from a module of this package."""
     module, _, function = name.partition(":")
     return getattr(import_module(f"deepgps.studies.reports.{module}"), function)
 
 
 def measure_targets(report: str, rows: Sequence[Row]) -> dict[str, Figure]:
-    """Figures of a report that targets can be set for."""
+    """The figures of a report for which targets can be set."""
     measure = REPORTS[report].measure
     return load(measure)(rows) if measure else {}
 
 
 def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> str:
-    """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; returns the report in Markdown.
+    """Write ``table.parquet``, ``table.md`` and ``figures`` of a study; return the report in Markdown.
 
     Args:
-        study: What was run.
+        study: The study.
         plans: Its runs.
-        failures: Why runs failed, by their hash.
+        failures: Reasons why runs failed, by the hash of the run.
         folder: The study's folder.
     """
     rows, report = gather(plans, failures, folder), REPORTS[study.report]
@@ -53,14 +53,14 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
 
 
 def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:
-    """Rows with a report's own columns, which are empty where a run failed."""
+    """Add a report's own columns to the rows; they are empty for failed runs."""
     added = [add(folder / "runs" / row["run"], row) if row["failure"] is None else {} for row in rows]
     names = dict.fromkeys(name for columns in added for name in columns)
     return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
 
 
 def publish(folder: Path, target: Path) -> None:
-    """Copy what a study found, without its runs, to a folder that can be committed, and list the checksums there."""
+    """Copy a study's results, without its runs, and their checksums to a folder that can be committed."""
     check_publish(target)
     sums = []
     for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
@@ -71,7 +71,7 @@ def publish(folder: Path, target: Path) -> None:
 
 
 def check_publish(target: Path) -> None:
-    """Raise InputError where publishing would replace a file that was not published, or was changed since."""
+    """Raise InputError if publishing would replace a file that deepgps did not publish or that was changed since."""
     if target.exists() and not target.is_dir():
         raise InputError(f"--publish: {target} is no folder")
     lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
@@ -86,7 +86,7 @@ def check_publish(target: Path) -> None:
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
-    """The report in Markdown: the table, the targets, and what failed."""
+    """The report in Markdown: the table, the targets, and the failed runs."""
     varied = varied_names(study)
     blocks = [f"# {study.name}", f"{len(plans)} runs of {study.scenario}, {len(failures)} failed."]
     measured = [row for row in rows if row["failure"] is None]
@@ -102,6 +102,6 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
 
 
 def varied_names(study: Study) -> list[str]:
-    """Columns that tell the runs apart: settings by dotted name, and the seed where there are several."""
+    """Columns that tell the runs apart: settings by dotted name, and the seed if there are several."""
     names = dict.fromkeys([*(name for case in study.cases for name in case), *study.axes])
     return [*names, *(["seed"] if len(study.seeds) > 1 or not names else [])]

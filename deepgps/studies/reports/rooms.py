@@ -1,4 +1,4 @@
-"""The report of rooms: every room, the mean and the worst, and DeepGPS against its rivals: who wins how often."""
+"""The report of rooms: every room, the mean and the worst, and how often DeepGPS beats each rival."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -23,7 +23,7 @@ SIGN_TEST = "p is that of a two-sided sign test: above 0.05, these rooms do not 
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """The table of all rooms and methods, then the means, then the worst; how to read it; and who wins how often."""
+    """A table of all rooms and methods, their means and worst values; a note on it; and how often DeepGPS wins."""
     headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
     rival = _rival(rows)
     cells = []
@@ -42,7 +42,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS over all rooms, then every rival; the ratio to PoseNet is that of mean RMS, over rooms that both have."""
+    """DeepGPS over all rooms, then every rival; the ratio to PoseNet is of mean RMS over the rooms that both have."""
     methods, rival = split_by(rows, "method"), _rival(rows)
     ours = methods.pop("deepgps", [])
     if not ours:
@@ -64,7 +64,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """RMS (filled) and median (open) of every method in every room."""
+    """Draw RMS (filled) and median (open) of every method in every room."""
     rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
     picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")
     axes = picture.add_subplot()
@@ -92,7 +92,7 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
 
 
 def _count_wins(rows: Sequence[Row]) -> list[str]:
-    """A sentence for each rival: in how many of the rooms that both have DeepGPS has the lower error."""
+    """A sentence for each rival that says in how many common rooms DeepGPS has the lower error."""
     methods = split_by(rows, "method")
     ours = {row["recording"]: row for row in methods.pop("deepgps", [])}
     sentences = []

@@ -1,4 +1,4 @@
-"""The report of seeds: how many maps lie folded by the truth, and what the detector, which does not see it, says."""
+"""The report of seeds: how many maps are folded according to the truth, and according to the detector without it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,12 +10,12 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure, write
 from deepgps.studies.table import ERRORS, Row, write_errors
 
-# Of maps of 8,000 images, right ones turned over 1 to 5 % of their neighbourhoods, folded ones 21 to 47 %.
+# In maps of 8,000 images, 1 to 5 % of the neighbourhoods were flipped if the map was right, 21 to 47 % if folded.
 FLIPPED = 0.1
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A line for each kind of start, and how to read it."""
+    """A table with a line for each kind of start, and a note on how to read it."""
     headings = ["start", "maps", "unfolded", "said to be", "flipped, median", "flipped, most", *ERRORS.values()]
     cells = []
     for title, group in _by_start(rows, varied).items():
@@ -33,7 +33,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """Share of right maps, random starts left out, which are there to fold; and the detector over all maps."""
+    """Share of unfolded maps, except random starts, which are meant to fold; and the detector's rates over all maps."""
     rows = [row for row in rows if row["fold_found"] is not None and row["flipped"] is not None]
     own = [not is_folded(row) for row in rows if row.get("learn.start") != "random"]
     folded = [row["fold_found"] for row in rows if is_folded(row)]
@@ -46,7 +46,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """What the detector measures against the truth: a point for each map."""
+    """Draw what the detector measures over the truth, with a point for each map."""
     picture = Picture(figsize=(9, 4), layout="constrained")
     signs = {"length_error_fraction": "wrong lengths", "overlap_fraction": "overlap"}
     for index, (sign, title) in enumerate(signs.items()):
@@ -65,12 +65,12 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def is_folded(row: Row) -> bool:
-    """Whether the truth says that a map lies folded on itself."""
+    """Whether a map is folded according to the truth."""
     return row["flipped"] > FLIPPED
 
 
 def count_folded(rows: Sequence[Row]) -> str:
-    """How many maps the truth says lie folded; a dash where no test grid tells."""
+    """The number of maps that are folded according to the truth; a dash if there was no test grid to judge by."""
     known = [row for row in rows if row["flipped"] is not None]
     return str(sum(map(is_folded, known))) if known else "-"
 

@@ -1,4 +1,4 @@
-"""What strategies are judged by: the end-point strategy against the dense one, at equal travel and at equal images."""
+"""The figures of strategies: end-point against dense, at equal distances travelled and at equal numbers of images."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS: RMS of the end-point strategy over that of the dense one; and how much farther it drives."""
+    """Ratios of the end-point strategy to the dense one: RMS of DeepGPS, and distance travelled."""
     rows = [row for row in rows if row["method"] == "deepgps"]
     dense = [row for row in rows if row[STRATEGY] == "dense"]
     wanted = {row[SAMPLES] for row in dense}

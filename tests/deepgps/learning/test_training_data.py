@@ -13,7 +13,8 @@ from tests.helpers.toy import make_toy
 def test_features_do_not_depend_on_the_number_of_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     toy = make_toy(tmp_path / "toy", samples=300)
     images = np.random.default_rng(0).integers(0, 256, (len(toy.observation), 4, 16, 3), np.uint8)
-    recording = replace(toy, observation=images)
+    manifest = toy.manifest.model_copy(update={"sensors": {"fisheye": "polar_image"}})
+    recording = replace(toy, observation=images, manifest=manifest)
     threads = []
     plain = training_data.cached_features
 

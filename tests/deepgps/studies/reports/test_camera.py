@@ -49,11 +49,11 @@ def cells(text: str, *first: str) -> list[str]:
 
 def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last():
     table = camera.report(ROWS, VARIED)[0]
-    assert cells(table, "no fault", "training and use", "DeepGPS")[:2] == ["2", "2.0 (1.00)"]
-    assert cells(table, "exposure x 0.25", "training and use", "DeepGPS") == [
+    assert cells(table, "no fault", "training and deployment", "DeepGPS")[:2] == ["2", "2.0 (1.00)"]
+    assert cells(table, "exposure x 0.25", "training and deployment", "DeepGPS") == [
         *("2", "4.0 (2.00)", "2.0 (2.00)", "8.0 (2.00)", "40.0 (2.00)", "1", "0")
     ]
-    assert cells(table, "all light x 0.5", "use alone", "PoseNet")[1::4] == ["5.0 (5.00)", "1"]
+    assert cells(table, "all light x 0.5", "deployment alone", "PoseNet")[1::4] == ["5.0 (5.00)", "1"]
     assert [fault.in_use for fault in camera.group_faults(ROWS, VARIED)] == [False, False, True]
 
 
@@ -63,19 +63,19 @@ def test_the_worst_fault_of_each_kind_is_a_figure():
     values = {name: figure.value for name, figure in figures.items()}
     assert values == pytest.approx(
         {"clean_rms_m": 0.02}
-        | {"both_rms_ratio": 2.0, "both_median_ratio": 2.0, "use_rms_ratio": 2.0, "use_median_ratio": 2.0}
+        | {"both_rms_ratio": 2.0, "both_median_ratio": 2.0, "deployment_rms_ratio": 2.0, "deployment_median_ratio": 2.0}
     )
 
 
 def test_without_a_test_grid_nothing_is_folded():
     table = camera.report([{**row, "flipped": None} for row in ROWS], VARIED)[0]
-    assert cells(table, "exposure x 0.25", "training and use", "DeepGPS")[-2:] == ["-", "0"]
+    assert cells(table, "exposure x 0.25", "training and deployment", "DeepGPS")[-2:] == ["-", "0"]
 
 
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with():
     faulty = [row for row in ROWS if row["deployment.light"] != 1.0]
     assert camera.measure(faulty) == {}
-    assert cells(camera.report(faulty, VARIED)[0], "all light x 0.5", "use alone", "DeepGPS")[1] == "4.0"
+    assert cells(camera.report(faulty, VARIED)[0], "all light x 0.5", "deployment alone", "DeepGPS")[1] == "4.0"
 
 
 def test_every_fault_of_the_settings_has_words_and_is_in_the_study():
@@ -90,7 +90,9 @@ def test_every_fault_of_the_settings_has_words_and_is_in_the_study():
 def test_the_study_draws_nothing_again_for_faults_of_finished_images():
     plans = plan_runs(load_study("camera", tiny=False))
     drives = find_drives(plans)
-    finished = [plan for plan in plans if not any(name.startswith(("mount", "use")) for name in plan.varied)]
+    finished = [
+        plan for plan in plans if not any(name.startswith(("camera_mount", "deployment")) for name in plan.varied)
+    ]
     assert len({plan.recording for plan in finished}) == len(finished)
     assert len({drives[plan.recording].model_dump_json() for plan in finished}) == 2  # one a seed
     assert len({drive.model_dump_json() for drive in drives.values()}) == 2 + len(plans) - len(finished)
@@ -106,7 +108,7 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     plans, folder = plan_runs(study), tmp_path / "study"
     assert carry_out(study, plans, folder, run_all=run_all_here, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
-    assert "(1.00)" in cells(text, "no fault", "training and use", "Nearest neighbour")[1]
+    assert "(1.00)" in cells(text, "no fault", "training and deployment", "Nearest neighbour")[1]
     assert text == write_report(study, plans, {}, camera_rows(folder))
     assert (folder / "figures" / "camera.png").stat().st_size > 10_000
     clean, noisy, dim = (folder / "recordings" / plan.recording for plan in plans)

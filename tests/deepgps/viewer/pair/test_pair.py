@@ -109,7 +109,7 @@ def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_defa
     write_text(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
     assert "Both were made with the same settings." in describe_pair(open_pair(copied))
     write_text(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
-    rows = [line for line in describe_pair(open_pair(copied)).splitlines() if line.startswith("| image.")]
+    rows = [line for line in describe_pair(open_pair(copied)).splitlines() if line.startswith("| image_faults.")]
     assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
 
 

@@ -91,7 +91,7 @@ def test_the_examples_of_reading_back_work(run: Path, capsys: pytest.CaptureFixt
     examples = [block for block in blocks if "read_error_table" in block]
     assert examples
     for example in examples:
-        code, found = re.subn(r'"runs/[^"]*recording\.rrd"', repr(str(run / RECORDING)), example)
+        code, found = re.subn(r'"runs/[^"]*run\.rrd"', repr(str(run / RECORDING)), example)
         assert found
         exec(code, {})
         assert capsys.readouterr().out
@@ -216,7 +216,7 @@ def test_images_of_a_long_drive_are_thinned(copied: Path, monkeypatch: pytest.Mo
 
 
 def test_a_method_that_is_not_there_is_told_with_those_that_are(run: Path) -> None:
-    with pytest.raises(InputError, match="no method 'gps'; it has deepgps, knn, dead_reckoned_labels, posenet"):
+    with pytest.raises(InputError, match="no method 'gps'; it has dead_reckoned_labels, deepgps, knn, posenet"):
         read_error_field(run / RECORDING, "gps")
 
 

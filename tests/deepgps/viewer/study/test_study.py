@@ -328,14 +328,14 @@ def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_c
     cases = [{}, {"encoder.step_noise": 0.1}, {"encoder.dropout": 0.3, "encoder.step_noise": 0.1}]
     rows = rows_of(tmp_path, cases=cases, seeds=[0, 1])
     case, seed, run = find_sliders(rows, [], {"encoder.step_noise": 0.0, "encoder.dropout": 0.0})
-    assert [step.value for step in case.steps] == ["no change", "step_noise 0.1", "step_noise 0.1, lost 0.3"]
+    assert [step.value for step in case.steps] == ["no change", "step_noise 0.1", "step_noise 0.1, dropout 0.3"]
     assert (case.others, seed.others) == ("seed 0", "")
     assert [step.value for step in run.steps][::2] == [
         "seed 0",
         "step_noise 0.1, seed 0",
-        "step_noise 0.1, lost 0.3, seed 0",
+        "step_noise 0.1, dropout 0.3, seed 0",
     ]
-    assert run.steps[0].words == "step_noise 0, lost 0, seed 0"  # the text has all of it
+    assert run.steps[0].words == "step_noise 0, dropout 0, seed 0"  # the text has all of it
     elsewhere = find_sliders(rows, [], {"encoder.step_noise": 0.2, "encoder.dropout": 0.0})[0]
     assert elsewhere.steps[0].value == "step_noise 0, lost 0"
 
