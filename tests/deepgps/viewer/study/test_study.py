@@ -337,7 +337,7 @@ def test_where_the_scenario_is_one_of_many_cases_the_others_say_only_what_they_c
     ]
     assert run.steps[0].words == "step_noise 0, dropout 0, seed 0"  # the text has all of it
     elsewhere = find_sliders(rows, [], {"encoder.step_noise": 0.2, "encoder.dropout": 0.0})[0]
-    assert elsewhere.steps[0].value == "step_noise 0, lost 0"
+    assert elsewhere.steps[0].value == "step_noise 0, dropout 0"
 
 
 def test_a_setting_that_grows_alone_in_some_of_the_cases_has_a_slider_of_its_own(tmp_path):
