@@ -16,8 +16,7 @@ Look = Callable[[], Mapping[str, np.ndarray]]
 
 
 class Report(Protocol):
-    """A callback with a label, the steps done and their number, and, in a training, a function that returns its
-    history."""
+    """A callback with a label, the steps done, their number and, in a training, a function returning its history."""
 
     def __call__(self, label: str, done: int, total: int, look: Look | None = None, /) -> None: ...
 
@@ -43,8 +42,7 @@ def show_progress(console: "Console", quiet_s: float = 0.0) -> Iterator[Report]:
 
 @dataclass
 class _Stage:
-    """What has been reported of a label: steps done at its start and in its last line, and when [s]; none: nothing
-    yet."""
+    """What was reported of a label: steps done at its start and in its last line, and when [s]; None: no line yet."""
 
     first: int
     begun: float

@@ -84,7 +84,7 @@ class TrainSettings(Group):
 
 
 class LiftSettings(Group):
-    """Lifting: the network predicts in more than two dimensions, where a map can unfold, and is flattened later."""
+    """Lifting: the network predicts in more dimensions than two, in which a map can unfold and is flattened later."""
 
     dimensions: int = Field(default=8, ge=2, le=64)
     """Dimensions before flattening; 2: no lifting."""

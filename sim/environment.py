@@ -32,19 +32,19 @@ _DRAWN_FAULTS = ("slip_per_m", "step_noise", "dropout", "stuck_fraction")
 
 
 class RoomEnvironment(dm_env.Environment):
-    """A robot in a room; one step is one control period, an episode starts anywhere the robot can get to.
+    """A robot in a room; one step is one control period, and an episode starts at a random reachable place.
 
     Attributes:
         physics: dm_control's view of the model and its state.
 
     Args:
         settings: Room, robot, camera, encoder resolution and control period.
-        rng: Draws where each episode starts.
-        episode_s: Length of an episode [s]; it ends with discount 1, as it is cut off, not lost.
+        rng: Draws the start of each episode.
+        episode_s: Length of an episode [s]; it ends with discount 1, as it is truncated, not terminated.
 
     Raises:
-        InputError: The encoder has faults that are drawn for a whole drive (slip, gap noise, lost readings, one that
-            sticks), or the camera has any.
+        InputError: The encoder has faults that are drawn for a complete drive (slip, gap noise, lost readings, a stuck
+            wheel), or the camera has any faults.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 
@@ -71,7 +71,7 @@ class RoomEnvironment(dm_env.Environment):
         self._step: int | None = None
 
     def reset(self) -> dm_env.TimeStep:
-        """Stand the robot, settled, at a random reachable place with a random heading."""
+        """Place the robot, settled, at a random reachable position with a random heading."""
         space = self._world.free_space
         cells = np.argwhere(space.reachable)
         row, column = cells[self._rng.integers(len(cells))]

@@ -1,12 +1,12 @@
-"""Errors that reach the user as one line."""
+"""Errors that are shown to the user as one line."""
 
 
 class InputError(ValueError):
-    """The input is wrong: names the field, the value and what is allowed. The command exits with 2."""
+    """The input is wrong; the message names the field, the value and what is allowed. The command exits with 2."""
 
 
 class DamagedError(InputError):
-    """A file that was written whole is cut off, gone, or differs from its checksum."""
+    """A finished file is truncated, missing, or differs from its checksum."""
 
 
 class WorkError(RuntimeError):
@@ -14,5 +14,5 @@ class WorkError(RuntimeError):
 
 
 def one_line(error: BaseException | str) -> str:
-    """What an error says, in one line; its kind where it says nothing."""
+    """The message of an error in one line, or its type if the message is empty."""
     return " ".join(str(error).split()) or type(error).__name__

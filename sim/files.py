@@ -1,8 +1,8 @@
-"""Files that are either the old or the new one, never half, and that tell when a bit of them has changed.
+"""Atomic, checksummed files: a file is either the old or the new one, and any changed bit is detected.
 
-Every file is written aside, synced and renamed. What a later stage reads is checked: JSON carries the SHA-256 of its
-own values, ``.npz`` archives the CRC-32 of each array, and other files are named with their SHA-256 in a JSON file or
-in a file ``<name>.sha256`` beside them.
+Every file is written under a temporary name, synced and renamed. Files that a later stage reads are checked: JSON
+contains the SHA-256 of its own values, ``.npz`` archives the CRC-32 of each array, and the SHA-256 of other files is in
+a JSON file or in a file ``<name>.sha256`` next to them.
 """
 
 import errno
@@ -28,27 +28,27 @@ from sim.errors import DamagedError, InputError, WorkError, one_line
 
 log = logging.getLogger(__name__)
 PART = ".deepgps-part"
-"""End of the names of files and folders that are being written: ``<name>.<process>.deepgps-part``."""
+"""Suffix of files and folders that are being written: ``<name>.<process>.deepgps-part``."""
 CHECKSUM = "checksum"
 SUM = ".sha256"
 LINES = "# sha256 of the lines below: "
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 PROBE = 1 << 20
-"""Bytes by which a file is made to grow, at most, to find out whether the disk is full."""
+"""Bytes that are appended to a file at a time, at the least in all, to find out whether the disk is full."""
 
 
 def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> None:
-    """Let ``write`` make a file beside ``path``, sync it to disk and rename it to ``path``.
+    """Let ``write`` make a file next to ``path``, sync it to disk and rename it to ``path``.
 
     Args:
         path: The file.
-        write: Writes the file that it is given.
-        size: How many bytes it is going to write, where that is known.
+        write: Writes to the path that it is given.
+        size: Number of bytes that it will write, if known.
 
     Raises:
-        WorkError: The disk is full, and then it says how much is needed and how much is free; or it fails.
+        WorkError: The disk is full (the message says how much is needed and how much is free), or writing fails.
     """
-    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its own
+    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphaned process of a killed run may still write its own file
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(part)
@@ -72,14 +72,14 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
 
 
 def check_space(path: Path, needed: int) -> None:
-    """Raise WorkError where so many bytes [needed] cannot be written at ``path``, before anything is."""
+    """Raise WorkError if ``needed`` bytes cannot be written at ``path``, before anything is written."""
     place = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
     if shutil.disk_usage(place).free < needed:
         raise WorkError(describe_lack(path, needed, OSError(errno.ENOSPC, "")))
 
 
 def describe_lack(path: Path, needed: int, error: OSError) -> str:
-    """One line about a file for which there is no space: its path, the bytes needed and free, and why."""
+    """One-line message about a file without space: its path, the bytes needed and free, and the reason."""
     place = next(folder for folder in path.absolute().parents if folder.exists())
     free = shutil.disk_usage(place).free
     return (
@@ -89,7 +89,7 @@ def describe_lack(path: Path, needed: int, error: OSError) -> str:
 
 
 def write_size(size: int) -> str:
-    """A number of bytes with a unit."""
+    """Format a number of bytes with a unit."""
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size} bytes"
 
 
@@ -104,16 +104,16 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write a JSON file atomically, keys in the order given, and last the checksum of them all."""
+    """Write a JSON file atomically, with keys in the order given and a checksum of all values last."""
     sealed = {**value, CHECKSUM: _digest_json(value)}
     write_text(path, json.dumps(sealed, indent=1, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that ``write_json`` made; files of earlier versions have no checksum, and are taken as they are.
+    """Read a JSON file that ``write_json`` made; files of earlier versions have no checksum and are not checked.
 
     Raises:
-        DamagedError: The file is missing, is cut off or has changed.
+        DamagedError: The file is missing, truncated or changed.
     """
     try:
         value = json.loads(path.read_bytes())
@@ -140,15 +140,15 @@ def write_array(path: Path, array: np.ndarray) -> None:
 
 
 def write_blocks(path: Path, shape: tuple[int, ...], dtype: np.dtype, blocks: Iterable[np.ndarray]) -> None:
-    """Write one ``.npy`` file atomically, block after block: the same bytes as ``write_array`` of the whole.
+    """Write one ``.npy`` file atomically, block by block: the same bytes as ``write_array`` of the complete array.
 
-    Nothing is mapped to memory, for a full disk ends a process that writes to such memory.
+    The file is not memory-mapped, since a full disk kills a process that writes to mapped memory.
 
     Args:
         path: The file.
-        shape: Shape of the whole array.
-        dtype: Its type.
-        blocks: Its rows in order, some at a time.
+        shape: Shape of the complete array.
+        dtype: Its data type.
+        blocks: Its rows in order, in blocks.
     """
     size = math.prod(shape) * dtype.itemsize
 
@@ -177,33 +177,33 @@ def write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read all arrays of a file that ``write_arrays`` made, each compared with its checksum.
+    """Read all arrays of a file that ``write_arrays`` made and compare each with its checksum.
 
     Raises:
-        DamagedError: The file is missing, is cut off or has changed.
+        DamagedError: The file is missing, truncated or changed.
     """
     try:
         data = path.read_bytes()
         with ZipFile(BytesIO(data)) as archive:
             entries = archive.infolist()
-            # The last 22 bytes count the entries; zipfile itself does not miss one that has been lost.
+            # The last 22 bytes hold the number of entries; zipfile itself does not notice a missing entry.
             if len(entries) != int.from_bytes(data[-12:-10], "little"):
                 raise damaged(path, "an array is missing")
             if any(entry.compress_type != ZIP_STORED for entry in entries):
                 raise damaged(path, "its arrays are compressed")
-            # Reading an entry whole compares its CRC-32, before NumPy believes anything of it.
+            # Reading a complete entry compares its CRC-32 before NumPy parses it.
             stored = {entry.filename.removesuffix(".npy"): archive.read(entry) for entry in entries}
         return {name: np.load(BytesIO(array), allow_pickle=False) for name, array in stored.items()}
     except DamagedError:
         raise
     except FileNotFoundError:
         raise DamagedError(f"{path} is missing") from None
-    except Exception as error:  # zipfile, struct and NumPy raise a dozen kinds
+    except Exception as error:  # zipfile, struct and NumPy raise a dozen types
         raise damaged(path, one_line(error)) from None
 
 
 def damaged(path: Path, reason: str = "it differs from its checksum") -> DamagedError:
-    """The error for a file that was written whole and is not so any more."""
+    """Return the error for a finished file that is damaged."""
     return DamagedError(f"{path} is damaged: {reason[:200]}")
 
 
@@ -214,10 +214,10 @@ def sha256(path: Path) -> str:
 
 
 def check_sha256(path: Path, expected: str) -> None:
-    """Compare a file with its checksum, once in a process for as long as it does not change.
+    """Compare a file with its checksum, once per process as long as the file does not change.
 
     Raises:
-        DamagedError: It is missing, or differs.
+        DamagedError: The file is missing or differs.
     """
     try:
         now = path.stat()
@@ -228,12 +228,12 @@ def check_sha256(path: Path, expected: str) -> None:
 
 
 def write_lines(path: Path, text: str) -> None:
-    """Write a text file, such as YAML, beneath a comment that holds its checksum."""
+    """Write a text file, such as YAML, with its checksum in a comment in the first line."""
     write_text(path, f"{LINES}{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 
 
 def check_lines(path: Path) -> None:
-    """Compare a text file with the checksum in its first line, where there is one; raises DamagedError."""
+    """Compare a text file with the checksum in its first line, if there is one; raises DamagedError."""
     head, _, text = path.read_bytes().partition(b"\n")
     expected = head.decode(errors="replace").removeprefix(LINES)
     if head.startswith(b"#") and expected != hashlib.sha256(text).hexdigest():
@@ -241,24 +241,24 @@ def check_lines(path: Path) -> None:
 
 
 def write_sum(path: Path) -> None:
-    """Write the checksum of a file beside it, in the format of sha256sum."""
+    """Write the checksum of a file next to it, in the format of sha256sum."""
     write_text(path.with_name(path.name + SUM), f"{sha256(path)}  {path.name}\n")
 
 
 def drop_sum(path: Path) -> None:
-    """Forget the checksum of a file that is about to be written again."""
+    """Delete the checksum of a file that is about to be rewritten."""
     path.with_name(path.name + SUM).unlink(missing_ok=True)
 
 
 def check_sum(path: Path) -> None:
-    """Compare a file with the checksum beside it, where there are both; raises DamagedError."""
+    """Compare a file with the checksum next to it, if both exist; raises DamagedError."""
     beside = path.with_name(path.name + SUM)
     if beside.is_file() and path.is_file():
         check_sha256(path, beside.read_text(errors="replace").partition(" ")[0])
 
 
 def is_intact(path: Path) -> bool:
-    """Whether a file is there, and as its checksum beside it says; says so of one that has to be made again."""
+    """Whether a file exists and matches the checksum next to it; logs a warning if it does not match."""
     try:
         check_sum(path)
     except DamagedError as error:
@@ -268,7 +268,7 @@ def is_intact(path: Path) -> bool:
 
 
 def link_file(source: Path, target: Path) -> None:
-    """Make a file the same as another: a hard link, or a copy where there can be none."""
+    """Make a file the same as another: a hard link, or a copy where links are impossible."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)
@@ -279,9 +279,9 @@ def link_file(source: Path, target: Path) -> None:
 
 
 def remove_files(folder: Path, ours: re.Pattern[str]) -> None:
-    """Remove the files and links below a folder whose paths in it match, half-written ones too; and folders so emptied.
+    """Remove files and links below a folder whose paths in it match, also half-written ones, and the emptied folders.
 
-    Everything else stays, and so do the folders that hold it. LoopClosures are removed, never followed.
+    All other files stay, and so do their folders. Symbolic links are removed, never followed.
     """
     for path in list_files(folder, ours):
         path.unlink(missing_ok=True)
@@ -290,7 +290,7 @@ def remove_files(folder: Path, ours: re.Pattern[str]) -> None:
 
 
 def remove_empty(folder: Path, top: Path) -> None:
-    """Remove a folder and those above it up to ``top``, which stays, as far as they are empty."""
+    """Remove a folder and its parents below ``top``, as long as they are empty."""
     while folder != top:
         try:
             folder.rmdir()
@@ -300,14 +300,14 @@ def remove_empty(folder: Path, top: Path) -> None:
 
 
 def sweep(folder: Path, ours: re.Pattern[str]) -> None:
-    """Remove what a killed process left half-written of files below a folder whose paths in it match."""
+    """Remove the half-written files that a killed process left below a folder, if their paths in it match."""
     for path in list_files(folder, ours, parts_only=True):
         path.unlink(missing_ok=True)
         remove_empty(path.parent, folder)
 
 
 def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) -> list[Path]:
-    """Files and links below a folder whose paths in it match, or that are half-written ones of such a name."""
+    """Files and links below a folder whose paths in it match, including half-written ones."""
     found = []
     for place, folders, names in os.walk(folder):
         here = Path(place)
@@ -321,7 +321,7 @@ def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) ->
 
 
 def check_overwrite(path: Path, is_ours: Callable[[bytes], bool]) -> None:
-    """Raise InputError where a file could not be written without losing one that somebody else made."""
+    """Raise InputError if writing a file would overwrite one that deepgps did not write."""
     if path.is_symlink() or (path.exists() and not (path.is_file() and is_ours(path.read_bytes()))):
         raise InputError(f"{path} exists, and deepgps did not write it: choose another name, or move it away")
 
@@ -339,16 +339,16 @@ def _digest_json(value: Mapping[str, Any]) -> str:
 
 
 def _reserve(file: IO[bytes], size: int) -> None:
-    """Claim the space of a file that is being written, so that a full disk is found at once."""
+    """Reserve the space of a file that is being written, so that a full disk is detected at once."""
     try:
         os.posix_fallocate(file.fileno(), 0, size)
-    except (OSError, AttributeError) as error:  # a file system or a platform that cannot: writing finds out
+    except (OSError, AttributeError) as error:  # not supported by the file system or platform: writing will find out
         if isinstance(error, OSError) and error.errno in NO_SPACE:
             raise
 
 
 def _find_lack(part: Path, error: Exception, size: int) -> OSError | None:
-    """The error of a full disk, if that is why writing failed: many libraries raise one of their own instead."""
+    """The error of a full disk, if that is why writing failed: many libraries raise their own error instead."""
     if isinstance(error, OSError) and error.errno:
         return error if error.errno in NO_SPACE else None
     try:

@@ -19,7 +19,7 @@ class FreeSpace:
     Attributes:
         origin: World position of the middle of cell ``[0, 0]`` (2,) [m].
         cell_m: Side of a cell [m].
-        free: (rows, columns) bool; rows run along y, columns along x. True where the robot's middle may be.
+        free: (rows, columns) bool, rows along y, columns along x: True where the robot's centre may be.
         reachable: The part of ``free`` that is connected to the start.
         start: Where the robot starts (2,) [m].
         shorter_side_m: Shorter side of the bounding box of the enclosed free space, wall to wall [m].
@@ -33,7 +33,7 @@ class FreeSpace:
     shorter_side_m: float
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
-        """Whether the robot fits with its middle at ``points`` (..., 2) [m]."""
+        """Whether the robot fits with its centre at ``points`` (..., 2) [m]."""
         return self._look_up(self.free, points)
 
     def is_reachable(self, points: np.ndarray) -> np.ndarray:
@@ -79,7 +79,7 @@ def load_free_space(path: Path) -> FreeSpace:
 
 
 def limits(space: FreeSpace, margin_m: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
-    """South-west and north-east corner (2,) [m] of the reachable area with a margin around it."""
+    """South-west and north-east corners (2,) [m] of the reachable area plus a margin."""
     row, column = np.nonzero(space.reachable)
     corner = np.array([[column.min(), row.min()], [column.max(), row.max()]])
     low, high = space.origin + corner * space.cell_m

@@ -1,4 +1,4 @@
-"""Where the assets lie: inside the package when installed from a wheel, beside it in a checkout."""
+"""Locations of the assets: inside the package when installed from a wheel, next to it in a checkout."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Worker processes: how many, out of reach of Ctrl-C, and none that outlives the process that started it."""
+"""Worker processes: their number, protection from Ctrl-C, and their end with the process that started them."""
 
 import ctypes
 import os
@@ -16,25 +16,25 @@ from typing import Any
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """The signals that end a command."""
 OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
-"""Those that a terminal sends to every process of a command, where only the first one is to answer."""
+"""Signals that a terminal sends to every process of a command, although only the first should react."""
 
 
 class Worker(SpawnProcess):
-    """A process that ignores the signals of a terminal from its first instruction on."""
+    """A process that ignores the terminal's signals from its first instruction on."""
 
     def start(self) -> None:
         _start_tracker()
-        with uninterrupted(), _blocked(OF_A_TERMINAL):  # a worker that was started by half would end with a traceback
+        with uninterrupted(), _blocked(OF_A_TERMINAL):  # a half-started worker would end with a traceback
             super().start()
 
 
 class Workers(SpawnContext):
-    """The context of multiprocessing that starts such processes."""
+    """A multiprocessing context that starts processes of type ``Worker``."""
 
     Process = Worker
 
     def get_context(self, method: str | None = None) -> Any:
-        """This context, as every lock and queue asks for it before it is made."""
+        """Return this context, with the resource tracker started; every new lock and queue calls this first."""
         _start_tracker()
         return super().get_context(method)
 
@@ -44,23 +44,23 @@ _PR_SET_PDEATHSIG = 1  # sys/prctl.h
 
 
 def usable_cores() -> int:
-    """Cores that this process may use: of a machine's many, a container or a batch system may give it a few."""
+    """Number of cores that this process may use; containers and batch systems may restrict it to a few."""
     return len(os.sched_getaffinity(0))
 
 
 def end_with_parent() -> None:
-    """In a worker of multiprocessing: end it when its parent is gone, also where it is stopped or hangs."""
+    """End this multiprocessing worker when its parent is gone, even if the worker is stopped or hangs."""
     parent = parent_process()
     if parent is not None:
         end_with(parent.pid or 0)
-        threading.Thread(target=_wait_and_end, daemon=True).start()  # where there is no such call
+        threading.Thread(target=_wait_and_end, daemon=True).start()  # for platforms without that call
 
 
 def end_with(parent: int) -> None:
-    """Let Linux kill this process when the thread that started it ends, even if this one is stopped then.
+    """Let Linux kill this process when the thread that started it ends, even if this process is stopped then.
 
     Args:
-        parent: Number of the process that started this one; if it is gone already, so is this one.
+        parent: PID of the process that started this one; if that one has already ended, this one exits.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
@@ -69,14 +69,14 @@ def end_with(parent: int) -> None:
 
 
 def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> subprocess.Popen[bytes]:
-    """Start Python on a line of code in a process that ends with this one and ignores the signals of a terminal.
+    """Run a line of Python code in a process that ends with this one and ignores the terminal's signals.
 
-    A process of multiprocessing imports the main module first, and until then it may outlive its parent.
+    A multiprocessing process first imports the main module, and until then it may outlive its parent.
 
     Args:
-        code: What it runs.
-        words: What it finds in ``sys.argv[1:]``.
-        handles: Open files that it gets.
+        code: The code to run.
+        words: Values of ``sys.argv[1:]``.
+        handles: File descriptors that it inherits.
     """
     first = (
         "import sys; n = int(sys.argv.pop(1)); sys.path[:] = sys.argv[1:1 + n]; del sys.argv[1:1 + n]; "
@@ -89,8 +89,8 @@ def start_process(code: str, words: Sequence[str], handles: Sequence[int]) -> su
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Let signals that end a command wait until this is left."""
-    if threading.current_thread() is not threading.main_thread():  # which no handler interrupts
+    """Defer signals that end a command until the context exits."""
+    if threading.current_thread() is not threading.main_thread():  # handlers interrupt only the main thread
         yield
         return
     came: list[int] = []
@@ -105,14 +105,14 @@ def uninterrupted() -> Iterator[None]:
 
 
 def _start_tracker() -> None:
-    """Start the process that multiprocessing has beside a command: it ignores all signals of a terminal but SIGHUP."""
+    """Start multiprocessing's resource tracker, which by itself ignores all of a terminal's signals except SIGHUP."""
     with uninterrupted(), _blocked((signal.SIGHUP,)):
         ensure_running()
 
 
 @contextmanager
 def _blocked(signals: Iterable[signal.Signals]) -> Iterator[None]:
-    """Block signals in this thread, and for good in the processes that it starts meanwhile."""
+    """Block signals in this thread, and permanently in the processes that it starts meanwhile."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield

@@ -1,4 +1,4 @@
-"""What was called otherwise before schema 2: one table, by which runs and tables made then are still opened."""
+"""Names that changed with schema 2: one table, which lets older runs and tables still be opened."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -22,7 +22,7 @@ SETTINGS: dict[str, str | None] = {
         ]
     ),
 }
-"""Settings by their dotted names, groups too; None: a constant now."""
+"""Old to new dotted names of settings and groups; None: now a constant."""
 METHODS = {
     "deepgps_aware": "deepgps_noise_aware",
     "deepgps_turns": "deepgps_with_turns",
@@ -30,11 +30,11 @@ METHODS = {
 }
 WORLDS = {"lidar": "obstacles"}
 COLUMNS = {"fold_bent": "length_error_fraction", "fold_doubled": "overlap_fraction"}
-"""Columns of a study's table that are no settings."""
+"""Columns of a study's table that are not settings."""
 
 
 def name_now(dotted: str) -> str | None:
-    """What a setting is called now; None: it is a constant. A name that was never changed stays."""
+    """Return the current name of a setting; None if it is now a constant. Unchanged names are returned as they are."""
     head, tail = dotted, ""
     while head not in SETTINGS:
         head, _, last = head.rpartition(".")
@@ -46,7 +46,7 @@ def name_now(dotted: str) -> str | None:
 
 
 def explain_setting(dotted: str) -> str | None:
-    """What became of a setting that has been renamed, for a message; None where nothing did."""
+    """Explain in a message what became of a renamed setting; None if it was not renamed."""
     if (now := name_now(dotted)) == dotted:
         return None
     inner = [f"{old} is {new}" for old, new in SETTINGS.items() if old.startswith(f"{dotted}.") and new]
@@ -54,7 +54,7 @@ def explain_setting(dotted: str) -> str | None:
 
 
 def explain_value(dotted: str, value: object) -> str | None:
-    """The same of a value: of a method's or a world's name."""
+    """Explain in a message what became of a method's or a world's name; None if it was not renamed."""
     table = METHODS if dotted.startswith("methods") else WORLDS if dotted == "world" else {}
     return f"it is called {table[value]} now" if isinstance(value, str) and value in table else None
 
@@ -65,7 +65,7 @@ def name_methods(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def translate(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested settings of a run made before, by their names of today."""
+    """Translate an older run's nested settings to current names."""
     made: dict[str, Any] = {}
     for dotted, value in _leaves(values):
         if (now := name_now(dotted)) is None:
@@ -83,7 +83,7 @@ def translate(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of a study's table made before, by the names of today."""
+    """Translate a row of an older study's table to current names."""
     made = {COLUMNS.get(name) or name_now(name) or name: value for name, value in row.items()}
     if isinstance(made.get("method"), str):
         made["method"] = METHODS.get(made["method"], made["method"])
@@ -91,7 +91,7 @@ def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def translate_study(values: Mapping[str, Any]) -> dict[str, Any]:
-    """A study made before, by the names of today: settings that vary, and methods."""
+    """Translate an older study to current names: the settings that it varies, and its methods."""
     made = dict(values)
     for name in ("set", "axes"):
         if isinstance(values.get(name), Mapping):

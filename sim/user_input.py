@@ -1,4 +1,4 @@
-"""What a user hands over: files that are opened only if they are plain and small enough, values quoted briefly."""
+"""Input from users: files are opened only if they are regular and small enough, values are quoted briefly."""
 
 import os
 import reprlib
@@ -13,33 +13,33 @@ _BRIEF.maxlevel, _BRIEF.maxdict, _BRIEF.maxstring, _BRIEF.maxother = 3, 6, 80, 8
 
 
 def quote(value: Any, most: int = 80) -> str:
-    """A value as Python would write it, in at most ``most`` characters, whatever its size."""
+    """The ``repr`` of a value of any size, in at most ``most`` characters."""
     try:
         return shorten(_BRIEF.repr(value), most)
-    except ValueError:  # Python refuses to write an integer of many thousand digits
+    except ValueError:  # Python refuses to format an integer of many thousand digits
         return f"a very long {type(value).__name__}"
 
 
 def shorten(text: str, most: int = 80) -> str:
-    """A text in one line of at most ``most`` printable characters; its middle is left out where it is longer."""
+    """A text in one line of at most ``most`` printable characters; the middle of a longer text is left out."""
     half = (most - 3) // 2
     short = text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
     return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in short)
 
 
 def read_file(path: Path, largest: int, what: str) -> bytes:
-    """Read a plain file without waiting for a pipe or reading a device.
+    """Read a regular file without waiting for a pipe or reading a device.
 
     Args:
         path: The file.
-        largest: Bytes that it may have.
-        what: What the message calls it.
+        largest: Largest allowed size in bytes.
+        what: Name of the file in messages.
 
     Raises:
-        InputError: It does not exist, is a folder, a pipe or a device, is too large or may not be read.
+        InputError: The path does not exist, is a folder, a pipe or a device, or the file is too large or unreadable.
     """
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # opening a pipe waits otherwise
+        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # otherwise opening a pipe blocks
     except FileNotFoundError:
         raise InputError(f"{what}: no such file") from None
     except (OSError, ValueError) as error:

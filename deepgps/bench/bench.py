@@ -1,4 +1,4 @@
-"""The bench: what is promised about speed, latency, memory and steadiness, measured anew beside the naive ways."""
+"""The bench: the promises about speed, latency, memory and steadiness, measured again and against naive baselines."""
 
 import os
 import subprocess
@@ -33,7 +33,7 @@ DrawPoses = Callable[[SimSettings, np.ndarray], tuple[np.ndarray, float]]
 MeasureRendering = Callable[[SimSettings, np.ndarray, int], dict[str, float]]
 
 
-DRAWN = 8  # poses by which ways of drawing are compared, at most
+DRAWN = 8  # maximum number of poses for comparing renderers
 
 
 @dataclass(frozen=True)
@@ -41,15 +41,15 @@ class Size:
     """How much is measured.
 
     Attributes:
-        scenario: What the demo runs.
+        scenario: The scenario of the demo.
         quick: The scenario of the quick schedule, on the demo's recording.
         settings: Settings by dotted name, for both.
-        places: Where predictions are compared over headings.
-        headings: How many.
-        repeats: How often what is timed is repeated; medians count.
-        long: Observations of the long recording.
-        steps: Of each training on it.
-        paper_steps: Of the paper's recipe.
+        places: Number of places at which predictions are compared over headings.
+        headings: Number of headings at each place.
+        repeats: Number of repetitions of timed work; medians count.
+        long: Number of observations in the long recording.
+        steps: Number of steps of each training on it.
+        paper_steps: Number of steps of the paper's recipe.
     """
 
     scenario: str
@@ -76,7 +76,7 @@ TINY = Size("tiny", "tiny", TINY_SETTINGS, places=3, headings=4, repeats=2, long
 
 
 def choose_size(tiny: bool, memory_samples: int | None) -> Size:
-    """The size asked for; raises InputError where the long recording would be shorter than the demo's."""
+    """The size asked for; raises InputError if the long recording would be shorter than the demo's."""
     size = TINY if tiny else FULL
     if memory_samples is None:
         return size
@@ -89,21 +89,21 @@ def choose_size(tiny: bool, memory_samples: int | None) -> Size:
 def run_bench(
     size: Size, out: Path, keep: bool, draw_poses: DrawPoses, measure_rendering: MeasureRendering, progress: Report
 ) -> list[Row]:
-    """Measure everything and write it.
+    """Measure everything and write the results.
 
     Args:
-        size: How much.
+        size: How much is measured.
         out: The file to write.
-        keep: Whether rows have verdicts and a copy is kept, for later benches to be compared with.
+        keep: Whether rows get verdicts and a copy is kept for comparison with later benches.
         draw_poses, measure_rendering: As for ``measure``.
-        progress: Told how far it is.
+        progress: Called with the steps done and their number.
     """
-    started, load = time.strftime("%Y-%m-%dT%H%M"), os.getloadavg()[0]  # before its own
+    started, load = time.strftime("%Y-%m-%dT%H%M"), os.getloadavg()[0]  # before the bench adds its own load
     KEPT.mkdir(parents=True, exist_ok=True)
     begun = time.perf_counter()
-    with tempfile.TemporaryDirectory(dir=KEPT, prefix="work-") as work:  # not in /tmp, which may lie in memory
+    with tempfile.TemporaryDirectory(dir=KEPT, prefix="work-") as work:  # not in /tmp, which may be in memory
         rows, environment = measure(size, Path(work), draw_poses, measure_rendering, progress)
-    if not keep:  # so small a bench meets no target and misses none
+    if not keep:  # targets do not apply to so small a bench
         rows = [replace(row, target=None) for row in rows]
     head = {"date": started, "took_s": round(time.perf_counter() - begun, 1), "load": load, **environment}
     write_bench(out, rows, head)
@@ -118,14 +118,14 @@ def measure(
     """Measure everything.
 
     Args:
-        size: How much.
+        size: How much is measured.
         folder: An empty folder to work in.
-        draw_poses: What the robot sees at poses (n, 3), and images a second.
-        measure_rendering: Seconds of an observation by each way of drawing it.
-        progress: Told how far it is.
+        draw_poses: Returns the images at poses (n, 3), and the number of images per second.
+        measure_rendering: Returns the seconds per observation for each renderer.
+        progress: Called with the steps done and their number.
 
     Returns:
-        The rows, and what they were measured with.
+        The rows, and the environment in which they were measured.
     """
     scenario = load_scenario(size.scenario, size.settings)
     demo = folder / "demo"
@@ -149,7 +149,7 @@ def measure(
 
 
 def measure_demo(size: Size, folder: Path) -> list[Row]:
-    """The whole demo as a user starts it, its training, and the collecting of its samples without the test grid."""
+    """Time the complete demo as a user starts it, its training, and collecting its samples without the test grid."""
     scenario = load_scenario(size.scenario, size.settings)
     words = [word for name, value in size.settings.items() for word in (f"--{name}", str(value))]
     command = [sys.executable, "-m", "deepgps.cli", "run", size.scenario, "--out", str(folder / "demo"), *words]
@@ -175,7 +175,7 @@ def measure_demo(size: Size, folder: Path) -> list[Row]:
 
 
 def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> list[Row]:
-    """The quick schedule on the demo's recording: its time with everything, and its error."""
+    """Measure the total time and the error of the quick schedule on the demo's recording."""
     scenario = load_scenario(size.quick, size.settings).model_copy(update={"methods": ("deepgps",)})
     folder.mkdir()
     (folder / "recording").symlink_to((demo / "recording").resolve())
@@ -194,7 +194,7 @@ def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> lis
 def measure_pictures(
     scenario: Scenario, size: Size, demo: Path, draw_poses: DrawPoses, measure_rendering: MeasureRendering
 ) -> list[Row]:
-    """Drawing, and how steady predictions are over really drawn headings."""
+    """Measure rendering, and how steady predictions are over headings that are really rendered."""
     cell = read_arrays(demo / "error_field.npz")["truth"]
     place = cell[np.linspace(0, len(cell) - 1, size.places).round().astype(int)]
     yaw = np.arange(size.headings) * 2.0 * np.pi / size.headings
@@ -203,7 +203,7 @@ def measure_pictures(
     images = images.reshape(len(place), size.headings, *images.shape[1:])
     seen = f"{size.headings} headings at {len(place)} places; naive: PoseNet"
     ours, rival = (measure_spread(load_positioner(demo / name), images) for name in ("deepgps", "posenet"))
-    some = poses[:: size.headings][:: -(-len(place) // DRAWN)]  # the slowest way takes half a second for each
+    some = poses[:: size.headings][:: -(-len(place) // DRAWN)]  # the slowest renderer takes half a second for each
     seconds = measure_rendering(scenario.sim, some, min(size.repeats, 5))
     faster, plain = seconds["faces"] / seconds["fisheye"], seconds["plain"] / seconds["fisheye"]
     drawn = f"{seconds['geoms']:.0f} geoms; {1e3 * seconds['fisheye']:.2f} ms against {1e3 * seconds['faces']:.2f} ms"
@@ -219,7 +219,7 @@ def measure_pictures(
 
 
 def measure_positions(demo: Path, size: Size) -> list[Row]:
-    """Time of positions on the demo's images."""
+    """Time positioning on the demo's images."""
     positioner = load_positioner(demo / "deepgps")
     if not isinstance(positioner, NetworkPositioner):
         raise WorkError(f"{demo / 'deepgps'} holds no network")

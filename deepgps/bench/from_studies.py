@@ -1,4 +1,4 @@
-"""Rows of a bench that take hours, over rooms and seeds: read from the tables of the last studies."""
+"""Bench rows that take hours to measure, over rooms and seeds: they are read from the tables of the last studies."""
 
 import subprocess
 import time
@@ -17,7 +17,7 @@ COMMITTED = Path(__file__).parents[2] / "docs" / "results"
 
 
 def read_studies() -> list[Row]:
-    """Rows of the studies' figures that have a target; figures of studies that were not made yet are missing."""
+    """Rows of the studies' figures that have a target; a figure of a study without a table has no value."""
     return [row for name in STUDIES for row in _read_study(name)]
 
 
@@ -48,7 +48,7 @@ def _tables(name: str) -> list[Path]:
 
 
 def _origin(table: Path, runs: list[str]) -> str:
-    """Date and commit of a table: those of its runs, or, of a committed copy, its own."""
+    """Date and commit of a table: with its runs, the table's date and their commit; else its own commit."""
     made_by = next((path for run in runs if (path := table.parent / "runs" / run / "metrics.json").is_file()), None)
     if made_by is not None:
         date = time.strftime("%Y-%m-%d", time.localtime(table.stat().st_mtime))

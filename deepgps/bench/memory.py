@@ -1,4 +1,4 @@
-"""What a long recording costs in memory and time: one drive, repeated on disk as often as it takes."""
+"""Memory and time that a long recording costs; the recording is one drive, repeated on disk as often as needed."""
 
 import shutil
 import time
@@ -19,7 +19,7 @@ from sim.recording.format import Recording, grid_file, observation_file, open_re
 from sim.recording.manifest import SCHEMA
 
 LOOK_EVERY_S = 0.01
-SPARE_BYTES = 2_000_000_000  # of the disk: features and weights, and not to fill it
+SPARE_BYTES = 2_000_000_000  # disk space for features and weights, and so that the disk does not fill up
 
 
 @dataclass(frozen=True)
@@ -28,8 +28,8 @@ class Training:
 
     Attributes:
         recording: Folder of the recording.
-        folder: Where it is trained; features made there are used again.
-        settings: How.
+        folder: Folder of the training; features made there are reused.
+        settings: Settings of the training.
     """
 
     recording: Path
@@ -40,14 +40,14 @@ class Training:
 def measure_memory(
     source: Path, settings: LearnSettings, samples: int, steps: int, repeats: int, folder: Path
 ) -> list[Row]:
-    """Peak of anonymous memory and time of a step with a long recording, beside those with the recording itself.
+    """Compare peak anonymous memory and the time of a step between a long recording and the recording itself.
 
     Args:
         source: A recording.
-        settings: How it is learned.
-        samples: Observations of the long one; fewer where the disk has no room.
-        steps: Of each training.
-        repeats: How often both are trained for the time of a step; medians count.
+        settings: Settings of learning.
+        samples: Observations of the long recording; fewer if the disk has no room.
+        steps: Number of steps of each training.
+        repeats: Number of trainings on each recording to time a step; medians count.
         folder: An empty folder, where the long recording is made.
     """
     recording = open_recording(source)
@@ -79,9 +79,9 @@ def measure_memory(
 
 
 def repeat_recording(source: Recording, count: int, folder: Path) -> None:
-    """Write a recording of ``count`` observations: the drive again and again, each time as new segments.
+    """Write a recording of ``count`` observations: the drive repeated, each time as new segments.
 
-    It has what training reads, and neither a test grid nor truth.
+    The recording has what training reads, but an empty test grid and no truth.
     """
     folder.mkdir(parents=True)
     images = source.observation
@@ -89,7 +89,7 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     copies = -(-count // length)
     observations = folder / observation_file(source.manifest.sensor)
     observations.parent.mkdir()
-    with observations.open("wb") as file:  # without a sync: it is thrown away
+    with observations.open("wb") as file:  # without a sync: the file is temporary
         head = {"descr": images.dtype.str, "fortran_order": False, "shape": (count, *images.shape[1:])}
         np.lib.format.write_array_header_1_0(file, head)
         for number in range(copies):
@@ -104,11 +104,11 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     write_array(folder / "time.npy", time_s[kept])
     write_array(folder / grid_file(source.manifest.sensor), np.zeros((0, 1, *images.shape[1:]), images.dtype))
     manifest = source.manifest.model_dump(mode="json", exclude={"sha256", "number"})
-    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA})  # nobody keeps it
+    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA})  # without checksums: it is temporary
 
 
 def measure_peak(training: Training) -> int:
-    """The most anonymous memory [bytes] that a process of its own needs for a training."""
+    """Peak anonymous memory [bytes] of a training in a separate process."""
     process = WORKERS.Process(target=train_once, args=(training,))
     process.start()
     most = 0
@@ -121,7 +121,7 @@ def measure_peak(training: Training) -> int:
 
 
 def train_once(training: Training) -> None:
-    """Train in the way of the method, from the recording on."""
+    """Train DeepGPS from the recording, exactly as a run does."""
     fit_method("deepgps", open_recording(training.recording), training.settings, 0, training.folder / "deepgps", ignore)
 
 
@@ -135,7 +135,7 @@ def read_anonymous(process: int | None) -> int:
 
 
 def _time_step(training: Training) -> float:
-    # From a random start: a step costs the same, and no initial map is made for it.
+    # A random start: a step costs the same, and no initial map is needed.
     folder = training.folder / "deepgps"
     shutil.rmtree(folder, ignore_errors=True)
     random = training.settings.model_copy(update={"start": "random"})

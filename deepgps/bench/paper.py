@@ -1,4 +1,4 @@
-"""The paper's own recipe beside ours: how long it would take here, and where it stands after about the same time."""
+"""The paper's own recipe against ours: how long it would take here, and its error after about the same time."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from sim.files import read_json
 from sim.recording.format import open_recording
 
 EVERY = 4
-"""Of the test positions and training samples, which a ResNet on a processor takes minutes for, one in so many."""
+"""One in this many test positions and training samples is evaluated, since a ResNet on a CPU takes minutes for all."""
 
 
 def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, progress: Report) -> list[Row]:
@@ -20,9 +20,9 @@ def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, prog
     Args:
         scenario: The recipe.
         demo: The demo's run folder.
-        steps: How many; its schedule is shortened to them.
-        folder: Where it is trained.
-        progress: Told how far it is.
+        steps: Number of steps, to which the schedule is shortened.
+        folder: Folder of the training.
+        progress: Called with the steps done and their number.
     """
     train = scenario.learn.train.model_copy(update={"steps": steps, "snapshots": 2, "device": "cpu"})
     settings = scenario.learn.model_copy(update={"train": train})

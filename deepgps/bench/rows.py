@@ -1,4 +1,4 @@
-"""The rows of a bench: a figure beside its target and the naive way's, as a table and as a file."""
+"""The rows of a bench: each a figure with its target and that of a naive baseline, as a table and as a file."""
 
 import json
 import math
@@ -23,14 +23,14 @@ class Row:
     """One figure.
 
     Attributes:
-        name: What it is called in files.
-        title: What it is, in words.
-        value: What was measured; none: nothing was.
-        unit: Of value, target and naive.
-        target: What it shall be; none: it is only shown.
-        at_least: Whether the target is the least it shall be, not the most.
-        naive: The same figure of the naive way, measured in the same bench.
-        note: What the naive way is, or how it was measured.
+        name: Name of the figure in files.
+        title: What the figure measures, in words.
+        value: The measured value; none: not measured.
+        unit: Unit of value, target and naive.
+        target: The required value; none: the figure is only shown.
+        at_least: Whether the target is a minimum rather than a maximum.
+        naive: The same figure for the naive baseline, measured in the same bench.
+        note: What the naive baseline is, or how the figure was measured.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """Whether the target is met."""
+        """The verdict on the target: met, missed, not measured yet, or empty without a target."""
         if self.value is None:
             return "not measured yet"
         if self.target is None:
@@ -54,7 +54,7 @@ class Row:
 
 
 def tabulate(rows: Sequence[Row], before: dict[str, float | None] | None = None) -> Table:
-    """A table for the terminal, with the figures of an earlier bench by name where there is one."""
+    """A table for the terminal, with the figures of an earlier bench by name if there is one."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("figure")
     for heading in ("measured", "target", "verdict", "naive way", *(["before"] if before is not None else [])):
@@ -70,7 +70,7 @@ def tabulate(rows: Sequence[Row], before: dict[str, float | None] | None = None)
 
 
 def list_notes(rows: Sequence[Row]) -> list[str]:
-    """What stands behind the figures, a line for each row that says something, those that say the same joined."""
+    """The notes on the figures, a line for each different note, after the titles of the rows that share it."""
     titles: dict[str, list[str]] = {}
     for row in rows:
         titles.setdefault(row.note, []).append(row.title)
@@ -86,12 +86,12 @@ def write_value(value: float | None, unit: str) -> str:
 
 
 def write_bench(path: Path, rows: Sequence[Row], head: dict[str, Any]) -> None:
-    """Write a bench: what it was made with, and its rows with their verdicts."""
+    """Write a bench: ``head``, which describes how it was made, and its rows with their verdicts."""
     write_json(path, {"schema": SCHEMA, **head, "rows": [{**asdict(row), "verdict": row.verdict} for row in rows]})
 
 
 def read_bench(path: Path) -> dict[str, float | None]:
-    """Figures of a bench by name; raises InputError where the file is missing or no bench."""
+    """Figures of a bench by name; raises InputError if the file is missing or no bench."""
     if not path.is_file():
         raise InputError(f"bench {path}: no such file")
     if not is_bench(path.read_bytes()):
@@ -103,7 +103,7 @@ def read_bench(path: Path) -> dict[str, float | None]:
 
 
 def is_bench(data: bytes) -> bool:
-    """Whether these are the contents of a bench."""
+    """Whether these are the contents of a bench file."""
     try:
         bench = json.loads(data)
         return "schema" in bench and all({"name", "value"} <= set(row) for row in bench["rows"])
@@ -112,7 +112,7 @@ def is_bench(data: bytes) -> bool:
 
 
 def find_before(against: str | None) -> dict[str, float | None] | None:
-    """Figures to compare with: of the last bench that was kept, or of a file; raises InputError where there is none."""
+    """Figures to compare with, of the last bench that was kept or of a file; raises InputError if there is none."""
     if against is None:
         return None
     if against != "last":

@@ -1,4 +1,4 @@
-"""How fast positions come from raw images, and how little they move when the robot turns."""
+"""Speed of positioning from raw images, and how little positions move when the robot turns."""
 
 import time
 from collections.abc import Callable
@@ -14,12 +14,12 @@ BATCH = 500
 
 
 def measure_speed(positioner: NetworkPositioner, images: np.ndarray, repeats: int) -> list[Row]:
-    """Time of one position and positions a second, on one core, interleaved with the naive way.
+    """Measure the time of one position and positions per second, on one core, alternating with the naive version.
 
     Args:
         positioner: A trained spectral network.
-        images: Raw polar images (n, rings, sectors, 3) uint8; all of them make up the batches.
-        repeats: How often batches are timed; single images are timed forty times as often.
+        images: Raw polar images (n, rings, sectors, 3) uint8; all of them are positioned at once to measure the rate.
+        repeats: Number of timings of all images; single images are timed forty times as often.
     """
     ways = {"ours": positioner, "naive": lambda images: locate_naively(positioner, images)}
     with use_threads(1):
@@ -44,7 +44,7 @@ def measure_speed(positioner: NetworkPositioner, images: np.ndarray, repeats: in
 
 
 def locate_naively(positioner: NetworkPositioner, images: np.ndarray) -> np.ndarray:
-    """Positions (n, 2) [m] of images (n, ...) by the formulas as they are written: nothing is shared or left out."""
+    """Positions (n, 2) [m] of images (n, ...) by the formulas as written, without optimisation."""
     features = positioner.features
     assert features is not None
     found = [np.zeros((0, 2))]
@@ -60,11 +60,11 @@ def locate_naively(positioner: NetworkPositioner, images: np.ndarray) -> np.ndar
 
 
 def measure_spread(positioner: Positioner, images: np.ndarray) -> tuple[float, float]:
-    """How far predictions at one place lie from their mean: RMS and the largest, over places and headings [m].
+    """Distance of predictions at one place from their mean: RMS and maximum over places and headings [m].
 
     Args:
-        positioner: What is measured.
-        images: What is seen at each place and heading (P, H, ...).
+        positioner: The positioner to measure.
+        images: Images at each place and heading (P, H, ...).
     """
     places, headings = images.shape[:2]
     found = positioner(images.reshape(places * headings, *images.shape[2:])).reshape(places, headings, 2)

@@ -1,4 +1,4 @@
-"""What every command does at its edges: signals, output streams, terminal, and the line that explains a failure.
+"""What all commands share: signals, output streams, the terminal, and the line that explains a failure.
 
-Nothing here knows what a command computes.
+Nothing here depends on what a command computes.
 """

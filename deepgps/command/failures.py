@@ -1,4 +1,4 @@
-"""What a command says, in one line, of an exception that ends it, and its exit code."""
+"""The one line in which a command explains the exception that ends it, and its exit code."""
 
 import errno
 import os
@@ -15,13 +15,13 @@ from pathlib import Path
 from deepgps.command.signals import describe_signal, is_interrupt
 from sim.errors import InputError, WorkError, one_line
 
-FULL = (errno.ENOSPC, errno.EDQUOT, None)  # none: numpy tells how many bytes were written, and not why
+FULL = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why
 FAULT = "deepgps-fault-"
-"""How the name of a file with a traceback begins."""
+"""Prefix of the names of files with a traceback."""
 
 
 class Fault(Exception):
-    """What went wrong while a command worked in a folder is the cause of this exception.
+    """Wraps, as its cause, an unexpected exception that was raised while a command worked in a folder.
 
     Attributes:
         folder: The folder.
@@ -34,7 +34,7 @@ class Fault(Exception):
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """Raise ``Fault`` for every exception but InputError and WorkError, so that what is said of it names the folder."""
+    """Raise ``Fault`` for every exception but InputError and WorkError, so that its explanation can name the folder."""
     try:
         yield
     except (InputError, WorkError, Fault):
@@ -44,15 +44,15 @@ def working_in(folder: Path) -> Iterator[None]:
 
 
 def explain(error: BaseException, words: Sequence[str], number: int | None = None) -> tuple[int, str, str]:
-    """What is said of the exception that ends a command.
+    """Explain the exception that ends a command.
 
     Args:
         error: The exception.
         words: The command line.
-        number: The signal that came, if any: then all else follows from it, as what a package makes of the exception.
+        number: The signal that was received, if any; any exception is then a consequence of it.
 
     Returns:
-        The exit code; the kind of the line, and its text.
+        The exit code, the kind of the line, and its text.
     """
     folder = None
     if isinstance(error, Fault) and error.__cause__:
@@ -66,17 +66,17 @@ def explain(error: BaseException, words: Sequence[str], number: int | None = Non
 
 
 def write_fault(error: BaseException, words: Sequence[str], folder: Path | None) -> Path | None:
-    """Write a new file with what is needed to find a fault, in the folder or else among the system's temporary files.
+    """Write a new file with what is needed to find a fault, in the folder or else in the system's temporary folder.
 
     Returns:
-        The file; none: it could be written nowhere.
+        The file; None if it could not be written anywhere.
     """
     told = "".join(traceback.format_exception(error))
     text = f"deepgps {_version()}, Python {platform.python_version()}, {platform.platform()}\n{list(words)}\n\n{told}"
     for place in (folder, Path(tempfile.gettempdir())):
         with suppress(OSError):
             if place is not None and place.is_dir():
-                # a new file under a name that nothing has, and no link is followed
+                # a new file under an unused name, so no link is followed
                 handle, path = tempfile.mkstemp(".txt", FAULT, place)
                 with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
                     file.write(text)

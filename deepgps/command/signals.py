@@ -1,7 +1,7 @@
-"""How a signal ends a command: one line, no process left behind, and an exit code of 128 and the signal's number.
+"""Ending a command by a signal: one line, no process left behind, and an exit code of 128 plus the signal's number.
 
-Python's own way is an exception anywhere, and a traceback from each process. Here only the first process of a command
-answers. Until its packages are imported nothing has begun, and it leaves at once; after that ``Stopped`` is raised.
+Python by default raises an exception anywhere and prints a traceback from each process. Here only the main process of a
+command responds. Until its packages are imported it exits at once; after that, the handler raises ``Stopped``.
 """
 
 import _thread
@@ -17,28 +17,29 @@ from types import FrameType
 from sim.processes import ENDINGS
 
 AGAIN_S = 0.2
-"""How often a signal is repeated until it is heard: some packages go on after any exception in their imports."""
+"""Interval at which a signal is repeated until it is noticed: some packages continue after any exception in their
+imports."""
 PATIENCE_S = 10.0
-"""How long clearing up may take before a further signal ends the process at once."""
+"""Time for cleaning up after which a further signal ends the process at once."""
 LIMIT_S = 20.0
-"""How long clearing up may take at all: every file is whole at any time, and a package may wait for ever."""
+"""Time limit for cleaning up: every file is intact at any time, and a package may wait for ever."""
 CONTINUED = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
 
 class Stopped(KeyboardInterrupt):
-    """A signal ends the command; a package may turn it into a plain KeyboardInterrupt."""
+    """Raised when a signal ends the command; a package may turn it into a plain KeyboardInterrupt."""
 
 
 def leave_at_signals() -> None:
-    """From now on, end the process at once; a signal that is ignored, as by nohup, stays ignored."""
+    """From now on, end the process at once at a signal; a signal that is ignored, as under nohup, stays ignored."""
     for number in ENDINGS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _leave)
 
 
 def stop_at_signals() -> None:
-    """From now on, raise ``Stopped`` in the main thread; only where ``leave_at_signals`` was called before."""
+    """From now on, raise ``Stopped`` in the main thread at a signal that ``leave_at_signals`` handled before."""
     stop = Stop()
     for number in ENDINGS:
         if signal.getsignal(number) == _leave:
@@ -47,7 +48,7 @@ def stop_at_signals() -> None:
 
 
 def ignore_signals() -> int | None:
-    """From now on, let no signal disturb the end of the process; returns the number of the one that ends it, if any."""
+    """From now on, ignore the signals that would end the process; return the number of one that already did, if any."""
     came = None
     for number in ENDINGS:
         stop = signal.getsignal(number)
@@ -58,16 +59,16 @@ def ignore_signals() -> int | None:
 
 
 def describe_signal(number: int, words: Sequence[str]) -> str:
-    """What is said when a signal ends the command line ``words``."""
+    """The message when a signal ends the command line ``words``."""
     again = "; the same command continues where it stopped" if words and words[0] in CONTINUED else ""
     return WORDS[signal.Signals(number)] + again
 
 
 class Stop:
-    """The handler of signals: ends the workers and raises ``Stopped``, until it is heard.
+    """The signal handler: kills the worker processes and raises ``Stopped``, repeatedly until it is noticed.
 
     Attributes:
-        number: Of the first signal that came.
+        number: The first signal that was received.
     """
 
     def __init__(self) -> None:
@@ -80,17 +81,17 @@ class Stop:
             self.number, self._first = number, now
             threading.Thread(target=_repeat, args=(number,), daemon=True).start()
             threading.Thread(target=_end_late, args=(number,), daemon=True).start()
-        if is_interrupt(sys.exception()):  # it is heard, and clearing up goes on
+        if is_interrupt(sys.exception()):  # it was noticed, and cleaning up is in progress
             if now - self._first > PATIENCE_S:
                 _leave(self.number, frame)
             return
         for worker in active_children():
-            worker.kill()  # what they have written is whole, and waiting for the rest may take long
+            worker.kill()  # what they have written is intact, and waiting for the rest may take long
         raise Stopped(number)
 
 
 def is_interrupt(error: BaseException | None) -> bool:
-    """Whether a signal led to an exception: itself, or one before it in the chain."""
+    """Whether a signal led to an exception, directly or through its chain of causes."""
     seen: set[int] = set()
     while error is not None and id(error) not in seen:
         if isinstance(error, KeyboardInterrupt):
@@ -105,11 +106,11 @@ def _repeat(number: int) -> None:
         time.sleep(AGAIN_S)
         _thread.interrupt_main(
             signal.Signals(number)
-        )  # a true signal could meet a handler that a library has set meanwhile
+        )  # a real signal could reach a handler that a library has set meanwhile
 
 
 def _end_late(number: int) -> None:
-    """End the process where clearing up does not; without a word if that has been said."""
+    """End the process if cleaning up takes too long; print the message unless it was printed before."""
     time.sleep(LIMIT_S)
     if isinstance(signal.getsignal(number), Stop):
         _leave(number, None)
@@ -117,7 +118,7 @@ def _end_late(number: int) -> None:
 
 
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
-    """Report exceptions in finalisers, but that of a signal, which is repeated."""
+    """Report exceptions in finalisers, except that of a signal, which is raised again."""
     if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
 

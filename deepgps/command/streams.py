@@ -1,4 +1,4 @@
-"""Standard streams that take every text, whoever reads them, and that are open."""
+"""Standard streams that are always open and accept any text, even if nobody reads them."""
 
 import errno
 import io
@@ -11,9 +11,10 @@ UNREAD = (errno.EPIPE, errno.EIO)  # a pipe that is closed at its other end, a t
 
 
 def open_streams() -> None:
-    """Make standard output and errors of this process such streams; where one is closed, it is ``/dev/null``.
+    """Replace this process's standard output and error by such streams; a closed one becomes ``/dev/null``.
 
-    Text that the encoding lacks is written as escapes. What nobody reads any more is dropped, and the work goes on.
+    Characters that the encoding lacks are written as escapes. Output that nobody reads any more is dropped, and the
+    work continues.
     """
     _open_missing()
     sys.stdout = _wrap(sys.stdout, 1)
@@ -21,19 +22,19 @@ def open_streams() -> None:
 
 
 def flush_streams() -> None:
-    """Write what still waits to be written; raises OSError where that fails, and lets it wait no longer."""
+    """Write buffered output; if that fails, discard it and raise OSError."""
     for stream, number in ((sys.stdout, 1), (sys.stderr, 2)):
         try:
             stream.flush()
         except OSError:
             empty = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(empty, number)  # else Python tries once more at its end, and complains with a traceback
+            os.dup2(empty, number)  # else Python tries again at exit, and fails with a traceback
             os.close(empty)
             raise
 
 
 class Outlet(io.FileIO):
-    """A standard stream that drops what nobody reads any more; one for errors drops what cannot be written."""
+    """A standard stream that drops output that nobody reads any more; standard error drops all it cannot write."""
 
     def write(self, data) -> int:
         try:
@@ -45,13 +46,13 @@ class Outlet(io.FileIO):
 
 
 def _open_missing() -> None:
-    """Open those of the first three files that are closed: else a file of ours gets their number, and their text."""
+    """Open those of the first three file descriptors that are closed: else another file gets their number and text."""
     for number in range(3):
         try:
             os.fstat(number)
         except OSError:
             with suppress(OSError):
-                os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+                os.open(os.devnull, os.O_RDWR)  # gets the lowest free number
 
 
 def _wrap(stream: TextIO | None, number: int) -> TextIO:

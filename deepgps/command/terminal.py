@@ -12,14 +12,14 @@ LEAST_COLUMNS = 40
 
 
 def _choose_width() -> int | None:
-    """Columns where the variable COLUMNS leaves too few for any table; none: as many as there are."""
+    """80 if the variable COLUMNS leaves too few columns for any table; None: the terminal's own width."""
     columns = os.environ.get("COLUMNS", "")
     return 80 if columns.isdecimal() and int(columns) < LEAST_COLUMNS else None
 
 
 console = Console(highlight=False, width=_choose_width())
 errors = Console(stderr=True, highlight=False, width=_choose_width())
-"""Also where the progress bars are, so that a line goes above them."""
+"""Shared with the progress bars, so that a line is printed above them."""
 
 
 def print_error(kind: str, text: Exception | str) -> None:
@@ -30,7 +30,7 @@ def print_error(kind: str, text: Exception | str) -> None:
 
 
 class Warnings(logging.Handler):
-    """Prints what the modules log, one line each."""
+    """Prints the log records of all modules, one line each."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a record."""
@@ -63,12 +63,12 @@ def warn_plainly() -> None:
 
 
 def _silence_caches() -> None:
-    """Let no package complain of a home that is missing or cannot be written: it costs its cache, and no result."""
+    """Silence complaints about a home folder that is missing or not writable: only caches are lost, no result."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if not os.path.isdir(os.environ.get("XDG_CACHE_HOME") or os.sep):
         os.environ.setdefault("MESA_SHADER_CACHE_DISABLE", "true")
 
 
 def _escape(text: Exception | str) -> str:
-    """One line that rich takes as it is."""
+    """The text as one line, escaped so that rich prints it literally."""
     return " ".join(str(text).split()).replace("[", "\\[")

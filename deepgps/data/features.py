@@ -295,7 +295,7 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
         return torch.eye(x.shape[1])[:, :count].float()  # no component bends, so none is slower than the others
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)
     ratio, axes = solve_generalised(x.T @ x / len(x), noise + ridge)
-    # Each axis has bends of size 1; the fourth root of the ratio keeps the slowest in front and damps what is nearly noise.
+    # Each axis has bends of size 1; a fourth root of the ratio keeps the slowest first and damps what is nearly noise.
     return (axes * ratio.clamp_min(1e-12) ** 0.25).flip(1)[:, :count].float()
 
 

@@ -116,7 +116,7 @@ class Pace:
     slip: float
 
     def fits(self, gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray) -> np.ndarray:
-        """Whether gaps (n, 2) [ticks] are possible, given their durations (n,) [s] and whether they are on a segment (n,).
+        """Whether gaps (n, 2) [ticks] are possible, given their durations (n,) [s] and whether each is on a segment.
 
         On a segment the robot drives straight on: no wheel turns backwards, and never one against the other.
         """
@@ -178,10 +178,10 @@ def unwrap(ticks: np.ndarray, gap: np.ndarray, seconds: np.ndarray, inside: np.n
 
 
 def find_jumps(ticks: np.ndarray, time: np.ndarray, segment: np.ndarray, pace: Pace) -> tuple[np.ndarray, np.ndarray]:
-    """Which readings are left out (n,) bool, and before which there is a gap that cannot be (n,) bool.
+    """Masks (n,) bool of the readings that are left out and of those that follow an impossible gap.
 
-    Gaps that cannot be divide the readings into blocks. A few readings between two blocks that fit each other are left
-    out, and so is a single one at either end.
+    Impossible gaps divide the readings into blocks. A few readings between two blocks that fit each other are left out,
+    and so is a single one at either end.
     """
 
     def fits(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -28,7 +28,7 @@ class Segments:
         count: Readings of each segment (L,) int64, at least 2.
         skipped: Segments left out because fewer than two readings arrived.
         weight: Robust weight of each segment (L,), from 0 to 1; None: all are equal.
-        variance: Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: not computed.
+        variance: Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: unknown.
         rounding_m2: Constant part of the expected squared error of a distance between two readings [m^2].
     """
 

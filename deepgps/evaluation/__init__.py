@@ -1,4 +1,4 @@
-"""Measures of positioners and encoders against the truth: alignment, error field, metrics.
+"""Evaluation of positioners and encoders against the truth: error field, metrics, segment errors, visibility.
 
 Training never imports this package.
 """

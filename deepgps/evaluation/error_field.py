@@ -1,4 +1,4 @@
-"""The error field: predictions at each test position and heading, beside the truth."""
+"""The error field: predictions at each test position and heading, with the truth."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class ErrorField:
 
     Attributes:
         truth: Test positions (C, 2) [m].
-        heading: Test headings (H,) [rad], or of each position its own (C, H).
+        heading: Test headings [rad], shared by all positions (H,) or separate for each (C, H).
         predicted: Aligned predictions (C, H, 2) [m].
     """
 
@@ -27,7 +27,7 @@ class ErrorField:
 
     @property
     def error(self) -> np.ndarray:
-        """Distance of prediction and truth (C, H) [m]."""
+        """Distance between prediction and truth (C, H) [m]."""
         return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
 
     @property
@@ -45,11 +45,11 @@ def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
 
 @dataclass(frozen=True)
 class WorstField:
-    """One method's error field, of each test position the heading that did worst.
+    """One method's error field with only the worst heading of each test position.
 
     Attributes:
         truth: Test positions (C, 2) [m].
-        predicted: Aligned prediction of the heading that did worst at each position (C, 2) [m].
+        predicted: Aligned prediction at the heading with the largest error, for each position (C, 2) [m].
         error: Its distance from the truth (C,) [m].
     """
 
@@ -75,7 +75,7 @@ def read_fields(run: Path) -> dict[str, WorstField]:
 
 
 def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
-    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m]: per position the largest error."""
+    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m], with the largest error per position."""
     error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
     worst = error.argmax(axis=1)
     cells = np.arange(len(truth))

@@ -1,7 +1,7 @@
 """Evaluation: every method on the test grid, or on test samples of the drive, against the simulator's truth.
 
-Where a recording has labels of its own, every method is measured against these too, as one has to where there is no
-simulator to ask (paper, Sec. IV-C).
+If a recording has labels of its own, every method is measured against these too, which is the only way without a
+simulator (paper, Sec. IV-C).
 """
 
 from dataclasses import replace
@@ -41,10 +41,10 @@ def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
 
     Args:
         run: Run folder with a recording and the trained methods.
-        scenario: What the run was made of.
+        scenario: The scenario of the run.
 
     Returns:
-        The part of ``metrics.json`` that is measured: counts, coverage, methods, trajectory.
+        The measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
     """
     with use_threads(scenario.learn.train.threads):
         return _measure(run, scenario)
@@ -90,7 +90,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
 
 
 def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Where a trained method says training (N, 2) and test images (C, H, 2) were taken, in a frame of its own [m]."""
+    """Positions that a trained method predicts for training (N, 2) and test (C, H, 2) images, in its own frame [m]."""
     positioner = load_positioner(folder)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
@@ -113,7 +113,7 @@ def _check_tests(recording: Recording, truth: Truth) -> None:
 
 
 def _find_labels(folder: Path) -> Labels | None:
-    """A recording's labels, if there are any to measure against in training and test."""
+    """A recording's labels; None unless both training and test samples have some."""
     labels = open_labels(folder)
     if labels is None or not np.isfinite(labels.pose).all(axis=1).any():
         return None
@@ -123,7 +123,7 @@ def _find_labels(folder: Path) -> Labels | None:
 def measure_field(maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth | Labels) -> tuple[ErrorField, float]:
     """Error field of a method's predictions, aligned by a transform fitted on the training samples, and its scale.
 
-    Against labels, what has none is left out, of the training as of the test samples.
+    When measured against labels, training and test samples without a label are left out.
     """
     training, test = maps
     known = np.isfinite(truth.pose).all(axis=1)
@@ -132,19 +132,19 @@ def measure_field(maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth
     known = np.isfinite(truth.test_pose).all(axis=(1, 2))
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]
-    shared = heading[:1] == heading  # a drive comes to each place with a heading of its own
+    shared = heading[:1] == heading  # a drive reaches each place with a different heading
     return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment.scale
 
 
 def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
-    """What only a grid can tell: how much of the map is turned over."""
+    """Measure how much of the map is flipped, which only a test grid can show."""
     if scenario.grid.held_out:
         return {}
     return {"flipped": measure_flipped(field.truth, field.predicted.mean(axis=1), scenario.grid.spacing_m)}
 
 
 def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
-    """How many samples have no label, and the labels' own errors [m], aligned on those to learn from."""
+    """Count the samples without a label, and measure the labels' own errors [m], aligned on the training labels."""
     known, test_known = (np.isfinite(pose[..., 0]) for pose in (labels.pose, labels.test_pose))
     alignment = fit_alignment(labels.pose[known, :2], truth.pose[known, :2], "SE2")
     error, test_error = (
@@ -166,7 +166,7 @@ def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
 
 
 def measure_part(run: Path, folder: Path, method: str, every: int) -> dict[str, float]:
-    """Figures of a method trained in ``folder`` on a run's recording, by every so many-th position and sample."""
+    """Figures of a method trained in ``folder`` on a run's recording, from every ``every``-th position and sample."""
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     thin = replace(
         recording, observation=recording.observation[::every], test_observation=recording.test_observation[::every]
@@ -191,24 +191,24 @@ def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
 
 
 def measure_heading_spread(predicted: np.ndarray) -> float:
-    """RMS distance [m] of predictions (C, H, 2) [m] from their mean over the headings of a position; 0 for one."""
+    """RMS distance [m] of predictions (C, H, 2) [m] from their mean over a position's headings; 0 for one heading."""
     away = predicted - predicted.mean(axis=1, keepdims=True)
     return float(np.sqrt(np.mean((away**2).sum(axis=-1))))
 
 
 def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
-    """How much of a map is turned over, as a fold does: 0 for a right map, at most a half.
+    """Share of a map that is flipped, as by a fold: 0 for a correct map, at most a half.
 
     Args:
         truth: Test positions (C, 2) [m] on a grid.
-        predicted: One prediction for each (C, 2) [m]; a rigid motion of all, mirrored or not, changes nothing.
+        predicted: One prediction for each (C, 2) [m]; the share is invariant to rigid motions and reflections of all.
         spacing_m: Spacing of the grid [m].
 
     Returns:
-        The share of neighbourhoods (a position, its right and its upper neighbour) of the rarer orientation.
+        The share of neighbourhoods (a position, its right and its upper neighbour) with the rarer orientation.
     """
     cell = np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int)
-    number = np.full(cell.max(axis=0) + 2, -1)  # a margin, so that the last have neighbours that are not there
+    number = np.full(cell.max(axis=0) + 2, -1)  # a margin of -1, so that the last cells have missing neighbours
     number[tuple(cell.T)] = np.arange(len(cell))
     right, up = number[cell[:, 0] + 1, cell[:, 1]], number[cell[:, 0], cell[:, 1] + 1]
     whole = (right >= 0) & (up >= 0)
@@ -226,7 +226,7 @@ def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, int]:
 
 
 def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:
-    """Drift of the dead-reckoned path itself: RMS and largest error [m] after an SE2 alignment of the whole path."""
+    """Drift of the dead-reckoned path: RMS and largest error [m] after an SE2 alignment of the entire path."""
     path = dead_reckon(recording)[:, :2]
     driven = truth.pose[recording.reading[:, 1], :2]
     error = np.linalg.norm(fit_alignment(path, driven, "SE2").apply(path) - driven, axis=1)

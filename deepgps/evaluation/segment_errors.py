@@ -1,4 +1,4 @@
-"""How wrong the distances are that a recording teaches, beside what its encoders should make them: evaluation only."""
+"""Errors of a recording's driven distances, compared with those expected of its encoders: for evaluation only."""
 
 from typing import Any
 
@@ -14,11 +14,11 @@ from sim.settings import EncoderSettings
 
 
 def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
-    """Errors of whole segments' distances.
+    """Measure the errors of distances from start to end of segments.
 
     Returns:
-        ``segment_rms_m``: RMS of distance by encoder less the true one [m]; ``segment_expected_m``: what theory says
-        of these encoders [m]; ``segments_wrong``: segments farther off than noise explains;
+        ``segment_rms_m``: RMS of the encoder's distance minus the true one [m]; ``segment_expected_m``: the RMS that
+        theory predicts for these encoders [m]; ``segments_wrong``: segments with larger errors than noise explains;
         ``segments_down_weighted``: those to which a noise-aware method gives less than half the weight;
         ``wrong_doubted``: those that are both.
     """
@@ -40,10 +40,10 @@ HEADED_BY_M = 3.0
 
 
 def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """True length of each segment, and by how much the encoders tell more, both (S,) [m].
+    """True length of each segment, and the encoders' distance minus that length, both (S,) [m].
 
     Args:
-        recording: What was sensed; segments with one reading are left out.
+        recording: The recording; segments with one reading are left out.
         pose: True pose at each observation (N, 3).
     """
     encoder, true, _ = measure_distances(recording, pose)
@@ -54,10 +54,10 @@ def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray
 
 
 def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
-    """The dead-reckoned path (R, 2) [m] from where the robot really started, headed as on its first three metres.
+    """The dead-reckoned path (R, 2) [m] from the true start, rotated to fit the first three metres of the true path.
 
     Args:
-        recording: What was sensed.
+        recording: The recording.
         pose: True pose at each observation (N, 3).
     """
     from deepgps.data.dead_reckoning import dead_reckon
@@ -70,14 +70,14 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
 
 
 def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance since the start of its segment at each reading, by encoder and true, and their difference so far.
+    """Distance since the start of the segment at each reading, by encoder and true, and their cumulative difference.
 
     Args:
-        recording: What was sensed.
+        recording: The recording.
         pose: True pose at each observation (N, 3).
 
     Returns:
-        Three arrays (R,) [m]; the last adds up over all segments.
+        Three arrays (R,) [m]; the last accumulates over all segments.
     """
     odometry = recording.manifest.odometry
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]

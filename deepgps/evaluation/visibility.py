@@ -1,4 +1,4 @@
-"""How much of a room a place can see: the floor that a straight drive from it reaches."""
+"""Visibility: how much of a room's floor straight drives from a place reach."""
 
 import numpy as np
 from scipy import ndimage
@@ -11,19 +11,19 @@ RAYS = 180
 def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
     """Share of the reachable floor that straight drives from each point reach.
 
-    Rays are followed from the point to the first cell where the robot does not fit; a ray of length r stands for a
-    sector of area ``pi r^2 / rays`` (the isovist of Benedikt 1979, of the robot's middle in place of an eye).
+    Rays are followed from the point to the first cell where the robot does not fit; a ray of length r represents a
+    sector of area ``pi r^2 / rays`` (the isovist of Benedikt 1979, with the robot's centre in place of an eye).
 
     Args:
         space: Where the robot fits.
         points: Places (C, 2) [m].
 
     Returns:
-        (C,), 0 to 1; a place where the robot does not fit reaches nothing.
+        Shares (C,) from 0 to 1; 0 for a place where the robot does not fit.
     """
     angle = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # How far each cell is from where the robot does not fit: so far a ray may leap at once. Beyond the edge is nowhere.
+    # Distance of each cell from where the robot does not fit: a ray may skip it in one step. The padding is occupied.
     clear = np.asarray(ndimage.distance_transform_edt(np.pad(space.free, 1))) * space.cell_m
     length = np.zeros((len(points), RAYS))
     going = np.ones(length.shape, bool)

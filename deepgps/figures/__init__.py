@@ -1,4 +1,4 @@
 """Figures, tables and reports of one run.
 
-Results come from ``deepgps.evaluation``; nothing here computes or chooses one.
+Results come from ``deepgps.evaluation``; nothing here computes or selects results.
 """

@@ -1,4 +1,4 @@
-"""What the encoders told of a drive, against the truth: each segment's error, the faults that were set, the drift."""
+"""The encoders' measurements of a drive against the truth: each segment's error, configured faults, and drift."""
 
 import numpy as np
 from matplotlib import style
@@ -14,10 +14,10 @@ ENCODER, TRUE = "#ff9628", "#5aa0ff"
 
 
 def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray) -> str:
-    """What was set and what came of it, as Markdown.
+    """Describe the encoders' settings and their measured errors as Markdown.
 
     Args:
-        recording: What was sensed.
+        recording: The recording.
         pose: True pose at each observation (N, 3).
         drift: Distance of the dead-reckoned path from the true one (R,) [m].
     """
@@ -50,7 +50,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
 
 
 def list_faults(recording: Recording) -> list[str]:
-    """A Markdown table of faults and settings that differ from sound encoders, or the sentence that none does."""
+    """A Markdown table of faults and settings that differ from faultless encoders, or a sentence that none differs."""
     settings = recording.manifest.settings
     ticks = recording.manifest.odometry["ticks_per_rev"]
     sound = {f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()}
@@ -67,9 +67,9 @@ def list_faults(recording: Recording) -> list[str]:
 
 
 def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
-    """Error of each segment (S,) against its length (S,) [m], and how often each error came, on one axis.
+    """Plot the error of each segment (S,) [m] against its length (S,) [m], next to a histogram of the errors.
 
-    The line is the RMS error of the segments of about one length.
+    The line is the RMS error of segments of similar length.
     """
     with style.context("dark_background"):
         figure = Figure(figsize=(9, 3.6), layout="constrained", facecolor=SCREEN[0])
@@ -96,7 +96,7 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
 
 
 def _rms_along(length: np.ndarray, error: np.ndarray, parts: int = 10) -> tuple[np.ndarray, np.ndarray]:
-    """Mean length and RMS error of equally many segments each, from short ones to long ones."""
+    """Mean length and RMS error of groups of equally many segments, from short to long."""
     order = np.array_split(np.argsort(length), min(parts, len(length)))
     mean = np.array([length[part].mean() for part in order])
     return mean, np.array([np.sqrt(np.mean(error[part] ** 2)) for part in order])

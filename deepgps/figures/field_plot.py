@@ -1,6 +1,6 @@
-"""The error field: where a method thinks each test position is, read from a run and drawn over its room.
+"""Plots of the error field: a method's predictions of the test positions of a run, drawn over the floor of its room.
 
-Every picture of an error uses one colour scale, so that two methods, or two runs, can be compared by eye.
+All plots of errors use one colour scale, so that two methods, or two runs, can be compared by eye.
 """
 
 from pathlib import Path
@@ -17,7 +17,7 @@ from deepgps.figures.style import PAPER, SCREEN, Floor, count_by_decades
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import open_truth
 
-# Logarithmic, since errors of one centimetre and of one metre stand in one picture.
+# Logarithmic, since one plot shows errors of a centimetre and of a metre.
 SCALE_M = (0.01, 1.0)
 TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 COLOURS = LinearSegmentedColormap.from_list(
@@ -31,10 +31,10 @@ def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.
 
 
 def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
-    """Draw one method's error field of a run into these axes, on paper white; ``add_scale`` says what colours mean.
+    """Draw one method's error field of a run on a white floor; ``add_scale`` adds the colour scale.
 
     Args:
-        axes: Where; their title is left to the caller.
+        axes: The axes to draw into; the caller sets their title.
         run: The run's folder.
         name: The method.
         scale_m: Errors at the ends of the colour scale [m].
@@ -48,7 +48,7 @@ def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, fl
 
 
 def print_floor(axes: Axes, run: Path) -> None:
-    """Draw the floor of a run's room on paper white: grey is where the robot cannot be."""
+    """Draw the floor of a run's room in white, and in grey where the robot cannot be."""
     draw_room(axes, open_truth(run / "recording").free_space, PAPER)
 
 
@@ -59,9 +59,9 @@ def draw_field(
     floor: Floor = SCREEN,
     scale_m: tuple[float, float] = SCALE_M,
 ) -> None:
-    """Dots at the truth, lines to the predictions with a head's share drawn by width, colour by magnitude."""
+    """Draw dots at the true positions and arrows from them to the predictions, coloured by error."""
     draw_room(axes, space, floor)
-    order = np.argsort(field.error)  # the worst lie on top
+    order = np.argsort(field.error)  # the largest errors are drawn on top
     truth, predicted = field.truth[order], field.predicted[order]
     colours = colours_of(field.error[order], scale_m) / 255
     axes.scatter(*truth.T, s=7, c=colours, linewidths=0)
@@ -81,7 +81,7 @@ def draw_field(
 
 
 def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
-    """The floor: where the robot can come to, where it would fit but cannot come to, where it does not fit."""
+    """Draw the floor: where the robot can get to, where it would fit but cannot get to, and where it does not fit."""
     rows, columns = space.free.shape
     kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
     half = space.cell_m / 2
@@ -104,7 +104,7 @@ def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
 
 
 def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = SCALE_M) -> None:
-    """The colour bar of error fields, beside these axes."""
+    """Add the colour bar of error fields next to these axes."""
     bar = figure.colorbar(
         ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
     )

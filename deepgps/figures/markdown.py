@@ -1,10 +1,10 @@
-"""Tables in Markdown that can be read as they are."""
+"""Markdown tables that are readable as plain text."""
 
 from collections.abc import Sequence
 
 
 def tabulate(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table with aligned columns, numbers to the right."""
+    """A Markdown table with aligned columns, numbers right-aligned."""
     columns = list(zip(headings, *rows, strict=True))
     widths = [max(map(len, column)) for column in columns]
     numbers = [all(cell[:1] in "0123456789-" for cell in column[1:]) for column in columns]

@@ -26,7 +26,7 @@ DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff"
 
 
 def draw_figures(run: Path) -> list[Path]:
-    """Draw every figure of a run into ``<run>/figures``; raises InputError where the folder is no whole run."""
+    """Draw every figure of a run into ``<run>/figures``; raises InputError if the folder holds no complete run."""
     figures = make_figures(run)
     paths = [run / "figures" / f"{name}.png" for name in figures]
     for path, figure in zip(paths, figures.values(), strict=True):
@@ -49,7 +49,7 @@ def make_figures(run: Path) -> dict[str, Figure]:
 
 
 def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
-    """Read each method's history.npz; methods that were not trained step by step have none."""
+    """Read each method's history.npz; methods that are not trained step by step have none."""
     histories = name_methods({path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")})
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
@@ -88,7 +88,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
 
 
 def draw_error_cdf(fields: Mapping[str, WorstField]) -> Figure:
-    """Share of test positions whose error is at most so large."""
+    """Plot the share of test positions whose error is at most a given value."""
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for name, field in fields.items():
@@ -104,7 +104,7 @@ def draw_error_cdf(fields: Mapping[str, WorstField]) -> Figure:
 
 
 def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
-    """Loss against step, a panel for each method, since their losses differ in kind."""
+    """Plot loss against step, with a panel for each method, since their losses differ in kind."""
     figure = Figure(figsize=(7.5, 1.0 + 2.1 * len(histories)), layout="constrained")
     grid = figure.subplots(len(histories), 1, squeeze=False, sharex=True)[:, 0]
     for axes, (name, history) in zip(grid, histories.items(), strict=True):
@@ -125,7 +125,7 @@ def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
 
 
 def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
-    """The way driven over the free space, coloured from its start to its end."""
+    """Plot the driven path over the free space, coloured from its start to its end."""
     space = truth.free_space
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()

@@ -1,4 +1,4 @@
-"""The figures of a run in words: one table, as text for the terminal, for the recording and for a report."""
+"""A run's results as text: one table with sentences, for the terminal, for the recording and for a report."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -24,7 +24,7 @@ def _centimetres(value: float) -> str:
 
 
 Column = tuple[str, str, Callable[[Any], str]]
-# heading, key in metrics.json, how a value is written
+# heading, key in metrics.json, function that formats a value
 COLUMNS: tuple[Column, ...] = (
     ("RMS [cm]", "rms_m", _centimetres),
     ("median [cm]", "median_m", _centimetres),
@@ -40,7 +40,7 @@ OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_
 
 
 def read_metrics(run: Path) -> dict[str, Any]:
-    """Read a run's metrics.json; raises InputError for a folder that is no run or whose metrics are broken."""
+    """Read a run's metrics.json; raises InputError for a folder that holds no run or broken metrics."""
     path = run / "metrics.json"
     if not path.is_file():
         raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
@@ -54,36 +54,36 @@ def read_metrics(run: Path) -> dict[str, Any]:
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
-    """Headings and one row per method; a figure that a method does not have is a dash."""
+    """Headings and one row per method, with a dash for a figure that a method does not have."""
     headings = ("method", *(heading for heading, _, _ in columns))
     return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
 
 
 def describe_time(times: Mapping[str, float]) -> str:
-    """Where the time went, in a sentence."""
+    """Describe in a sentence how long each stage took."""
     parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
     return f"Time: {parts}; {sum(times.values()):.1f} s in all, over all sittings."
 
 
 def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Seconds of each stage of a run in all sittings; where ``timing.json`` cannot be read, those in the metrics."""
+    """Seconds of each stage of a run in all sittings; if ``timing.json`` cannot be read, those in the metrics."""
     try:
         stored = {name: float(value) for name, value in read_json(run / "timing.json").items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return dict(metrics["timing_s"])
     times: dict[str, float] = {}
     for name, seconds in stored.items():
-        stage = name.partition(" ")[0]  # a method's training has its own name
+        stage = name.partition(" ")[0]  # a training is timed as "train" and its method
         times[stage] = times.get(stage, 0.0) + seconds
     return times
 
 
 def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
-    """What was driven, what was seen and where the time went, a sentence each.
+    """Describe the drive, the coverage, the encoders and the time, in a sentence each.
 
     Args:
         metrics: Contents of ``metrics.json``.
-        times: Seconds of each stage; none: as far as the metrics have them, without ``show``.
+        times: Seconds of each stage; none: those in the metrics, which do not include ``show``.
     """
     coverage = metrics["coverage"]
     seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
@@ -111,13 +111,13 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
 
 
 def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
-    """What training left out of the readings or repaired, in a sentence; None: nothing."""
+    """Describe in a sentence which readings training left out or repaired; None: nothing."""
     counts = (read_json(folder_of(run, method) / "training.json").get("readings", {}) for method in methods)
     return next(filter(None, map(describe_readings, counts)), None)
 
 
 def describe_errors(metrics: Mapping[str, Any]) -> str:
-    """Where the errors were measured and what they are, in a sentence."""
+    """Describe in a sentence where the errors were measured and how predictions were aligned."""
     where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"
     worst = "" if metrics.get("test", {}).get("headings") == 1 else ", the worst heading of each position"
     return f"Errors {where}{worst}; aligned on training samples, never scaled."
@@ -131,7 +131,7 @@ def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUM
 
 
 def markdown_report(metrics: Mapping[str, Any]) -> str:
-    """The whole report in Markdown: title, table, what was driven, environment."""
+    """The complete report in Markdown: title, table, sentences about the drive, environment."""
     environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
     return "\n".join(
         [
@@ -156,11 +156,11 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
 
     Args:
         run: The run folder.
-        console: Where to.
-        sitting_s: Seconds since the command began, with its start and with what lies between the stages.
+        console: Where to print.
+        sitting_s: Seconds since the command began, including its start-up and the time between stages.
 
     Raises:
-        InputError: The folder is no run.
+        InputError: The folder holds no run.
     """
     metrics = read_metrics(run)
     headings, rows = tabulate(metrics)

@@ -1,11 +1,11 @@
-"""Figures that a study is judged by, beside their targets and the paper's."""
+"""The figures by which a study is judged, with their targets and the paper's figures."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 from deepgps.figures.markdown import tabulate
 
-# unit -> factor, digits, what follows
+# unit -> factor, digits, suffix
 FORMS = {
     "cm": (100, 1, " cm"),
     "mm": (1000, 2, " mm"),
@@ -18,14 +18,14 @@ FORMS = {
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure that a target can stand beside.
+    """One figure that may have a target.
 
     Attributes:
-        title: What it is.
-        value: Its value in metres, seconds or as a ratio; none: there was nothing to compute it from.
-        unit: How it is written, one of ``FORMS``.
-        at_least: Whether a target is the least it shall be, not the most.
-        worst: The worst that went into it, where that says something.
+        title: What it measures.
+        value: Its value in metres, in seconds or as a ratio; none: there was nothing to compute it from.
+        unit: The unit in which it is written, one of ``FORMS``.
+        at_least: Whether a target is a minimum rather than a maximum.
+        worst: The worst of the values behind it, where meaningful.
     """
 
     title: str
@@ -36,7 +36,7 @@ class Figure:
 
 
 def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float], paper: Mapping[str, float]) -> str:
-    """Markdown table of figures by name, with the targets and the paper's figures of the same names."""
+    """A Markdown table of figures by name, with the targets and the paper's figures of the same names."""
     rows = []
     for name, figure in figures.items():
         wanted = target.get(name)
@@ -55,7 +55,7 @@ def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float],
 
 
 def judge(figure: Figure, target: float | None) -> str:
-    """Whether a target is met."""
+    """The verdict on a target: met, missed, not measured, or a dash without a target."""
     if target is None:
         return "-"
     if figure.value is None:
@@ -65,7 +65,7 @@ def judge(figure: Figure, target: float | None) -> str:
 
 
 def write(value: float | None, unit: str) -> str:
-    """A value in its unit, or a dash; what is too small for its digits is not written as nothing."""
+    """A value in its unit, or a dash; a value too small for the digits is written as "< ..." rather than as zero."""
     if value is None:
         return "-"
     factor, digits, after = FORMS[unit]

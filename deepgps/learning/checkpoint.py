@@ -25,8 +25,7 @@ def save_checkpoint(
     history: dict[str, list],
     seconds: float,
 ) -> None:
-    """Write everything the next step depends on: weights, optimiser, generator (the position in the data) and
-    history."""
+    """Write all that the next step depends on: weights, optimiser, generator (the position in the data), history."""
     state = {
         "step": step,
         "network": network.state_dict(),

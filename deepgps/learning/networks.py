@@ -11,8 +11,7 @@ from deepgps.settings import Architecture, NetworkSettings
 
 
 class Padding(NamedTuple):
-    """Padding of an image, in modes of ``torch.nn.functional.pad``: constant pads with zeros, circular joins the
-    ends."""
+    """Padding modes of ``torch.nn.functional.pad`` for an image: constant adds zeros, circular joins the ends."""
 
     sectors: str
     rings: str

@@ -159,8 +159,7 @@ def take_sample(data: TrainingData) -> Sample:
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:
-    """Choose the start of attempt ``number``: ``auto`` is paths in the first attempt if segments have enough readings,
-    else lifting."""
+    """Choose the start of attempt ``number``: ``auto`` is paths at first, if segments are long enough, else lifting."""
     if settings.start == "auto":
         return "paths" if number == 0 and has_lines(segments) else "lifting"
     if settings.start == "paths" and not has_lines(segments):

@@ -116,7 +116,7 @@ def choose_readings(segments: Segments, most: int) -> tuple[Segments, torch.Tens
 
 
 def set_up(distance: np.ndarray, reach_m: float, segments: Segments) -> Equations:
-    """Set up Eq. 6 for positions with observed distances (n, M) [m], on segments whose indices are those positions."""
+    """Set up Eq. 6 for positions with observed distances (n, M) [m], on segments whose ``index`` refers to these."""
     position, landmark = np.nonzero(find_seen(distance, reach_m))
     i, j = torch.triu_indices(segments.index.shape[1], segments.index.shape[1], offset=1)
     pair = segments.valid[:, i] & segments.valid[:, j]
@@ -165,7 +165,7 @@ def _fit(
 
 
 def read_reach(recording: Recording) -> float:
-    """Distance beyond which landmarks are not seen [m]; infinite if all are seen.
+    """Distance at and beyond which landmarks are not seen [m]; infinite if all are seen.
 
     Raises:
         InputError: The recording holds no distances to landmarks.

@@ -70,8 +70,8 @@ def trilaterate(landmark: np.ndarray, distance: np.ndarray, reach_m: float) -> n
 def _hold(point: np.ndarray, middle: np.ndarray, farthest: np.ndarray) -> np.ndarray:
     """Limit points (B, 2) to the distance ``farthest`` (B,) from ``middle`` (B, 2), the mean of the landmarks seen.
 
-    True points are never farther away than the farthest landmark seen; with landmarks that are all wrong, Gauss-Newton
-    would diverge.
+    True points are never farther from that mean than the largest measured distance; with landmarks that are all wrong,
+    Gauss-Newton would diverge.
     """
     away = point - middle
     length = np.linalg.norm(away, axis=1)

@@ -1,4 +1,4 @@
-"""What a viewer shows of a run besides its arrays: the open room, the floor plan, round pictures, distances driven."""
+"""What a viewer shows of a run in addition to its arrays: the open room, the floor plan, round pictures, colours."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ JPEG_QUALITY = 85
 
 
 def open_room(scene: Path, space: FreeSpace) -> bytes:
-    """The room's mesh as GLB without what hangs in its upper quarter and without its south wall, to see in."""
+    """The room's mesh as GLB, open to view: without its south wall and the objects in its upper quarter."""
     try:
         loaded = trimesh.load_scene(scene)
     except Exception as error:  # trimesh passes on whatever its readers raise
@@ -39,7 +39,7 @@ def open_room(scene: Path, space: FreeSpace) -> bytes:
 
 
 def draw_floor_plan(space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
-    """Picture of the floor (rows, columns, 3) uint8, its south first, and where its south-west corner is (2,) [m]."""
+    """Picture of the floor (rows, columns, 3) uint8, southern row first, and its south-west corner (2,) [m]."""
     palette = [to_rgb(colour) for colour in SCREEN]
     kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
     cells = (np.stack(limits(space, margin_m=0.1)) - space.origin) / space.cell_m
@@ -49,15 +49,15 @@ def draw_floor_plan(space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
 
 
 def find_outline(space: FreeSpace) -> list[np.ndarray]:
-    """Closed lines (n, 2) [m] around the reachable area and around what stands in it."""
+    """Closed lines (n, 2) [m] around the reachable area and around the obstacles in it."""
     contours, _ = cv2.findContours(space.reachable.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     return [space.origin + np.vstack([line, line[:1]])[:, 0] * space.cell_m for line in contours]
 
 
 def make_warp(camera: CameraSettings, rings: int, sectors: int, size: int) -> np.ndarray:
-    """Where the round picture (size, size) looks in the polar image: column, row [px] (size, size, 2), NaN outside.
+    """Polar image coordinates of each pixel of the round picture: column, row [px] (size, size, 2), NaN outside.
 
-    The column counts from one sector before the first, since ``warp_round`` adds one on either side.
+    Columns count from one sector before the first, since ``warp_round`` adds a sector on either side.
     """
     place = project_polar(make_lens(camera), round_rays(make_lens(camera), size), rings, sectors)
     row, column = np.clip(place[..., 0], 0, rings - 1), place[..., 1] + 1

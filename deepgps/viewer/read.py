@@ -1,4 +1,4 @@
-"""Reading recordings back: whatever the viewer shows is there for code."""
+"""Reading recordings back, so that code can use whatever the viewer shows."""
 
 from pathlib import Path
 from warnings import catch_warnings, simplefilter
@@ -15,34 +15,34 @@ COLUMNS = ("x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m")
 
 
 def open_rrd(path: Path) -> RrdReader:
-    """Open a recording; raises InputError where it is missing, cut off or something else."""
+    """Open a recording; raise InputError if the file is missing, truncated or not a recording."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
         with catch_warnings():
-            simplefilter("ignore")  # what it warns of is told below
+            simplefilter("ignore")  # the InputError below says the same
             reader = RrdReader(path)
-            reader.store().schema()  # needs the footer, which a cut-off file lacks
-    except Exception as error:  # rerun raises ValueError, RuntimeError and its own kinds
+            reader.store().schema()  # needs the footer, which a truncated file lacks
+    except Exception as error:  # rerun raises ValueError, RuntimeError and its own types
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path} is cut off or no recording ({reason}); delete it and view the run again") from None
     return reader
 
 
 def read_error_table(path: Path, root: str = "world") -> pa.Table:
-    """Read the error fields of all methods back from a recording, as one table; ``.to_pandas()`` makes a data frame.
+    """Read the error fields of all methods from a recording as one table; ``.to_pandas()`` makes a data frame of it.
 
     Args:
         path: A ``.rrd`` file.
-        root: Entity below which they lie: ``world`` in a run's recording, ``a`` and ``b`` in that of a pair.
+        root: Entity above the error fields: ``world`` in a run's recording, ``a`` or ``b`` in the recording of a pair.
 
     Returns:
-        A row for each method and test position, of the heading that did worst there: ``x_m`` and ``y_m`` [m] where the
-        robot was, ``predicted_x_m`` and ``predicted_y_m`` [m] where the method put it, ``error_m`` [m] how far that is
-        off, and ``method`` by its name in metrics.json. Positions are rounded to single precision.
+        A row for each method and test position, for the worst heading at that position: the true position ``x_m`` and
+        ``y_m`` [m], the predicted position ``predicted_x_m`` and ``predicted_y_m`` [m], their distance ``error_m`` [m],
+        and ``method``, the name in metrics.json. Positions are rounded to single precision.
 
     Raises:
-        InputError: The file is missing, cut off, a study's, or has no error field below ``root``.
+        InputError: The file is missing, truncated, a study's recording, or has no error field below ``root``.
     """
     fields = _read_fields(path, root)
     if not fields:
@@ -54,15 +54,15 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
 
 
 def read_error_field(path: Path, method: str, root: str = "world") -> WorstField:
-    """Read a method's error field back from a recording.
+    """Read a method's error field from a recording.
 
     Args:
         path: A ``.rrd`` file.
-        method: Its name, as in metrics.json.
-        root: As for ``read_error_table``.
+        method: Name of the method in metrics.json.
+        root: As in ``read_error_table``.
 
     Raises:
-        InputError: The file is broken, a study's, or has no such method; the names it has are told.
+        InputError: The file is broken, a study's recording, or lacks the method; the message lists the methods it has.
     """
     fields = _read_fields(path, root)
     if method not in fields:
@@ -71,19 +71,19 @@ def read_error_field(path: Path, method: str, root: str = "world") -> WorstField
 
 
 def read_entity(path: Path, entity: str) -> pa.Table:
-    """Read everything back that a recording holds of one entity, in the viewer's own columns.
+    """Read all data of one entity from a recording, in the viewer's own columns.
 
     Args:
         path: A ``.rrd`` file.
-        entity: Its path, as ``drive/distance/encoder`` or ``world/training_error/deepgps``.
+        entity: Path of the entity, such as ``drive/distance/encoder`` or ``world/training_error/deepgps``.
 
     Returns:
         A row for each time: the timelines (``drive_time`` or ``step``, and ``progress``; a study's sliders), and a
-        column of lists for each component, as ``Scalars:scalars`` or ``Arrows3D:vectors``; what does not change has no
+        column of lists for each component, such as ``Scalars:scalars`` or ``Arrows3D:vectors``; static data have no
         time.
 
     Raises:
-        InputError: The file is broken, or has no such entity; the names it has are told.
+        InputError: The file is broken or has no such entity; the message lists the entities it has.
     """
     entities, parts = set[str](), list[pa.Table]()
     for chunk in open_rrd(path).stream():
@@ -97,7 +97,7 @@ def read_entity(path: Path, entity: str) -> pa.Table:
 
 
 def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
-    """The error fields below an entity by their methods' names, in the order of the file."""
+    """The error fields below an entity by method name, in the order of the file."""
     below = f"/{root}/error_field/"
     columns: dict[str, dict[str, np.ndarray]] = {}
     for chunk in open_rrd(path).stream():

@@ -1,4 +1,4 @@
-"""Saving a recording: whole or not at all, and equal contents for equal runs."""
+"""Saving a recording: atomically, and with equal contents for equal runs."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,18 +20,18 @@ def save_recording(
 
     Args:
         path: The ``.rrd`` file.
-        number: The recording's id; the same for the same contents.
-        title: Its name in the viewer.
-        blueprint: How the viewer shows it.
-        log: Logs what it holds.
+        number: The recording's id; equal contents have equal ids.
+        title: The recording's name in the viewer.
+        blueprint: The viewer's layout for it.
+        log: Function that logs its contents.
     """
 
-    # Chunks end by size and never by the clock, so that a busy machine cuts equal runs in equal pieces.
+    # Chunks end by size and never by the clock, so that even a busy machine cuts equal runs into equal pieces.
     by_size = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))
-    # The viewer keeps one layout for an application: each recording's is its own.
+    # The viewer keeps one layout for each application, so each recording is an application of its own.
     stream = rr.RecordingStream(f"deepgps-{number}", recording_id=number, send_properties=False, batcher_config=by_size)
     with stream:
-        # In memory first: on a full disk Rerun's own file waits without end, or is cut off without an error.
+        # Write to memory first: on a full disk, Rerun's own file writer hangs or truncates the file without an error.
         memory = stream.binary_stream()
         stream.send_blueprint(blueprint, make_active=False, make_default=True)
         stream.send_recording_name(title)
@@ -45,7 +45,7 @@ def save_recording(
 
 
 def holds(path: Path, number: str) -> bool:
-    """Whether a whole recording of this id stands there."""
+    """Whether the file is an intact recording with this id."""
     with suppress(InputError):
         check_sum(path)
         return [one.recording_id for one in open_rrd(path).recordings()] == [number]

@@ -1,6 +1,7 @@
-"""What stands still below ``world``: the room, its floor plan, the colour scale, the error fields.
+"""The static entities below ``world``: the room, its floor plan, the colour scale, the error fields.
 
-In a study they change along its timelines: whatever takes ``at``, places on timelines, then stands from there on.
+In a study they change along its timelines: a function with the argument ``at``, places on timelines, logs an entity
+that is valid from these places on.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,20 +17,20 @@ from sim.occupancy import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale
-DENSE_M = 0.05  # test positions nearer than this get thinner arrows
+DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
 Places = Sequence[rr.TimeColumn]  # one place on each of some timelines
 
 
 def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: str = "world") -> None:
     stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if scene.is_file():  # a plane world has no walls to see
+    if scene.is_file():  # planar worlds have no walls
         room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
         stream.log(f"{root}/room", room, static=True)
     log_floor(stream, space, root=root)
 
 
 def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), root: str = "world") -> None:
-    """The floor plan, and a line around what the robot can reach."""
+    """Log the floor plan and the outline of what the robot can reach."""
     plan, corner = playback.draw_floor_plan(space)
     put(
         stream,
@@ -49,12 +50,12 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), roo
 
 
 def log_scale(stream: rr.RecordingStream, space: FreeSpace, root: str = "world") -> None:
-    """The colour scale of errors as a strip on the floor before the room."""
+    """Log the colour scale of errors as a strip on the floor in front of the room."""
     log_scale_below(stream, f"{root}/scale", *limits(space))
 
 
 def log_scale_below(stream: rr.RecordingStream, path: str, low: np.ndarray, high: np.ndarray) -> None:
-    """The colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
+    """Log the colour scale of errors as a strip below a rectangle of the floor, from ``low`` to ``high`` (2,) [m]."""
     decades = np.log(SCALE_M[1] / SCALE_M[0])
     ticks = np.array(TICKS_M)
     colours = colours_of(SCALE_M[0] * np.exp(np.linspace(0, 1, STRIP) * decades))
@@ -70,15 +71,15 @@ def log_strip(
     colours: np.ndarray,
     labels: Mapping[float, str],
 ) -> None:
-    """A strip of colours below a rectangle of the floor.
+    """Log a strip of colours below a rectangle of the floor.
 
     Args:
-        stream: Where to.
+        stream: Stream to log to.
         path: Entity of the strip; its labels are logged below it.
         low: South-west corner of the rectangle (2,) [m].
-        high: Its north-east corner (2,) [m].
+        high: North-east corner of the rectangle (2,) [m].
         colours: Colours from left to right (``STRIP``, 4) uint8.
-        labels: What stands at which shares of the strip's length.
+        labels: Labels by their position, as a share of the strip's length.
     """
     width = 0.9 * max(high[0] - low[0], 1.4 * (high[1] - low[1]))  # views are wider than a square room
     left, bottom = (low[0] + high[0] - width) / 2, low[1] - 0.35
@@ -99,7 +100,7 @@ def log_strip(
 
 
 def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = (), root: str = "world") -> None:
-    """Arrows from truth to prediction, and a dot at each truth, coloured by magnitude; thin where places are dense."""
+    """Log arrows from truth to prediction, and a dot at each truth, coloured by error; thin where places are dense."""
     path, colours = f"{root}/error_field/{name}", colours_of(field.error)
     thin = find_thinness(field.truth)
     arrows = rr.Arrows3D(
@@ -114,13 +115,13 @@ def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Plac
 
 
 def find_thinness(places: np.ndarray) -> float:
-    """How thin arrows at places (N, 2) [m] are: one where there is room for them."""
+    """Factor for the thickness of arrows at places (N, 2) [m]; one if there is room for them."""
     area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
     return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
 
 
 def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Places = ()) -> None:
-    """Log a thing from these places on; without any, for ever. No wall-clock time is written either way."""
+    """Log something from the places ``at`` on, or statically without them; wall-clock time is never written."""
     if not at:
         stream.log(path, thing, static=True)
         return

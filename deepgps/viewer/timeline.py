@@ -1,7 +1,7 @@
 """The timelines of a run's recording, and rows along them.
 
-``drive_time`` [s], ``step`` of training, and ``progress``, which runs through drive and training together from 0 to
-``PROGRESS_END``.
+The timelines are ``drive_time`` [s], ``step`` of training, and ``progress``, which runs from 0 to ``PROGRESS_END``
+through the drive and the training at the same time.
 """
 
 from collections.abc import Iterable, Sequence

@@ -1,4 +1,4 @@
 """AprilTags: their detector, the bundle adjustment that turns detections into labels, and the labels themselves.
 
-Nothing here knows the simulator or the truth: images and detections come in, poses go out.
+Nothing here uses the simulator or the ground truth: images and detections come in, poses go out.
 """

@@ -1,9 +1,9 @@
-"""Where tags hang, from many views of them, and then where each view was taken from: the paper's truth (Sec. IV-C).
+"""Tag poses from many views of the tags, then the pose of each view: the paper's ground truth (Sec. IV-C).
 
-A view of one tag gives its pose up to two candidates (Collins and Bartoli 2014). Two tags seen together lie to one
-another as one of four pairs of candidates says; over many views only the right pair agrees. A tree of such pairs places
-all tags roughly, and bundle adjustment of tags and views together exactly, as in MASFM (Feng et al. 2016). Each view is
-then solved for by itself from all tags in it (perspective n points). Nothing here knows where anything is in truth.
+A view of one tag gives its pose up to two candidates (Collins and Bartoli 2014). The relative pose of two tags seen
+together is given by one of four pairs of candidates; over many views only the right pair is consistent. A tree of such
+pairs places all tags roughly, and bundle adjustment of tags and views together refines them, as in MASFM (Feng et al.
+2016). Each view is then solved separately from all tags in it (perspective-n-point). Nothing here uses true poses.
 
 Poses are matrices (..., 4, 4), ``T_a_b`` the pose of b in the frame of a.
 """
@@ -21,34 +21,34 @@ from sim.apriltag.detector import CORNERS, SIDE_M, Detections
 from sim.errors import WorkError
 
 SMALLEST_PX = 12.0
-"""Detections whose tag is smaller than this, in root of its area, are not used: their corners run together."""
+"""Detections of tags smaller than this, by the root of the area, are not used: their corners blur together."""
 PAIR_VIEWS = 24
-"""Views in which two tags are compared, those where they are largest."""
+"""Views in which two tags are compared, at most: those where the tags are largest."""
 UNLIKE_M = 0.3
-"""Pairs of candidates farther apart than this [m] count as just wrong."""
+"""Pairs of candidates farther apart than this [m] all count as equally wrong."""
 AGREE_M = 0.1
-"""Ways from one tag to another over a third agree with the direct one when they differ by less than this [m]."""
+"""A path between two tags over a third agrees with the direct step if the two differ by less than this [m]."""
 LEAST_VIEWS = 3
-"""Views that must show two tags together."""
+"""Views that must show two tags together, at least."""
 MOST_VIEWS = 400
-"""Views that take part in bundle adjustment, at most; all are solved for afterwards."""
+"""Views used in bundle adjustment, at most; all views are solved afterwards."""
 LEAST_TAGS = 2
-"""Tags that a view must show: from one alone its pose has two candidates."""
+"""Tags that a view must show, at least: from a single tag its pose has two candidates."""
 WRONG_PX = 3.0
-"""A tag farther off than this in a solved view [px], root mean square, is taken for a mistake."""
+"""A tag whose RMS error in a solved view is larger than this [px] is treated as an outlier."""
 NOISE_PX, UNSURE_M = 0.2, 0.03
-"""Standard deviation that corners are expected to have, and how unsure of its place a view may be with that."""
+"""Expected standard deviation of corners [px], and largest standard deviation of a view's position from it [m]."""
 SCALE_PX = 0.5
-"""Where the robust loss of bundle adjustment turns from square to linear [px]."""
+"""Error at which the robust loss of bundle adjustment changes from quadratic to linear [px]."""
 STEPS, ENOUGH = 100, 1e-10
-"""Steps of bundle adjustment at most, and the gain, as a part of the cost, at which it ends."""
+"""Largest number of bundle adjustment steps, and the relative gain in cost at which it ends."""
 
 
 class TagMap(NamedTuple):
-    """Tags that hang together, in the frame of the first of them.
+    """Tags that are connected, in the frame of the first of them.
 
     Attributes:
-        tag: Their numbers (T,), ascending.
+        tag: Tag numbers (T,), ascending.
         pose: ``T_map_tag`` (T, 4, 4).
     """
 
@@ -57,26 +57,26 @@ class TagMap(NamedTuple):
 
 
 def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
-    """Place all tags that hang together through views that see two of them.
+    """Place the largest set of tags that are connected through views that see two of them.
 
     Args:
         detections: Tags found in images of a camera without distortion.
-        camera: Its intrinsic matrix (3, 3) [px].
+        camera: Intrinsic matrix of the camera (3, 3) [px].
 
     Raises:
-        WorkError: no two tags are seen together often enough.
+        WorkError: No two tags are seen together often enough.
     """
     detections = _large(detections)
     rough = chain_tags(detections, camera)
     known = detections.of(np.isin(detections.tag, rough.tag))
-    view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map is wrong by centimetres
+    view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map has errors of centimetres
     counts = np.array([np.count_nonzero(known.view == number) for number in view])
     chosen = np.sort(np.argsort(-counts, kind="stable")[:MOST_VIEWS])
     return adjust(known, rough, view[chosen], pose[chosen], camera)
 
 
 def chain_tags(detections: Detections, camera: np.ndarray) -> TagMap:
-    """Place tags one from another along the tree of pairs that agree best; raises WorkError without any pair."""
+    """Place tags one from another along a tree of the most consistent pairs; raise WorkError without any pair."""
     candidate = np.array([_candidates(corner, camera) for corner in detections.corner]).reshape(-1, 2, 4, 4)
     size = _size(detections)
     numbers, tag = np.unique(detections.tag, return_inverse=True)
@@ -93,7 +93,7 @@ def chain_tags(detections: Detections, camera: np.ndarray) -> TagMap:
     if not edges:
         raise WorkError(f"labels: no two tags are seen together in {LEAST_VIEWS} views, so none can be placed")
     i, j, cost, step = (np.array(part) for part in zip(*edges, strict=True))
-    cost = cost + UNLIKE_M * (find_doubt(i, j, step, len(numbers)) > 0.5)  # a tree of what most do not speak against
+    cost = cost + UNLIKE_M * (find_doubt(i, j, step, len(numbers)) > 0.5)  # doubtful pairs only if needed
     graph = csr_array((cost + 1e-6, (i, j)), shape=(len(numbers), len(numbers)))
     tree = minimum_spanning_tree(graph)
     part = connected_components(tree, directed=False)[1]
@@ -111,7 +111,7 @@ def chain_tags(detections: Detections, camera: np.ndarray) -> TagMap:
 def solve_views(
     detections: Detections, tags: TagMap, camera: np.ndarray, wrong_px: float = WRONG_PX
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Solve each view for its own pose from all placed tags in it, without those that do not fit.
+    """Solve each view's pose from all placed tags in it, leaving out those that do not fit.
 
     Returns:
         Views that could be solved (V,) and ``T_map_camera`` of each (V, 4, 4).
@@ -129,10 +129,10 @@ def solve_views(
 
 
 def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np.ndarray, camera: np.ndarray) -> TagMap:
-    """Bundle adjustment: tags (but the first) and views (V,) with ``T_map_camera`` (V, 4, 4) move to fit all corners.
+    """Adjust all tags but the first, and views (V,) with ``T_map_camera`` (V, 4, 4), to fit all corners.
 
     Minimises ``sum 2 s^2 (sqrt(1 + |e|^2 / s^2) - 1)`` (soft L1) over the reprojection errors e of all corners, by
-    Levenberg and Marquardt's steps, the errors' weights anew in each (Triggs et al. 2000).
+    Levenberg-Marquardt steps, with the robust weights computed again in each (Triggs et al. 2000).
     """
     used = detections.of(np.isin(detections.view, view) & np.isin(detections.tag, tags.tag))
     t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
@@ -158,14 +158,15 @@ def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np
 
 
 def _cost(error: np.ndarray) -> float:
-    """What bundle adjustment minimises, of errors (S, 4, 2) [px]."""
+    """Return the cost that bundle adjustment minimises, for errors (S, 4, 2) [px]."""
     return float(2 * SCALE_PX**2 * (np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2) - 1.0).sum())
 
 
 def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.ndarray, camera: np.ndarray) -> csc_array:
-    """Derivative (8 S, 6 (T - 1 + V)) of the pixels of detections of tags t (S,) in views v (S,).
+    """Return the derivative (8 S, 6 (T - 1 + V)) of the pixels of detections of tags t (S,) in views v (S,).
 
-    By small motions (rotation vector, shift) of the tags but the first, in their frames, and of the views, in theirs.
+    It is with respect to small motions (rotation vector, shift) of all tags but the first, and of the views, each in
+    its own frame.
     """
     point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
     depth = np.maximum(point[..., 2], 0.1 * SIDE_M)
@@ -187,7 +188,7 @@ def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.nd
 
 
 def _cross(point: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) of the cross product with vectors (..., 3) from the left."""
+    """Return matrices (..., 3, 3) of the cross product with vectors (..., 3) from the left."""
     x, y, z = np.moveaxis(point, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([np.stack(row, axis=-1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))], axis=-2)
@@ -198,21 +199,21 @@ def _large(detections: Detections) -> Detections:
 
 
 def _size(detections: Detections) -> np.ndarray:
-    """Root of each tag's area (S,) [px]."""
+    """Return the root of each tag's area (S,) [px]."""
     across = detections.corner[:, 2] - detections.corner[:, 0]
     down = detections.corner[:, 3] - detections.corner[:, 1]
     return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / 2)
 
 
 def _candidates(corner: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    """The two poses ``T_camera_tag`` (2, 4, 4) that one tag's corners (4, 2) allow, the likelier first."""
+    """Return the two poses ``T_camera_tag`` (2, 4, 4) that one tag's corners (4, 2) allow, the likelier first."""
     count, turn, place, _ = cv2.solvePnPGeneric(CORNERS, corner, camera, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
     poses = [_pose(turn[k], place[k]) for k in range(count)]
     return np.array((poses * 2)[:2])
 
 
 def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All pairs of detections in one view: first (p,) and second (p,)."""
+    """Return all pairs of detections in the same view: first (p,) and second (p,)."""
     order = np.argsort(view, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(view[order])) + 1)
     pairs = [np.array(np.triu_indices(len(group), 1)) for group in groups]
@@ -221,9 +222,9 @@ def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
-    """The pose of one tag to another on which views with candidates (n, 2, 4, 4) of both agree best, and how badly."""
+    """Return the mean disagreement and the relative pose of two tags on which candidates (n, 2, 4, 4) agree best."""
     steps = (np.linalg.inv(first)[:, :, None] @ second[:, None]).reshape(len(first), 4, 4, 4)
-    corners = np.nan_to_num(_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # of a tag seen exactly upright
+    corners = np.nan_to_num(_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # NaN for a tag seen exactly upright
     apart = np.linalg.norm(corners.reshape(-1, 1, 1, 12) - corners, axis=-1).min(axis=2)
     cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
     best = int(cost.argmin())
@@ -231,9 +232,9 @@ def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
 
 
 def find_doubt(i: np.ndarray, j: np.ndarray, step: np.ndarray, tags: int) -> np.ndarray:
-    """Part of third tags that speak against each pair (p,): over them the way from i to j is another than its own.
+    """Return the fraction of third tags that contradict each pair (p,): the path from i to j over them disagrees.
 
-    A pair of candidates can agree over many views and be wrong all the same, if these look from nearly one side.
+    A pair of candidates can agree over many views and still be wrong, if all of them look from nearly the same side.
     """
     steps = np.full((tags, tags, 4, 4), np.nan)
     steps[i, j], steps[j, i] = step, np.linalg.inv(step)
@@ -246,7 +247,7 @@ def find_doubt(i: np.ndarray, j: np.ndarray, step: np.ndarray, tags: int) -> np.
 
 
 def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong_px: float) -> np.ndarray | None:
-    """``T_map_camera`` from tags' corners (n, 4, 3) seen at (n, 4, 2), or None; the worst is left out until all fit."""
+    """Return ``T_map_camera`` from corners (n, 4, 3) seen at (n, 4, 2), dropping the worst tags, or None."""
     while len(corners) >= LEAST_TAGS:
         places, pixels = corners.reshape(-1, 3), seen.reshape(-1, 2)
         good, turn, place = cv2.solvePnP(places, pixels, camera, None, flags=cv2.SOLVEPNP_SQPNP)
@@ -264,7 +265,7 @@ def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong
 
 
 def _unsure(corners: np.ndarray, pose: np.ndarray, camera: np.ndarray) -> float:
-    """Standard deviation of a view's place [m] when its corners' is ``NOISE_PX``, to first order."""
+    """Return the standard deviation of a view's position [m] for corner noise ``NOISE_PX``, to first order."""
     step = 1e-5
     moved = _moves(step * np.concatenate([np.zeros((1, 6)), np.eye(6)])) @ pose
     pixels = [_project(corners, np.broadcast_to(one, (len(corners), 4, 4)), camera).ravel() for one in moved]
@@ -274,12 +275,12 @@ def _unsure(corners: np.ndarray, pose: np.ndarray, camera: np.ndarray) -> float:
 
 
 def _corners(pose: np.ndarray) -> np.ndarray:
-    """Corners (..., 4, 3) of tags at poses (..., 4, 4)."""
+    """Return corners (..., 4, 3) of tags at poses (..., 4, 4)."""
     return np.einsum("...ij,kj->...ki", pose[..., :3, :3], CORNERS) + pose[..., None, :3, 3]
 
 
 def _project(corners: np.ndarray, camera_map: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    """Pixels (n, 4, 2) of corners (n, 4, 3) in cameras ``T_camera_map`` (n, 4, 4)."""
+    """Return pixels (n, 4, 2) of corners (n, 4, 3) in cameras ``T_camera_map`` (n, 4, 4)."""
     points = np.einsum("nij,nkj->nki", camera_map[:, :3, :3], corners) + camera_map[:, None, :3, 3]
     pixels = points @ camera.T
     return pixels[..., :2] / np.maximum(pixels[..., 2:], 0.1 * SIDE_M)
@@ -292,7 +293,7 @@ def _pose(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _moves(small: np.ndarray) -> np.ndarray:
-    """Motions (n, 4, 4) of rotation vectors and shifts (n, 6)."""
+    """Return motions (n, 4, 4) from rotation vectors and shifts (n, 6)."""
     moves = np.tile(np.eye(4), (len(small), 1, 1))
     moves[:, :3, :3], moves[:, :3, 3] = Rotation.from_rotvec(small[:, :3]).as_matrix(), small[:, 3:]
     return moves

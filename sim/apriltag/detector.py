@@ -1,7 +1,7 @@
-"""AprilTags of the family 36h11 (Olson 2011): their pictures, their corners, and finding them in grey images.
+"""AprilTags of the family 36h11 (Olson 2011): their images, their corners, and their detection in grey images.
 
-A tag's frame has its origin in the middle of its black square, x to the right and y up as one reads it, z towards the
-reader. Its corners go around from the upper left, clockwise as one reads it, as OpenCV returns them.
+A tag's frame has its origin in the middle of its black square, x to the right and y up as seen by a reader, z towards
+the reader. Its corners go clockwise from the upper left, as seen by a reader and as OpenCV returns them.
 """
 
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ import cv2
 import numpy as np
 
 TAGS = 82
-"""Tags in the room of the paper (Sec. IV-C): numbers 0 to 81 of the family."""
+"""Number of tags in the paper's room (Sec. IV-C): numbers 0 to 81 of the family."""
 SIDE_M = 0.16
 """Side of the black square [m]."""
 MODULES = 8
-"""Squares across the black square: a border of one, six of code."""
+"""Modules across the black square: a border of one on each side and six of code."""
 PLATE_M = SIDE_M * (MODULES + 2) / MODULES
-"""Side of the white plate, whose margin of one module sets the black square off [m]."""
+"""Side of the white plate, which has a margin of one module around the black square [m]."""
 CORNERS = SIDE_M / 2 * np.array([[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0], [-1.0, -1.0, 0.0]])
 """Corners of the black square in the tag's frame (4, 3) [m]."""
 EDGE_POINTS, WITHIN = 12, (0.12, 0.88)
-"""Points on a side at which its edge is sought, and the part of the side on which they lie."""
+"""Points on a side at which its edge is searched, and the part of the side that they cover."""
 STEPS, REACH_PX, ROUNDS = 13, (1.5, 4.0), 2
-"""Readings across an edge, how far to either side at least and at most, and how often lines are fitted."""
+"""Samples across an edge, least and greatest reach to either side [px], and number of line fits."""
 _FAMILY = cv2.aruco.DICT_APRILTAG_36h11
 _MODULE_PX = 16
 
@@ -32,9 +32,9 @@ class Detections:
     """Tags found in images.
 
     Attributes:
-        view: Image in which each was found (S,) int64.
-        tag: Its number (S,) int64.
-        corner: Its corners' columns and rows (S, 4, 2) [px], pixel middles at whole numbers.
+        view: Image in which each tag was found (S,) int64.
+        tag: Number of each tag (S,) int64.
+        corner: Columns and rows of each tag's corners (S, 4, 2) [px], pixel centres at integers.
     """
 
     view: np.ndarray
@@ -42,12 +42,12 @@ class Detections:
     corner: np.ndarray
 
     def of(self, chosen: np.ndarray) -> "Detections":
-        """Those that an index or a mask chooses."""
+        """Return the detections that an index or a mask selects."""
         return Detections(self.view[chosen], self.tag[chosen], self.corner[chosen])
 
 
 def draw_tag(number: int) -> np.ndarray:
-    """Picture of a whole plate (160, 160, 3) uint8, a power of two of pixels to a module."""
+    """Return an image of a complete plate (160, 160, 3) uint8, with a power of two of pixels per module."""
     family = cv2.aruco.getPredefinedDictionary(_FAMILY)
     code = cv2.aruco.generateImageMarker(family, number, MODULES * _MODULE_PX)
     plate = np.pad(code, _MODULE_PX, constant_values=255)
@@ -55,7 +55,7 @@ def draw_tag(number: int) -> np.ndarray:
 
 
 def find_tags(images: np.ndarray) -> Detections:
-    """Find tags in images (N, rows, columns) uint8; views are numbered as the images."""
+    """Find tags in images (N, rows, columns) uint8; views are numbered like the images."""
     detector = make_detector()
     view, tag, corner = [], [], []
     for number, image in enumerate(images):
@@ -70,9 +70,9 @@ def find_tags(images: np.ndarray) -> Detections:
 
 
 def refine(image: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Corners (n, 4, 2) [px] as crossings of lines through the black squares' edges (Wang and Olson 2016).
+    """Refine corners (n, 4, 2) [px] to the intersections of lines along the black squares' edges (Wang and Olson 2016).
 
-    OpenCV's own search for a corner point places a blurred corner a quarter of a pixel inside; edges stay.
+    OpenCV's own corner search places a blurred corner a quarter of a pixel too far inside; blur does not move edges.
     """
     for _ in range(ROUNDS):
         along = np.roll(corner, -1, axis=1) - corner
@@ -92,20 +92,21 @@ def refine(image: np.ndarray, corner: np.ndarray) -> np.ndarray:
 
 
 def _cross(edge: np.ndarray) -> np.ndarray:
-    """Corners (n, 4, 2) where the lines fitted to points on neighbouring sides (n, 4, points, 2) meet."""
+    """Return corners (n, 4, 2) where the lines fitted to points on neighbouring sides (n, 4, points, 2) meet."""
     middle = edge.mean(axis=2)
     away = edge - middle[:, :, None]
     _, axes = np.linalg.eigh(np.einsum("nspi,nspj->nsij", away, away))
     normal = axes[..., 0]
     level = (normal * middle).sum(axis=2)
-    rows = np.stack([np.roll(normal, 1, axis=1), normal], axis=2)  # a corner lies on its own side and the one before
+    rows = np.stack([np.roll(normal, 1, axis=1), normal], axis=2)  # a corner is on its own side and the one before
     return np.linalg.solve(rows, np.stack([np.roll(level, 1, axis=1), level], axis=2)[..., None])[..., 0]
 
 
 def make_detector() -> cv2.aruco.ArucoDetector:
-    """A detector that takes no code with a wrong bit.
+    """Return a detector that accepts no code with a wrong bit.
 
-    Only strong contrast is looked at, as that of tags is: five times faster in a textured room, and as many are found.
+    It considers only strong contrast, such as that of tags: this is five times faster in a textured room, and as many
+    tags are found.
     """
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

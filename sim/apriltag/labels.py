@@ -1,8 +1,8 @@
-"""Labels of a recording: poses from tags that the tag camera saw, and from nothing else. Never the truth.
+"""Labels of a recording: poses computed only from tags that the tag camera saw, never from the ground truth.
 
 The folder ``labels/`` of a recording holds ``detection.npz`` and ``test_detection.npz`` (what was found in the images),
-``tag.npz`` (where the tags hang) and ``pose.npy`` (N, 3), ``test_pose.npy`` (C, H, 3): x, y [m], yaw [rad], not a
-number where a view shows too few tags. Their frame is their own: z up, the origin below the first tag, x along it.
+``tag.npz`` (the tags' poses) and ``pose.npy`` (N, 3), ``test_pose.npy`` (C, H, 3): x, y [m], yaw [rad], NaN where a
+view shows too few tags. The labels have a frame of their own: z up, the origin below the first tag, x along the tag.
 """
 
 from pathlib import Path
@@ -29,15 +29,15 @@ def write_labels(
         folder: The recording's folder.
         detections: Tags found in the training images.
         test: Tags found in the test images, numbered in order.
-        shape: How many training images there are, then the leading shape of the test images: (N, C, H).
+        shape: Number of training images, then the leading shape of the test images: (N, C, H).
         camera: Intrinsic matrix (3, 3) [px].
         mount: Pose of the camera on the robot (4, 4).
 
     Returns:
-        What the manifest says of it: tags placed, images without a label.
+        Entries for the manifest: tags placed, images without a label.
 
     Raises:
-        WorkError: the tags cannot be reconstructed, or no image can be solved.
+        WorkError: The tags cannot be reconstructed, or no image can be solved.
     """
     tags = reconstruct(detections, camera)
     (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (detections, test))
@@ -62,7 +62,7 @@ def write_labels(
 
 
 def find_level(tags: TagMap, robot: np.ndarray) -> np.ndarray:
-    """Transform (4, 4) from the tags' frame to one whose z is the mean upward axis of the robot's poses (V, 4, 4)."""
+    """Return the transform (4, 4) from the tags' frame to one whose z is the mean up axis of robot poses (V, 4, 4)."""
     up = robot[:, :3, 2].mean(axis=0)
     up /= np.linalg.norm(up)
     right = tags.pose[0, :3, 0] - (tags.pose[0, :3, 0] @ up) * up
@@ -76,7 +76,7 @@ def find_level(tags: TagMap, robot: np.ndarray) -> np.ndarray:
 
 
 def flatten(pose: np.ndarray) -> np.ndarray:
-    """Planar poses (V, 3) x, y [m], yaw [rad] of poses (V, 4, 4) in a level frame."""
+    """Return planar poses (V, 3) x, y [m], yaw [rad] of poses (V, 4, 4) in a level frame."""
     return np.column_stack([pose[:, :2, 3], np.arctan2(pose[:, 1, 0], pose[:, 0, 0])])
 
 

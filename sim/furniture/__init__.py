@@ -1,4 +1,4 @@
 """Pieces of furniture, fittings and decoration as MuJoCo geoms with procedural textures.
 
-Each piece is built at the origin; where it goes is decided in ``sim.rooms``.
+Each piece is built at the origin; ``sim.rooms`` decides where it goes.
 """

@@ -1,7 +1,7 @@
-"""On the ceiling: lamps of several kinds, beams, vents, duct, pipes, smoke detector, hatch, fan.
+"""Ceiling fittings: lamps of several kinds, beams, duct, vent, smoke detector, hatch, fan.
 
-A fitting's frame has its origin on the ceiling, z up; everything hangs below z = 0. Each returns the size it covers
-on the ceiling as (along x, along y) [m].
+A fitting's frame has its origin on the ceiling, z up; everything hangs below z = 0. Each function returns the size
+that its fitting covers on the ceiling as (along x, along y) [m].
 """
 
 import mujoco
@@ -56,7 +56,7 @@ def tube(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
 
 
 def spots(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
-    """A rail with three spot lamps that look different ways."""
+    """A rail with three spot lamps that point in different directions."""
     box(body, (0, 0, -0.03), (1.0, 0.05, 0.04), look.black)
     for x in (-0.38, rng.uniform(-0.15, 0.15), 0.38):
         lamp = rng.uniform(-0.5, 0.5)
@@ -78,7 +78,7 @@ def chandelier(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Co
 
 
 def fan(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
-    """A ceiling fan with five blades, or four."""
+    """A ceiling fan with four or five blades."""
     drop, reach = 0.28, rng.uniform(0.5, 0.62)
     box(body, (0, 0, -drop / 2), (0.03, 0.03, drop), look.metal)
     pole(body, (0, 0, -drop), 0.1, 0.12, look.metal)

@@ -1,4 +1,4 @@
-"""What makes a room lived in: rug, floor lamp, plant, coat stand, barrel, ladder, boxes, pillar."""
+"""Decoration and clutter: rug, floor lamp, plant, coat stand, barrel, ladder, boxes."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from sim.furniture.primitives import Footprint, Look, ball, block, box, paint, p
 
 
 def rug(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Footprint:
-    """A thin rug that nothing bumps into; ``size`` along x and y [m]."""
+    """A thin rug that collides with nothing; ``size`` is its extent along x and y [m]."""
     weave = paper(
         look.spec, textures.carpet(rng, (96, 144), textures.muted(rng), textures.vivid(rng), textures.muted(rng))
     )
@@ -37,7 +37,7 @@ def plant(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
             ball(body, (float(at[0]), float(at[1]), float(at[2])), (0.26, 0.26, 0.32 * height / 1.2), look.leaves)
         return Footprint(0.64, 0.64, 0.36 + height)
     for leaf in np.arange(6) * 2 * np.pi / 6 + rng.uniform(0, 1):
-        # A blade, lifted about its own y axis and then turned about z.
+        # Each leaf is tilted about its own y axis and then turned about z.
         tilt, quat = turned(-rng.uniform(0.2, 1.1), (0.0, 1.0, 0.0)), np.empty(4)
         mujoco.mju_mulQuat(quat, np.array(turned(float(leaf))), np.array(tilt))
         lift = 0.36 + height * rng.uniform(0.5, 0.75)
@@ -79,7 +79,7 @@ def ladder(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
 
 
 def crates(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """Two boxes, one on the other, set down askew."""
+    """Two boxes stacked slightly askew."""
     card = paint(look.spec, (0.66, 0.5, 0.33))
     box(body, (0, 0, 0.22), (0.56, 0.46, 0.44), card, solid=True)
     box(body, (0.03, 0, 0.58), (0.42, 0.38, 0.28), look.cushion, quat=turned(rng.uniform(-0.3, 0.3)), solid=True)

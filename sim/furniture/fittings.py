@@ -1,7 +1,7 @@
-"""On walls: door, window, curtains, radiator, picture, mirror, whiteboard, clock, shelf, tool wall.
+"""Wall fittings: doors, window, curtains, radiator, picture, mirror, whiteboard, clock, shelf, tool wall.
 
-A fitting's frame lies in its wall: x along the wall, z up from the floor, the room on the side of -y. Each function
-draws about x = 0 and returns the rectangle it covers as (width, bottom, top) [m].
+A fitting's frame is on its wall: x along the wall, z up from the floor, the room towards -y. Each function draws
+around x = 0 and returns the rectangle that the fitting covers as (width, bottom, top) [m].
 """
 
 import mujoco
@@ -50,7 +50,7 @@ def curtains(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
 def dressed_window(
     body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, curtained: bool = True
 ) -> Cover:
-    """A window with curtains beside it, or none, and often a radiator below."""
+    """A window with or without curtains, and often a radiator below."""
     covers = [window(body, rng, look, width_m)]
     if curtained:
         covers.append(curtains(body, rng, look, width_m, covers[0][2]))
@@ -70,7 +70,7 @@ def radiator(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
 
 
 def picture(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float, size: tuple[float, float]) -> Cover:
-    """A framed painting; no two are alike."""
+    """A framed painting, a different one each time."""
     width, tall = size
     image = pictures.painting(rng, (96, int(np.clip(96 * width / tall, 48, 192))))
     frame = textures.framed(image, rng.choice((*WOODS, (0.1, 0.1, 0.1), (0.9, 0.88, 0.8))), 0.07)
@@ -79,7 +79,7 @@ def picture(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, z: float
 
 
 def mirror(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
-    """A tall mirror: pale glass with a slanting gleam."""
+    """A tall mirror: pale glass with a slanting highlight."""
     glass = paper(look.spec, textures.plaster(rng, (96, 48), (0.72, 0.8, 0.84), stains=0, cracks=0, depth=0.25))
     width, low, high = rng.uniform(0.5, 0.7), 0.6, rng.uniform(1.75, 1.95)
     box(body, (0, -0.015, (low + high) / 2), (width, 0.03, high - low), look.wood)

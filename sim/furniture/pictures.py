@@ -8,7 +8,7 @@ from sim.furniture.textures import Shape, clouds, noise, to_bytes, vivid
 
 
 def painting(rng: np.random.Generator, shape: Shape) -> np.ndarray:
-    """A painting in one of four manners: landscape, blocks of colour, discs, waves."""
+    """A painting in one of four styles: landscape, blocks of colour, discs, waves."""
     manner = (_landscape, _blocks, _discs, _waves)[rng.integers(4)]
     return to_bytes(manner(rng, shape) * (0.9 + 0.2 * noise(rng, shape, (shape[0] / 3, shape[1] / 3)))[..., None])
 

@@ -1,7 +1,7 @@
-"""What every piece of furniture is made of: a footprint, a look (materials), drawn shapes and shapes that collide.
+"""Building blocks of furniture: a footprint, a look (materials), drawn shapes and shapes that collide.
 
-A piece is one function ``(body, rng, look, ...) -> Footprint`` that fills a body. Its frame: origin on the floor in the
-middle of the footprint, the front faces -y, the back +y.
+A piece is one function ``(body, rng, look, ...) -> Footprint`` that fills a body. The frame of a piece has its origin
+on the floor in the middle of the footprint; the front faces -y, the back +y.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Footprint:
         width_m: Extent along x [m].
         depth_m: Extent along y [m].
         height_m: Extent along z from the floor [m].
-        front_m: Floor that must stay open before it [m].
+        front_m: Depth of the floor before the piece that must stay open [m].
     """
 
     width_m: float
@@ -56,7 +56,7 @@ class Look:
 
 
 def make_look(spec: mujoco.MjSpec, rng: np.random.Generator) -> Look:
-    """Choose a room's woods, cloths and paints."""
+    """Choose a room's woods, fabrics and paints."""
     size = (128, 128)
     woods = rng.permutation(len(WOODS))
     calm, other, strong = textures.muted(rng), textures.muted(rng), textures.vivid(rng)
@@ -77,7 +77,7 @@ def make_look(spec: mujoco.MjSpec, rng: np.random.Generator) -> Look:
 
 
 def paint(spec: mujoco.MjSpec, colour: Colour, glow: float = 0.0) -> str:
-    """Add a plain material; ``glow`` is the part of its colour that needs no light."""
+    """Add a plain material; ``glow`` is the fraction of its colour that is emitted."""
     name = f"paint_{len(spec.materials)}"
     spec.add_material(name=name, rgba=(*colour, 1.0), emission=glow, specular=0.0, shininess=0.0)
     return name
@@ -138,7 +138,7 @@ def pole(
 
 
 def ball(body: mujoco.MjsBody, middle: Point, radii: tuple[float, float, float], material: str) -> None:
-    """Draw an ellipsoid; dear to draw, so used rarely."""
+    """Draw an ellipsoid; used rarely because it is expensive to render."""
     _draw(body, mujoco.mjtGeom.mjGEOM_ELLIPSOID, middle, radii, material)
 
 
@@ -150,7 +150,7 @@ def legs(body: mujoco.MjsBody, width_m: float, depth_m: float, top_m: float, sid
 
 
 def turned(angle_rad: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Quaternion:
-    """Quaternion wxyz of a turn about a unit axis."""
+    """Return the quaternion (w, x, y, z) of a rotation about a unit axis."""
     s = float(np.sin(angle_rad / 2))
     return float(np.cos(angle_rad / 2)), s * axis[0], s * axis[1], s * axis[2]
 

@@ -1,4 +1,4 @@
-"""To sit and lie on: sofa, armchair, chair, office chair, stool, bed."""
+"""Furniture to sit and lie on: sofa, armchair, chair, office chair, stool, bed."""
 
 import mujoco
 import numpy as np
@@ -7,7 +7,7 @@ from sim.furniture.primitives import Footprint, Look, ball, block, box, pole, tu
 
 
 def sofa(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 2.1) -> Footprint:
-    """A sofa with two or three seats, arms and a cushion in each end."""
+    """A sofa with two or three seats, arms and a cushion at each end."""
     depth, arm, seat_top = 0.9, 0.2, 0.43
     inner = width_m - 2 * arm
     back_top = rng.uniform(0.8, 0.92)
@@ -41,7 +41,7 @@ def armchair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Foot
 
 
 def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A chair with a straight back; stretchers tie its legs all around, so that nothing drives under the seat."""
+    """A chair with a straight back; stretchers join its legs on all sides, so that no robot drives under the seat."""
     width, depth, back_top = 0.44, 0.46, rng.uniform(0.86, 0.98)
     wood = look.wood
     x, y = width / 2 - 0.022, depth / 2 - 0.022
@@ -56,7 +56,7 @@ def chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
 
 
 def office_chair(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A swivel chair on a star of castors."""
+    """A swivel chair on a star-shaped base with castors."""
     back_top = rng.uniform(0.95, 1.15)
     for angle in (0.3, 1.35, 2.4):
         box(body, (0, 0, 0.045), (0.58, 0.05, 0.08), look.black, solid=True, quat=turned(angle))
@@ -77,7 +77,7 @@ def stool(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpri
 
 
 def bed(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.6) -> Footprint:
-    """A bed with head- and footboard, mattress, pillows and a duvet thrown back at the head."""
+    """A bed with headboard, footboard, mattress, pillows and a duvet folded back at the head."""
     length, head_top = 2.08, rng.uniform(0.95, 1.25)
     box(body, (0, 0, 0.2), (width_m, length - 0.1, 0.24), look.wood)
     box(body, (0, length / 2 - 0.03, head_top / 2), (width_m + 0.06, 0.06, head_top), look.dark_wood)

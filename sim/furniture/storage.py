@@ -1,4 +1,4 @@
-"""To keep things in: bookshelf, wardrobe, cabinet, television bench, fridge, oven, shelving, filing cabinet."""
+"""Storage furniture: bookshelf, wardrobe, cabinet, television bench, fridge, oven, shelving, filing cabinet."""
 
 import itertools
 
@@ -10,7 +10,7 @@ from sim.furniture.primitives import Footprint, Look, block, box, paper, pole
 
 
 def bookshelf(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.0) -> Footprint:
-    """An open case full of books; each row of spines is one picture on one box."""
+    """An open bookcase full of books; each row of spines is one picture on one box."""
     depth, height, board = 0.32, rng.uniform(1.75, 2.15), 0.03
     wood = look.dark_wood if rng.random() < 0.5 else look.wood
     shelves = 5
@@ -124,7 +124,7 @@ def shelving(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m
 
 
 def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A steel cabinet of four drawers."""
+    """A steel cabinet with four drawers."""
     width, depth, height = 0.5, 0.6, 1.32
     drawers = paper(look.spec, textures.drawers(rng, (128, 48), 0.4 + 0.4 * textures.muted(rng), 4))
     box(body, (0, 0, height / 2), (width, depth, height), drawers, solid=True)
@@ -134,7 +134,7 @@ def filing_cabinet(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -
 
 
 def tool_chest(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A painted chest of drawers on castors, as mechanics have."""
+    """A mechanic's painted chest of drawers on castors."""
     width, depth, height = 0.7, 0.5, rng.uniform(0.95, 1.15)
     drawers = paper(look.spec, textures.drawers(rng, (96, 64), textures.vivid(rng), 6))
     box(body, (0, 0, height / 2 + 0.04), (width, depth, height - 0.08), drawers)

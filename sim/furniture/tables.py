@@ -1,4 +1,4 @@
-"""To put things on: dining, coffee and bedside table, desk, workbench, kitchen counter and island."""
+"""Tables and worktops: dining, coffee and bedside table, desk, workbench, kitchen counter and island."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from sim.furniture.primitives import Footprint, Look, ball, block, box, legs, pa
 
 TABLE_TOP_M = 0.74
 KNEES_M = 0.18
-"""The middle of the place for knees lies so far from a desk's middle [m]."""
+"""Distance from the middle of a desk to the middle of its knee space [m]."""
 
 
 def dining_table(
@@ -24,7 +24,7 @@ def dining_table(
 
 
 def coffee_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footprint:
-    """A low table with a shelf between its legs, too low to drive under, and a book on it."""
+    """A low table with a book on it and, between its legs, a shelf too low to drive under."""
     width, depth, top = rng.uniform(0.9, 1.15), rng.uniform(0.5, 0.6), 0.42
     box(body, (0, 0, top - 0.02), (width, depth, 0.04), look.dark_wood, solid=True)
     legs(body, width, depth, top - 0.04, 0.05, look.dark_wood)
@@ -45,7 +45,7 @@ def bedside_table(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) ->
 
 
 def desk(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float = 1.4, side: int = 1) -> Footprint:
-    """A desk with a drawer pedestal on one side, 1 or -1 along x, room for knees on the other, and a computer."""
+    """A desk with a drawer pedestal on one side, 1 or -1 along x, knee space on the other, and a computer."""
     depth, top = 0.7, 0.74
     box(body, (0, 0, top - 0.02), (width_m, depth, 0.04), look.wood, solid=True)
     drawers = paper(look.spec, textures.drawers(rng, (96, 64), 0.5 + 0.4 * textures.muted(rng), 3))

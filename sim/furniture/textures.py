@@ -1,7 +1,7 @@
-"""Procedural textures of surfaces, as of wood, plaster and cloth, from a generator: (rows, columns, 3) uint8.
+"""Procedural textures of surfaces such as wood, plaster and cloth, from an RNG: (rows, columns, 3) uint8.
 
-A texture covers a whole face; a wall's is as large as the wall, so that nothing on it repeats. All is computed
-element by element, without libraries whose sums depend on the number of threads: same seed, same bytes.
+A texture covers a complete face; a wall's texture is as large as the wall, so that nothing on it repeats. Everything is
+computed element by element, without libraries whose sums depend on the number of threads: same seed, same bytes.
 """
 
 import itertools
@@ -16,7 +16,7 @@ Shape = tuple[int, int]
 
 
 def noise(rng: np.random.Generator, shape: Shape, cells: tuple[float, float]) -> np.ndarray:
-    """Smooth value noise (rows, columns) in [0, 1] with about ``cells`` bumps down and across."""
+    """Return smooth value noise (rows, columns) in [0, 1] with about ``cells`` bumps down and across."""
     knots = rng.random((int(np.ceil(cells[0])) + 2, int(np.ceil(cells[1])) + 2))
     r, tr = _steps(shape[0], cells[0])
     c, tc = _steps(shape[1], cells[1])
@@ -26,7 +26,7 @@ def noise(rng: np.random.Generator, shape: Shape, cells: tuple[float, float]) ->
 
 
 def clouds(rng: np.random.Generator, shape: Shape, cells: tuple[float, float], octaves: int = 4) -> np.ndarray:
-    """Fractal noise (rows, columns), about 0.5 +- 0.2: each octave twice as fine and half as strong."""
+    """Return fractal noise (rows, columns), about 0.5 +- 0.2; each octave is twice as fine and half as strong."""
     total, weight = np.zeros(shape), 0.0
     for octave in range(octaves):
         scale = 2.0**octave
@@ -36,12 +36,12 @@ def clouds(rng: np.random.Generator, shape: Shape, cells: tuple[float, float], o
 
 
 def vivid(rng: np.random.Generator) -> np.ndarray:
-    """A strong colour (3,) in [0, 1], of any hue."""
+    """Draw a strong colour (3,) in [0, 1], of any hue."""
     return _hue(rng.random(), rng.uniform(0.5, 0.9), rng.uniform(0.5, 0.95))
 
 
 def muted(rng: np.random.Generator, hue: float | None = None) -> np.ndarray:
-    """A calm colour (3,) in [0, 1], as of walls and cloth; of the given hue in [0, 1), or of any."""
+    """Draw a muted colour (3,) in [0, 1], as for walls and cloth, of the given hue in [0, 1) or of any."""
     return _hue(rng.random() if hue is None else hue, rng.uniform(0.15, 0.5), rng.uniform(0.5, 0.9))
 
 
@@ -51,7 +51,7 @@ def to_bytes(image: np.ndarray) -> np.ndarray:
 
 
 def wood(rng: np.random.Generator, shape: Shape, colour: Colour, planks: int = 1) -> np.ndarray:
-    """Boards that run across, each with its own tint and grain."""
+    """Horizontal boards, each with its own tint and grain."""
     rows, columns = shape
     image = np.empty((rows, columns, 3))
     edges = np.linspace(0, rows, planks + 1).astype(int)
@@ -97,7 +97,7 @@ def plaster(
 
 
 def wallpaper(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colour, stripes: int) -> np.ndarray:
-    """Upright stripes of uneven width, with flowers of a second colour strewn on them."""
+    """Vertical stripes of uneven width, with scattered flowers of a second colour."""
     rows, columns = shape
     widths = rng.uniform(0.5, 1.5, 2 * stripes)
     edges = np.concatenate([[0], np.cumsum(widths) / widths.sum()]) * columns
@@ -116,7 +116,7 @@ def wallpaper(rng: np.random.Generator, shape: Shape, colour: Colour, second: Co
 
 
 def brick(rng: np.random.Generator, shape: Shape, colour: Colour, courses: int, per_course: float) -> np.ndarray:
-    """Bricks in running bond, each with a tint of its own, under large-scale soot and light."""
+    """Bricks in running bond, each with its own tint, with large-scale variation from soot and light."""
     rows, columns = shape
     down = np.arange(rows) * courses / rows
     across = np.arange(columns) * per_course / columns
@@ -132,7 +132,7 @@ def brick(rng: np.random.Generator, shape: Shape, colour: Colour, courses: int, 
 
 
 def tile(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colour, grid: tuple[int, int]) -> np.ndarray:
-    """Glazed tiles in ``grid`` rows and columns with grout; every tile tinted, some of a second colour."""
+    """Glazed tiles in ``grid`` rows and columns with grout; each tile has its own tint, some a second colour."""
     rows, columns = shape
     down, across = np.arange(rows) * grid[0] / rows, np.arange(columns) * grid[1] / columns
     r, c = down.astype(int)[:, None], across.astype(int)[None, :]
@@ -172,7 +172,7 @@ def carpet(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colou
 
 
 def folds(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colour) -> np.ndarray:
-    """A hanging curtain: upright folds, some cloth printed with bands of a second colour."""
+    """A hanging curtain: vertical folds, sometimes printed with bands of a second colour."""
     rows, columns = shape
     bend = 0.3 * noise(rng, shape, (2, 4))
     phase = rng.uniform(5, 8) * (np.arange(columns) / columns)[None, :] + bend
@@ -184,7 +184,7 @@ def folds(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colour
 
 
 def fins(rng: np.random.Generator, shape: Shape, colour: Colour, count: int) -> np.ndarray:
-    """Upright fins or slats, as of a radiator, a vent or a roller door."""
+    """Vertical fins or slats, as of a radiator, a vent or a roller door."""
     columns = shape[1]
     shade = 0.68 + 0.32 * np.abs(np.sin(np.pi * count * (np.arange(columns) + 0.5) / columns))
     image = shade[None, :, None] * np.asarray(colour) * np.ones((*shape, 1))
@@ -202,7 +202,7 @@ def drawers(rng: np.random.Generator, shape: Shape, colour: Colour, count: int) 
 
 
 def panels(rng: np.random.Generator, shape: Shape, colour: Colour, grid: tuple[int, int]) -> np.ndarray:
-    """A panelled leaf, as of a door: ``grid`` recessed fields with a lit and a shaded edge."""
+    """A panelled surface, as of a door: ``grid`` recessed fields, each with a lit and a shaded edge."""
     rows, columns = shape
     v = (np.arange(rows) * grid[0] / rows % 1.0)[:, None]
     u = (np.arange(columns) * grid[1] / columns % 1.0)[None, :]
@@ -215,7 +215,7 @@ def panels(rng: np.random.Generator, shape: Shape, colour: Colour, grid: tuple[i
 
 
 def framed(image: np.ndarray, colour: Colour, share: float, bars: Sequence[float] = ()) -> np.ndarray:
-    """Paint a frame over a picture's edge, ``share`` of its rows wide, and upright bars at shares of its columns."""
+    """Paint a frame on a picture's edge, ``share`` of its rows wide, and vertical bars at fractions of its columns."""
     rows, columns = image.shape[:2]
     edge = max(round(share * rows), 2)
     whole = np.ones_like(image) * to_bytes(np.asarray(colour, float))
@@ -232,7 +232,7 @@ def framed(image: np.ndarray, colour: Colour, share: float, bars: Sequence[float
 def _window(
     rng: np.random.Generator, shape: Shape, reach_px: float
 ) -> tuple[tuple[slice, slice], np.ndarray, np.ndarray]:
-    """A square about a random pixel, cut at the edges, and the distances down (r, 1) and across (1, c) from it."""
+    """Return a square around a random pixel, cut at the edges, and the distances down (r, 1) and across (1, c)."""
     row, column = (int(rng.random() * size) for size in shape)
     reach = int(np.ceil(reach_px)) + 1
     part = np.s_[max(row - reach, 0) : row + reach + 1, max(column - reach, 0) : column + reach + 1]
@@ -248,7 +248,7 @@ def _hue(turn: float, strength: float, value: float) -> np.ndarray:
 
 
 def _steps(size: int, cells: float) -> tuple[np.ndarray, np.ndarray]:
-    """Index of the knot before each pixel, and the smooth weight of the next."""
+    """Return the index of the knot before each pixel, and the smooth weight of the next knot."""
     place = np.arange(size) * cells / size
     before = place.astype(int)
     t = place - before

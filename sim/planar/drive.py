@@ -163,7 +163,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
 def choose_heading(
     world: PlaneWorld, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
 ) -> tuple[float, int]:
-    """Draw a heading [rad], uniform among those that are clear for a while, and return it with its clear spacings.
+    """Draw a heading [rad], uniform among those with LEAST_STEPS clear spacings or more, and count them.
 
     Raises:
         WorkError: No such heading is found.

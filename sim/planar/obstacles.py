@@ -44,7 +44,7 @@ class LidarWorld:
         self.settings, self.lidar = settings.obstacles, settings.lidar
         side = self.settings.side_m
         self.bounds = np.array([[-side, -side], [side, side]]) / 2
-        self.segments = settings.drive.samples  # each segment gives several
+        self.segments = settings.drive.samples  # each segment gives several samples
         self.relocate_after = self.settings.relocate_after
         rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
         self.box = side * place_obstacles(self.settings.count, rng)

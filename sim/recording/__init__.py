@@ -1,4 +1,4 @@
 """Recordings: their format on disk, the renderers that make them in parallel, and recordings derived from others.
 
-What the robot sensed and the truth are kept in separate files; nothing here learns.
+Sensor data and ground truth are kept in separate files; nothing here learns.
 """

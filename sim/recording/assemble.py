@@ -1,4 +1,4 @@
-"""Assembling: a recording's files from the chunks of its drive and the image files beside them."""
+"""Assembly of a recording's files from the chunks of its drive and the image files next to them."""
 
 import logging
 import math
@@ -26,15 +26,15 @@ from sim.settings import SimSettings
 
 JOINED = ("state", "segment", "observation", "wheel_angle", "time")
 Sense = Callable[[np.ndarray], np.ndarray]
-"""What a sensor makes of what there is to see."""
+"""Turns ideal images or scans into those that the sensor reports."""
 log = logging.getLogger(__name__)
 
 
 class Drive(NamedTuple):
-    """What has been driven: chunks in order, and beside them the file that each chunk's images go to.
+    """The chunks of a drive in order, and the file for each chunk's images.
 
-    A chunk holds ``state`` (n, nq) of its new observations, and of its readings ``segment`` (r,), ``observation`` (r,),
-    both counted over the whole drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
+    A chunk holds ``state`` (n, nq) for its new observations, and for its readings ``segment`` (r,), ``observation``
+    (r,), both numbered over the complete drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
     """
 
     chunks: list[dict[str, np.ndarray]]
@@ -42,7 +42,7 @@ class Drive(NamedTuple):
 
 
 def make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense | None]:
-    """What the sensor makes of what there is to see: on the drive, and at the tests."""
+    """Return the sensor's transformations of ideal data: for the drive and for the tests."""
     if settings.sensor == "lidar":
         noise = stream(seed, "lidar")
 
@@ -57,7 +57,7 @@ def make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense |
 def write_drive(
     folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, sense: Sense | None = None
 ) -> dict[str, float]:
-    """Write what was driven, cut to the samples wanted, and return what the manifest says of it."""
+    """Write the drive, cut to the number of samples wanted, and return its entries for the manifest."""
     samples = settings.drive.samples
     joined = {
         name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
@@ -90,7 +90,7 @@ def write_drive(
 
 
 def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
-    """Poses (C, 1, 3) of the samples that were driven to test with, after those to learn from."""
+    """Poses (C, 1, 3) of the held-out test samples, which were driven after the training samples."""
     samples = settings.drive.samples
     state = np.concatenate([chunk["state"] for chunk in drive.chunks])[samples : samples + settings.grid.held_out]
     return planar_pose(state)[:, None]
@@ -99,9 +99,9 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
 def write_tag_camera(
     folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
 ) -> dict[str, int]:
-    """Write labels made of what the tag camera saw and, if kept, its images; returns what to tell of them.
+    """Write labels from the tag camera's detections and, if kept, its images; returns their manifest entries.
 
-    ``sense_states`` has left both beside ``images`` and ``tests``.
+    ``sense_part`` has left both next to ``images`` and ``tests``.
     """
     samples, held_out = settings.drive.samples, settings.grid.held_out
     seen, test_seen = (_join_detections(parts) for parts in (images, tests))
@@ -112,7 +112,7 @@ def write_tag_camera(
     if settings.tag_camera.kept:
         ahead = [[path.with_suffix(TAG_CAMERA) for path in parts] for parts in (images, tests)]
         write_images(folder / observation_file("tag_camera"), ahead[0], (samples,))
-        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both look at once
+        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both cameras expose at the same time
         write_images(folder / grid_file("tag_camera"), ahead[1], test_shape, first)
     return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
 
@@ -120,7 +120,7 @@ def write_tag_camera(
 def write_images(
     path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, sense: Sense | None = None
 ) -> None:
-    """Join image files, from image ``first`` on, into one array of this leading shape; what goes beyond is left out."""
+    """Join image files, from image ``first`` on, into one array of this leading shape; drop the rest."""
 
     count = math.prod(shape)
     some = read_part(parts[0])[IMAGE]
@@ -137,7 +137,7 @@ def write_images(
 
 
 def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
-    """What the manifest says of the renderer: its name, how many images it drew twice and how many differed."""
+    """Manifest entries on the renderer: its name, how many images it drew twice and how many differed."""
     counts = {"gl_renderer": "none", "images_drawn_twice": 0, "images_that_differed": 0}
     for path in parts:
         part = read_part(path)
@@ -150,7 +150,7 @@ def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
 
 
 def read_part(path: Path) -> dict[str, np.ndarray]:
-    """Read a file of a recording under way; raises DamagedError, and then has removed it."""
+    """Read a file of an unfinished recording; if it is damaged, remove it and raise DamagedError."""
     if not path.is_file():
         raise DamagedError(f"{path} is missing")
     try:
@@ -162,7 +162,7 @@ def read_part(path: Path) -> dict[str, np.ndarray]:
 
 
 def _join_detections(parts: Sequence[Path]) -> Detections:
-    """Detections of image files, their views numbered over all of them."""
+    """Join the detections of image files, with views numbered over all files."""
     found, before = [], 0
     for path in parts:
         stored = read_part(path.with_suffix(DETECTIONS))

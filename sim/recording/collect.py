@@ -1,8 +1,8 @@
-"""Collecting: drive the room, render what the camera sees, write the recording.
+"""Collection of a recording: drive the room, render what the camera sees, write the files.
 
-The drive goes first, in chunks of segments; each chunk is a file that holds where the robot was and all it takes to
-drive on. Images, or a lidar's scans, are made from these states by worker processes. So a killed collection continues
-where it stopped, and ends with the same bytes under any number of workers.
+The drive comes first, in chunks of segments; each chunk is a file that holds the robot's states and everything needed
+to drive on. Worker processes make images, or a lidar's scans, from these states. So a killed collection continues where
+it stopped, and the result has the same bytes for any number of worker processes.
 """
 
 import json
@@ -44,36 +44,36 @@ from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings
 
 CHUNK = 256
-"""New observations in a chunk, at least; the last one ends with the drive."""
+"""Fewest new observations in a chunk, except in the last one of a drive."""
 TRIES = 3
-"""How often a part may be damaged while it is made into a recording."""
+"""Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 Report = Callable[[str, int, int], None]
 
 
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
-    """Make a recording, or what is missing of it.
+    """Make a recording, or complete an unfinished one.
 
     Args:
         settings: World, robot, sensors, drive and test grid.
-        seed: Driving and encoder draw from streams of this number.
+        seed: Seed of the RNG streams for driving and sensors.
         folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Told how many samples are driven and how many images rendered.
-        workers: Rendering processes; none: one for each core that may be used.
+        progress: Called with a stage (``drive`` or ``render``), the number of images done and their total.
+        workers: Number of rendering processes; None: one for each usable core.
 
     Raises:
         InputError: The room cannot be used, or has no test position.
-        WorkError: No renderer, physics failed, or the disk is full.
+        WorkError: There is no renderer, physics failed, or the disk is full.
     """
-    from sim.recording.scene_mesh import write_scene  # the workers, which import this file too, do without it
+    from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
 
     start = time.perf_counter()
     work = work_folder(folder)
     if (folder / "manifest.json").is_file():
-        _remove_parts(work)  # killed just before they were removed
+        _remove_parts(work)  # a process was killed just before it removed them
         return
     if folder.is_dir():
-        remove_files(folder, RECORDING)  # killed while they were written, or about to be written again
+        remove_files(folder, RECORDING)  # left by a killed process, or about to be rewritten
     work.mkdir(parents=True, exist_ok=True)
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
@@ -108,8 +108,10 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
 
 
 def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> int:
-    """What a recording needs at least besides what there is of its parts; ``tests`` counts its test images, if they are
-    not held out."""
+    """Bytes that a recording needs at least, in addition to its existing parts.
+
+    ``tests`` is the number of test images, unless these are held out.
+    """
     images = settings.drive.samples + settings.grid.held_out + tests
     lidar, camera, ahead = settings.lidar, settings.camera, settings.tag_camera
     seen = 4 * lidar.headings * lidar.rays if settings.sensor == "lidar" else 3 * camera.rings * camera.sectors
@@ -121,8 +123,8 @@ def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> in
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
-    """Poses (C, H, 3) of the test grid: every position within reach that nothing moved has blocked, the headings spread
-    evenly from +x; raises InputError where there is none."""
+    """Poses (C, H, 3) of the test grid: every reachable position that no moved furniture blocks, with evenly spread
+    headings from +x; raises InputError if there is none."""
     spacing, headings = settings.grid.spacing_m, settings.grid.headings
     (low_x, low_y), (high_x, high_y) = world.bounds
     x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
@@ -139,7 +141,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
 def drive_chunk(
     world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
 ) -> dict[str, np.ndarray]:
-    """Drive the next chunk after the chunk ``before``, which holds all that it depends on."""
+    """Drive the next chunk; the chunk ``before`` holds everything that it depends on."""
     if before is None:
         world.start(rng)
         segments = observations = 0
@@ -173,7 +175,7 @@ def drive_chunk(
 
 
 def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
-    """A segment's new states and its readings, numbered over the whole drive."""
+    """A segment's new states and its readings, numbered over the complete drive."""
     first = observations - 1 if segment.continues else observations
     count = len(segment.time)
     return {
@@ -194,7 +196,7 @@ def _make_parts(
     work: Path,
     progress: Report,
 ) -> tuple[Drive, list[Path]]:
-    """Drive and draw what there is not yet; returns the drive and the files of the test images."""
+    """Drive and draw the missing parts; returns the drive and the files of the test images."""
     chance, given = spawn_streams(seed), 0
 
     def give(part: Part) -> None:
@@ -226,7 +228,7 @@ def _drive(
     give: Callable[[Part], None],
     progress: Report,
 ) -> Drive:
-    """Drive until there are enough samples, handing each chunk over to be drawn; whole chunks that exist are read."""
+    """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
     rng, lean = chance
     drive, chunk = Drive([], []), None
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
@@ -258,7 +260,7 @@ def _drive_on(
 def _lay_out_tests(
     world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path, lean: np.random.Generator
 ) -> list[Part]:
-    """The test grid in parts: the robot settled and at rest at each pose, in the room as it is in use."""
+    """Divide the test grid into parts: the robot at rest at each pose, in the room as it is in deployment."""
     poses = test_pose.reshape(-1, 3)
     parts = []
     for index, first in enumerate(range(0, len(poses), CHUNK)):
@@ -269,12 +271,12 @@ def _lay_out_tests(
 
 
 def _is_drawn(part: Part) -> bool:
-    """Whether all files of a part are whole; those that are damaged are removed."""
+    """Whether all files of a part are intact; damaged ones are removed."""
     return all([_read_if_whole(path) for path in (part.path, *side_files(part.settings, part.path))])
 
 
 def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
-    """Arrays of a file of the work folder, if there is one; it is removed where it is damaged."""
+    """Arrays of a file of the work folder, if it exists; a damaged file is removed."""
     with suppress(DamagedError):
         return read_part(path)
     return None
@@ -283,7 +285,7 @@ def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
 def _assemble(
     folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
 ) -> dict[str, Any]:
-    """Write the recording's arrays; returns what the manifest says of them. Raises DamagedError for a part."""
+    """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
     sense, sense_test = make_senses(settings, seed)
     drawn = count_drawn([*drive.images, *tests])
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)

@@ -1,8 +1,8 @@
-"""Deriving: a recording made of another one of the same drive, which is neither driven nor drawn again.
+"""Derivation of a recording from another one of the same drive, without driving or rendering again.
 
-Recordings whose settings differ only in the encoder are one drive with the same images; only the ticks are read again,
-from its wheel angles. Where they differ in faults of finished images, these are put on the images of the other. And no
-drive depends on how long it will be: a shorter one is the beginning of a longer one.
+Recordings whose settings differ only in the encoder share the drive and its images; only the ticks are computed again
+from the wheel angles. If they differ in faults of finished images, these are applied to the other's images. And a drive
+does not depend on its length: a shorter one is the beginning of a longer one.
 """
 
 import time
@@ -32,16 +32,16 @@ PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
 OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy")
-"""What other encoders change."""
+"""Files that depend on the encoder settings."""
 NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
-"""What the names of files begin with that change nothing in a training without ticks."""
+"""Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
 AT_ONCE = 256
-"""Images that are given their faults at a time."""
+"""Images that are processed at a time."""
 
 
 def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
-    """Settings of the recording of so many samples from which others of the same drive are derived: no faults."""
+    """Settings of the fault-free recording of so many samples from which others of the same drive are derived."""
     drive = settings.drive.model_copy(update={"samples": samples})
     return settings.model_copy(
         update={"encoder": EncoderSettings(), "image_faults": ImageFaultSettings(), "drive": drive}
@@ -49,19 +49,19 @@ def choose_drive(settings: SimSettings, samples: int) -> SimSettings:
 
 
 def can_be_cut(settings: SimSettings) -> bool:
-    """Whether a shorter recording is the beginning of this one: not where tests, tags or noise come after it."""
+    """Whether a shorter recording is the beginning of this one; held-out tests, tags or lidar noise prevent that."""
     return not (settings.grid.held_out or settings.tag_camera.mounted or settings.lidar.noise_m)
 
 
 def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
-    """Make a recording of one of the same drive, byte for byte as if it had been collected.
+    """Derive a recording from another one of the same drive, byte for byte as if it had been collected.
 
-    What stays the same is a hard link, or a copy where there can be none: each recording is whole without the other.
+    Unchanged files are hard links, or copies where links are impossible: each recording is complete without the other.
 
     Args:
-        base: Folder of the other recording: no shorter, none of its readings is lost, its images have no faults.
-        settings: As the other's but for the encoder, faults of the finished image and the samples.
-        seed: The other's.
+        base: Folder of the other recording; it is not shorter, has lost no readings, and its images have no faults.
+        settings: Like the other's, except for the encoder, faults of the finished image and the number of samples.
+        seed: The same as the other's.
         folder: The recording's folder; finished once it holds ``manifest.json``.
 
     Raises:
@@ -72,7 +72,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     start = time.perf_counter()
     recording, truth = open_recording(base), open_truth(base)
     _check(recording, settings, seed)
-    remove_recording(folder)  # what a killed process left
+    remove_recording(folder)  # remove what a killed process left
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
@@ -103,7 +103,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
 def _read_again(
     recording: Recording, truth: Truth, kept: int, settings: SimSettings, seed: int, folder: Path
 ) -> dict[str, Any]:
-    """Write the first readings of a drive as these encoders see them; returns what the manifest says of them."""
+    """Write the first readings of a drive as these encoders measure them; returns their manifest entries."""
     odometry, encoder = recording.manifest.odometry, settings.encoder
     number, angle = truth.reading[:kept], truth.wheel_angle[:kept]
     ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
@@ -136,7 +136,7 @@ def _check(base: Recording, settings: SimSettings, seed: int) -> None:
 
 
 def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:
-    """Write the images of a file, or the first ``count``, with faults; some at a time."""
+    """Write the images of a file, or the first ``count``, with faults, in blocks."""
     images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
     flat = images.reshape(-1, *images.shape[-3:])
     blocks = (fault(np.asarray(flat[first : first + AT_ONCE])) for first in range(0, len(flat), AT_ONCE))

@@ -1,9 +1,9 @@
-"""The recording on disk: what the robot sensed, and apart from it the truth, if there is one.
+"""The format of a recording on disk: what the robot sensed and, in separate files, the ground truth if there is one.
 
-A folder with ``manifest.json`` (written last: without it the recording is not finished); for each sensor
+A recording is a folder with ``manifest.json`` (written last: without it the recording is not finished); for each sensor
 ``observations/<sensor>.npy`` (N, ...) and ``observations/<sensor>_time.npy`` (N,), and at test positions
-``test/<sensor>.npy`` (C, H, ...); ``reading.npy`` (R, 4) and ``time.npy`` (R,) of the encoders; ``labels/``, where
-a tag camera made some; ``scene.glb`` and ``truth/`` of a simulation.
+``test/<sensor>.npy`` (C, H, ...); ``reading.npy`` (R, 4) and ``time.npy`` (R,) of the encoders; ``labels/``, if
+a tag camera made some; for a simulation, ``scene.glb`` and ``truth/``.
 """
 
 import re
@@ -38,25 +38,25 @@ RECORDING = re.compile(
 )
 """Paths of all files that a recording's folder holds."""
 COLLECTING = re.compile(r"drive-\d+\.npz|(image|test)-\d+(\.tags|\.tag_camera|\.horizontal)?\.np[yz]")
-"""The same of the folder in which a recording is made."""
+"""Names of all files in the folder of an unfinished recording."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
 
 @dataclass(frozen=True)
 class Recording:
-    """What the robot sensed; nothing here tells where it was.
+    """What the robot sensed; nothing here reveals where it was.
 
     Attributes:
-        folder: Where it lies.
+        folder: Its folder.
         manifest: Settings, seeds, counts, odometry constants, checksums.
-        observation: Of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings, sectors, 3)
-            uint8, scans of a lidar (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
+        observation: Observations of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings,
+            sectors, 3) uint8, scans of a lidar (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
-        test_observation: The same at test positions (C) and headings (H): (C, H, ...), memory-mapped.
-        observation_time: Time of each observation (N,) [s]; NaN where an old recording does not tell.
-        readings: How many readings were kept, and why others were not; None: not checked yet.
-        others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera's are grey images.
+        test_observation: Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped.
+        observation_time: Time of each observation (N,) [s]; NaN where an old recording does not contain it.
+        readings: Numbers of readings that were kept and left out, by reason; None: not checked yet.
+        others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images.
     """
 
     folder: Path
@@ -71,17 +71,17 @@ class Recording:
 
     @property
     def kind(self) -> ObservationKind | None:
-        """What an observation of the first sensor is."""
+        """Kind of the first sensor's observations."""
         return self.manifest.kind
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Poses measured by the tag camera, in a frame of their own; not a number where it saw too few tags.
+    """Poses measured by the tag camera, in an arbitrary frame; NaN where it saw too few tags.
 
     Attributes:
-        pose: At each observation (N, 3): x, y [m], yaw [rad].
-        test_pose: At each test image (C, H, 3).
+        pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
+        test_pose: Pose at each test image (C, H, 3).
     """
 
     pose: np.ndarray
@@ -90,11 +90,11 @@ class Labels:
 
 @dataclass(frozen=True)
 class Truth:
-    """The simulator's truth; only evaluation, the supervised baselines and the viewer open it.
+    """The simulator's ground truth; only evaluation, the supervised baselines and the viewer open it.
 
     Attributes:
         pose: Pose at each observation (N, 3): x, y [m], yaw [rad].
-        reading: Segment and observation of each reading that was made (Q, 2), also of those that never arrived.
+        reading: Segment and observation of each reading (Q, 2), including those that never arrived.
         wheel_angle: Wheel-joint angles at each of these readings (Q, 2): left, right [rad].
         test_pose: Pose at each test image (C, H, 3).
         free_space: Where the robot fits.
@@ -108,10 +108,10 @@ class Truth:
 
 
 def open_recording(folder: Path) -> Recording:
-    """Open what the robot sensed, its files compared with their checksums.
+    """Open what the robot sensed and compare its files with their checksums.
 
     Raises:
-        InputError: The folder is no finished recording, or a file of it is damaged.
+        InputError: The folder is not a finished recording, or one of its files is damaged.
     """
     manifest = read_manifest(folder)
     _check_files(folder, manifest, truth=False)
@@ -134,17 +134,17 @@ def open_recording(folder: Path) -> Recording:
 
 
 def observation_file(sensor: str) -> str:
-    """Path in a recording's folder of a sensor's observations."""
+    """Path of a sensor's observations in a recording's folder."""
     return f"observations/{sensor}.npy"
 
 
 def time_file(sensor: str) -> str:
-    """The same of their times."""
+    """Path of the times of a sensor's observations."""
     return f"observations/{sensor}_time.npy"
 
 
 def grid_file(sensor: str) -> str:
-    """The same of its observations at test positions."""
+    """Path of a sensor's observations at test positions."""
     return f"test/{sensor}.npy"
 
 
@@ -152,9 +152,9 @@ def stamp(observation: np.ndarray, time: np.ndarray, count: int) -> np.ndarray:
     """Times of observations (count,) [s]: those of their first readings; NaN where there is none.
 
     Args:
-        observation: The observation of each reading (R,).
-        time: Its time (R,) [s].
-        count: Observations.
+        observation: Observation of each reading (R,).
+        time: Time of each reading (R,) [s].
+        count: Number of observations.
     """
     found = np.full(count, np.nan)
     if observation.shape == time.shape:
@@ -164,7 +164,7 @@ def stamp(observation: np.ndarray, time: np.ndarray, count: int) -> np.ndarray:
 
 
 def open_truth(folder: Path) -> Truth:
-    """Open a recording's truth, its files compared with their checksums; raises as ``open_recording`` does."""
+    """Open a recording's ground truth and compare its files with their checksums; raises like ``open_recording``."""
     manifest, truth = read_manifest(folder), folder / "truth"
     if not has_truth(folder, manifest):
         raise InputError(f"{folder} has no truth, and errors, labels from it and the room cannot be shown without")
@@ -179,7 +179,7 @@ def open_truth(folder: Path) -> Truth:
 
 
 def has_truth(folder: Path, manifest: Manifest | None = None) -> bool:
-    """Whether a recording holds the truth; that of a real robot does not."""
+    """Whether a recording holds the ground truth; that of a real robot does not."""
     names = (manifest or read_manifest(folder)).sha256
     return (folder / "truth").is_dir() or any(name.startswith("truth/") for name in names)
 
@@ -193,22 +193,22 @@ def open_labels(folder: Path) -> Labels | None:
 
 
 def work_folder(folder: Path) -> Path:
-    """Where a recording keeps its parts until it is finished."""
+    """Folder for the parts of an unfinished recording."""
     return folder.with_name(f"{folder.name}.collecting")
 
 
 def is_whole(folder: Path) -> bool:
-    """Whether a recording is finished, and nothing is left of its making."""
+    """Whether a recording is finished and its parts have been removed."""
     return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
 
 
 def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
-    """States and readings of one chunk of a drive that is being recorded, and its images."""
+    """Files of one chunk of an unfinished recording: states and readings, and images."""
     return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read a recording's manifest; raises InputError where it is missing, broken or of another schema."""
+    """Read a recording's manifest; raises InputError if it is missing, damaged or of an unknown schema."""
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder} is no finished recording: it has no manifest.json")
@@ -231,35 +231,35 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:
-    """Write a recording's arrays by their names in the folder, then its manifest with their checksums."""
+    """Write a recording's arrays, given by their paths in the folder, then its manifest with their checksums."""
     for name, array in arrays.items():
         write_array(folder / name, array)
     finish_recording(folder, manifest)
 
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Write the manifest, which makes the recording whole, with the sha256 of every file in it."""
+    """Complete the recording: write its manifest with the SHA-256 of every file."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
     checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name) and name != "manifest.json"}
     write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA, "sha256": checksums})
 
 
 def check_recording(folder: Path) -> None:
-    """Compare every file with the manifest's checksum; raises DamagedError naming the first that differs."""
+    """Compare every file with the manifest's checksum; raises DamagedError that names the first that differs."""
     manifest = read_manifest(folder)
     for truth in (False, True):
         _check_files(folder, manifest, truth)
 
 
 def remove_recording(folder: Path) -> None:
-    """Remove the files of a recording, finished or not, and of its making; anything else in its folders stays."""
+    """Remove a recording, finished or not, and its parts; any other files in its folders stay."""
     for place, ours in ((folder, RECORDING), (work_folder(folder), COLLECTING)):
         if place.is_dir() and not place.is_symlink():
             remove_files(place, ours)
 
 
 def _check_files(folder: Path, manifest: Manifest, truth: bool) -> None:
-    """Compare the files of the truth, or all others, with the manifest's checksums."""
+    """Compare the files of the ground truth, or all others, with the manifest's checksums."""
     for name, expected in manifest.sha256.items():
         if name.startswith("truth/") == truth:
             try:
@@ -280,7 +280,7 @@ def _grid_file(manifest: Manifest, sensor: str) -> str:
 
 def _open_array(path: Path, mapped: bool = False) -> np.ndarray:
     try:
-        # "c": in memory it may be written, as torch wants of every array; the file stays as it is.
+        # Mode "c" makes the array writable in memory, as torch requires; the file does not change.
         return np.load(path, mmap_mode="c" if mapped else None, allow_pickle=False)
     except FileNotFoundError:
         raise DamagedError(f"{path} is missing; {RECORD_AGAIN}") from None

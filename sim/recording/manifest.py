@@ -1,4 +1,4 @@
-"""The manifest: what a recording says of itself, checked once when it is opened."""
+"""The manifest: a recording's metadata, checked once when it is opened."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -17,19 +17,19 @@ _SENSOR_OF = {"landmarks": ("landmarks", "vector"), "obstacles": ("lidar", "scan
 
 
 class Manifest(BaseModel):
-    """What a recording says of itself. Whoever writes one may add what only it knows.
+    """Metadata of a recording; a writer may add keys of its own.
 
     Attributes:
-        number: The schema's.
+        number: Number of the schema.
         sensors: Kind of each sensor's observations, by its name; methods learn from the first.
-        settings: Of the simulation, where there was one.
-        seed: Of the simulation.
-        samples: Observations of the first sensor.
-        segments: Straight segments driven.
-        readings_lost: Encoder readings that never arrived.
-        distance_driven_m: Along all segments [m].
-        odometry: What is known of the wheels; ``sim.sensors.encoder.read_odometry`` checks it.
-        gl_renderer: What drew the images.
+        settings: Settings of the simulation, if there was one.
+        seed: Seed of the simulation.
+        samples: Number of observations of the first sensor.
+        segments: Number of straight segments driven.
+        readings_lost: Number of encoder readings that never arrived.
+        distance_driven_m: Distance travelled along all segments [m].
+        odometry: What is known of the wheels; ``sim.sensors.encoder.check_odometry`` checks it.
+        gl_renderer: Name of the renderer of the images.
         sha256: Checksum of each file, by its path in the folder.
     """
 
@@ -59,17 +59,17 @@ class Manifest(BaseModel):
 
     @property
     def sensor(self) -> str:
-        """The sensor that methods learn from; empty where the manifest names none."""
+        """The sensor that methods learn from; empty if the manifest names none."""
         return next(iter(self.sensors), "")
 
     @property
     def kind(self) -> ObservationKind | None:
-        """Kind of the observations that methods learn from; None where the manifest names no sensor."""
+        """Kind of the observations that methods learn from; None if the manifest names no sensor."""
         return next(iter(self.sensors.values()), None)
 
 
 def name_sensors(settings: Mapping[str, Any]) -> dict[str, str]:
-    """The sensors of a simulation by its settings, as a manifest names them."""
+    """Sensors and their kinds for the settings of a simulation, as in a manifest."""
     world, sensor = settings.get("world", "room"), settings.get("sensor", "fisheye")
     name, kind = _SENSOR_OF.get(world, ("lidar", "scan") if sensor == "lidar" else ("fisheye", "polar_image"))
     tags = settings.get("tag_camera", {}).get("kept", False)

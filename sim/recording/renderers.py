@@ -1,7 +1,8 @@
-"""Renderers: worker processes that draw part after part of a recording, each replaced where it dies, hangs or errs.
+"""Renderers: worker processes that draw the parts of a recording; one that dies, hangs or errs is replaced.
 
-Mesa's software renderer was seen to crash on a loaded machine, and what overwrites a heap may also change an image or
-lock a thread for ever. Parts are files, written whole or not at all: what a lost worker had begun is drawn again.
+Mesa's software renderer has crashed on a loaded machine, and a bug that corrupts the heap may also change an image or
+deadlock a thread. Parts are files that are written completely or not at all: a lost worker's unfinished parts are drawn
+again.
 """
 
 import logging
@@ -24,16 +25,16 @@ from sim.processes import start_process
 from sim.settings import SimSettings
 
 DEATHS = 3
-"""How often renderers may die or hang."""
+"""Number of times that renderers may die or hang."""
 TRIES = 3
-"""How often a part is drawn, at most, whose images differ when they are drawn twice."""
+"""Most attempts at a part whose images differ when they are drawn twice."""
 FLOOR_S, PATIENCE = 10.0, 8.0
-"""A worker hangs that is silent for the first and so many times the longest silence that ended."""
+"""A worker counts as hung once its silence exceeds FLOOR_S + PATIENCE times the longest silence that ended."""
 BEAT_S = 0.5
-"""So often a worker gives a sign of life, unless an image takes longer."""
+"""Interval between a worker's signs of life, unless an image takes longer."""
 LOOK_S = 1.0
 AHEAD = 2
-"""Parts that a worker has at once: with the next one at hand it need not wait for a parent that drives."""
+"""Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving."""
 CURE = "deepgps doctor checks the renderer"
 log = logging.getLogger(__name__)
 
@@ -44,14 +45,14 @@ class UnsteadyError(WorkError):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Images that are drawn into one file.
+    """A set of images that are drawn into one file.
 
     Attributes:
         settings: The room and the sensors.
         states: Full positions of the simulation (n, nq).
         path: The file.
-        leans: Of the camera at each state (n, 2) [rad]; none: it is upright.
-        differed: How often these images were drawn twice with a difference.
+        leans: Lean of the camera at each state (n, 2) [rad]; None: it is upright.
+        differed: How often an image of this part came out different when drawn twice.
     """
 
     settings: SimSettings
@@ -61,12 +62,12 @@ class Part:
     differed: int = 0
 
     def again(self) -> "Part":
-        """The same part after one more difference."""
+        """Return the part with one more difference counted."""
         return replace(self, differed=self.differed + 1)
 
 
 Draw = Callable[[Part, Callable[[], None]], None]
-"""Draws a part; calls the function after each image."""
+"""Draws a part and calls the function after each image."""
 
 
 @dataclass(eq=False)
@@ -78,16 +79,16 @@ class _Worker:
 
 
 class Renderers:
-    """Workers that draw the parts they are given, in any order.
+    """Worker processes that draw the parts they are given, in any order.
 
     Attributes:
-        deaths: How often some died or hung; those that are found at once count once.
-        drawn: Parts that are finished.
+        deaths: How often worker processes died or hung; those found at the same time count once.
+        drawn: Number of finished parts.
 
     Args:
-        draw: What a worker does with a part; it can be imported.
-        count: Workers, at most.
-        longest_s: How long it takes to build the room, which a worker does in silence [s].
+        draw: Function that a worker calls with a part; it must be importable.
+        count: Largest number of worker processes.
+        longest_s: Time to build the room, during which a worker is silent [s].
     """
 
     def __init__(self, draw: Draw, count: int, longest_s: float) -> None:
@@ -97,12 +98,15 @@ class Renderers:
         self._workers: list[_Worker] = []
 
     def give(self, part: Part) -> None:
-        """Take a part to draw, and look after the workers without waiting for them."""
+        """Queue a part to draw and check on the worker processes without waiting for them."""
         self._waiting.append(part)
         self._look(0.0)
 
     def finish(self, progress: Callable[[int], None]) -> None:
-        """Wait until all parts are drawn, telling ``progress`` how many are.
+        """Wait until all parts are drawn.
+
+        Args:
+            progress: Called with the number of parts drawn.
 
         Raises:
             WorkError: Renderers die, hang or err too often, or a part cannot be written.
@@ -112,7 +116,7 @@ class Renderers:
             progress(self.drawn)
 
     def limit_s(self) -> float:
-        """How long a worker may be silent [s]; twice as long after each death, for the machine may just be slow."""
+        """Longest allowed silence of a worker [s]; it doubles after each death, as the machine may just be slow."""
         return (FLOOR_S + PATIENCE * self._longest_s) * 2**self.deaths
 
     def __enter__(self) -> Self:
@@ -120,16 +124,16 @@ class Renderers:
 
     def __exit__(self, *_: object) -> None:
         for worker in self._workers:
-            worker.process.kill()  # parts are whole files, and an idle worker has nothing else to lose
+            worker.process.kill()  # finished parts are on disk, and an idle worker has nothing to lose
         for worker in self._workers:
             self._remove(worker)
 
     def _look(self, wait_s: float) -> None:
-        """Hand out parts, hear what the workers say within a time, and replace those that say nothing any more."""
+        """Hand out parts, receive messages for up to ``wait_s``, and replace worker processes that are dead or hung."""
         self._hand_out()
         start = time.monotonic()
         ready = wait([worker.pipe for worker in self._workers], wait_s)
-        # Were this process stopped or asleep, the time that passed would say nothing about its workers.
+        # If this process was stopped or asleep, the elapsed time says nothing about its worker processes.
         waited = min(time.monotonic() - start, 2 * LOOK_S)
         lost = []
         for worker in list(self._workers):
@@ -155,11 +159,11 @@ class Renderers:
             worker.parts.append(part)
             try:
                 worker.pipe.send(part)
-            except OSError:  # it has died, as hearing it will show
+            except OSError:  # the worker has died, which reading from its pipe will show
                 return
 
     def _hear(self, worker: _Worker) -> bool:
-        """Take in what a worker says; returns whether it is alive."""
+        """Receive a worker's messages; returns whether it is alive."""
         self._longest_s = max(self._longest_s, worker.silent_s)
         worker.silent_s = 0.0
         while worker in self._workers:
@@ -173,7 +177,7 @@ class Renderers:
         return True
 
     def _take(self, worker: _Worker, told: float | Exception | None) -> None:
-        """A sign of life with its longest silence [s], a part that is finished, or why it could not be."""
+        """Handle a message: a sign of life with the longest silence [s], None for a finished part, or an exception."""
         if isinstance(told, UnsteadyError):
             self._draw_again(worker, told)
         elif isinstance(told, Exception):
@@ -185,7 +189,7 @@ class Renderers:
             self._longest_s = max(self._longest_s, told)
 
     def _draw_again(self, worker: _Worker, error: UnsteadyError) -> None:
-        """Give the part of a worker that draws one image in two ways to another one, that starts from nothing."""
+        """Replace a worker that drew one image differently twice, and queue its parts again."""
         part = worker.parts.popleft().again()
         if part.differed >= TRIES:
             raise WorkError(f"{error}, {TRIES} times; {CURE}")
@@ -196,12 +200,12 @@ class Renderers:
         self._remove(worker)
 
     def _replace(self, lost: list[_Worker], hung: list[_Worker]) -> None:
-        """Remove workers that died or hang; others take their parts."""
+        """Remove worker processes that died or hang; others take their parts."""
         limit_s = self.limit_s()
         for worker in hung:
             worker.process.kill()
         if lost:
-            time.sleep(0.2)  # what kills several at once counts once
+            time.sleep(0.2)  # an event that kills several at once counts once
             lost += [one for one in self._workers if one not in lost + hung and one.process.poll() is not None]
         self.deaths += 1
         why = "a rendering process died" if lost else f"a rendering process gave no sign of life for {limit_s:.0f} s"
@@ -228,10 +232,10 @@ class Renderers:
 
 
 def work(handle: int) -> None:
-    """In a process of its own: draw the parts that come through a pipe, and tell how it goes.
+    """Run in a worker process: draw the parts that arrive through a pipe and report the results.
 
     Args:
-        handle: The pipe's; first comes what draws, then one part after another.
+        handle: File descriptor of the pipe, which delivers the drawing function and then the parts.
     """
     pipe = Connection(handle)
     with suppress(EOFError, BrokenPipeError):  # the parent is gone
@@ -253,7 +257,7 @@ def _try_to_draw(draw: Draw, part: Part, beat: Callable[[], None]) -> Exception 
 
 
 class _Pulse:
-    """Tells now and then that a worker draws, and the longest silence between two images."""
+    """Reports at intervals that a worker is drawing, with the longest silence between two images."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe, self._longest_s = pipe, 0.0

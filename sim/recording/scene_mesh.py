@@ -1,7 +1,7 @@
-"""The room as one GLB file for viewers: what the camera can see, one node a geom, in the world's own frame.
+"""The room as one GLB file for viewers: what the camera can see, one node per geom, in the world frame.
 
-Coordinates are written as they are, z up, although glTF means y to be up: Rerun shows them as they are. Nodes carry
-the geoms' names, so a viewer can take away the ceiling.
+Coordinates are written unchanged, z up, although glTF specifies y up: Rerun shows them unchanged. Nodes have the geoms'
+names, so a viewer can hide the ceiling.
 """
 
 from collections.abc import Callable
@@ -22,20 +22,20 @@ from sim.rooms.spec import PREFIX
 DRAWN_GROUPS = (0, 1, 2)
 _JPEG_QUALITY = 85
 _SECTIONS = 16
-_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's mark of a geom that leaves its colour to its material
+_DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's default, which means that the geom has its material's colour
 _Geom = mujoco.mjtGeom
 
 
 def write_scene(model: mujoco.MjModel, path: Path, hidden: str = PREFIX) -> None:
     """Write the visual geoms of a model as GLB; equal models give equal bytes.
 
-    Boxes and planes carry their textures, all other shapes their texture's mean colour. Height fields and signed
+    Boxes and planes have their textures, all other shapes their texture's mean colour. Height fields and signed
     distance fields are left out.
 
     Args:
-        model: A compiled room, with or without the robot; shown as it stands at its initial state.
+        model: A compiled room, with or without the robot; shown in its initial state.
         path: The file.
-        hidden: Bodies whose name begins with this are left out.
+        hidden: Prefix of the names of bodies to leave out.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -69,7 +69,7 @@ def _is_drawn(model: mujoco.MjModel, geom: int, hidden: str) -> bool:
 
 
 def _colour(model: mujoco.MjModel, geom: int) -> np.ndarray:
-    """Colour (4,) of a geom: its own unless it is left at the default, then its material's."""
+    """Colour (4,) of a geom: its own, or its material's if its own is the default."""
     own, material = model.geom_rgba[geom], model.geom_matid[geom]
     return model.mat_rgba[material] if material >= 0 and np.allclose(own, _DEFAULT_RGBA) else own
 
@@ -98,7 +98,7 @@ def _make_material(model: mujoco.MjModel, material: int, rgba: tuple[float, ...]
 
 
 def _pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
-    """A texture's picture (rows, columns, 3) uint8."""
+    """Image of a texture (rows, columns, 3) uint8."""
     rows, columns, channels = (int(part[texture]) for part in (model.tex_height, model.tex_width, model.tex_nchannel))
     start = model.tex_adr[texture]
     pixels = model.tex_data[start : start + rows * columns * channels].reshape(rows, columns, channels)
@@ -108,7 +108,7 @@ def _pixels(model: mujoco.MjModel, texture: int) -> np.ndarray:
 def _compress(pixels: np.ndarray) -> Image.Image:
     file = BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(file, "JPEG", quality=_JPEG_QUALITY)
-    return Image.open(file)  # an image that was opened keeps its format when trimesh writes it
+    return Image.open(file)  # trimesh keeps the format of an image that was read from a file
 
 
 Shape = tuple[trimesh.Trimesh, np.ndarray | None]
@@ -133,7 +133,7 @@ def _box(model: mujoco.MjModel, geom: int) -> Shape:
 
 def _plane(model: mujoco.MjModel, geom: int) -> Shape:
     half = model.geom_size[geom, :2].copy()
-    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # a plane without end ends beyond the rest
+    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # an infinite plane extends beyond everything else
     half[half == 0] = reach.max() + 1.0
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
     points = np.column_stack([corners * half, np.zeros(4)])
@@ -146,7 +146,7 @@ def _join(points: np.ndarray, quads: np.ndarray) -> trimesh.Trimesh:
 
 
 def _coordinates(model: mujoco.MjModel, geom: int, places: np.ndarray) -> np.ndarray | None:
-    """Texture coordinates (n, 2) of places in [-1, 1] on a face, as MuJoCo lays a texture on boxes and planes."""
+    """Texture coordinates (n, 2) of places in [-1, 1] on a face, as MuJoCo maps a texture onto boxes and planes."""
     if _texture(model, geom) < 0:
         return None
     material = model.geom_matid[geom]

@@ -1,4 +1,4 @@
-"""What the sensors make of states of the robot, in worker processes: each opens its cameras once and keeps them."""
+"""Sensing of robot states in worker processes; each process opens its cameras once and keeps them."""
 
 import os
 import zlib
@@ -22,12 +22,12 @@ from sim.sensors.tag_camera import TagCamera
 from sim.settings import SimSettings
 
 DETECTIONS, TAG_CAMERA = ".tags.npz", ".tag_camera.npy"
-"""Beside an image file: tags that the tag camera saw from the same states, and its images, if they are kept."""
+"""Suffixes of the files next to an image file: the tag camera's detections at the same states, and its kept images."""
 IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
-"""What the file of a part holds."""
+"""Names of the arrays in a part's file."""
 NONE_TWICE = {TWICE: np.array(0), DIFFERED: np.array(0)}
 Beat = Callable[[], None]
-"""Tells that the work goes on."""
+"""Signals that the work continues."""
 
 
 def _rest() -> None:
@@ -35,10 +35,10 @@ def _rest() -> None:
 
 
 def sense_part(part: Part, beat: Beat) -> None:
-    """In a worker: write what is seen in the states of a part, as far as its files do not exist.
+    """Run in a worker: write those files of a part that do not exist yet.
 
-    One image of a part is drawn again after the others, to see whether the renderer can be trusted. The file of a part
-    says what drew it (``renderer``), how many of its images were drawn twice and how often they differed.
+    One image of a part is drawn again after the others to check that the renderer can be trusted. The part's file holds
+    the name of the renderer (``renderer``), how many images were drawn twice and how often they differed.
 
     Raises:
         UnsteadyError: An image that was drawn twice came out different; nothing is written.
@@ -68,7 +68,7 @@ def sense_part(part: Part, beat: Beat) -> None:
 
 
 def side_files(settings: SimSettings, path: Path) -> list[Path]:
-    """The files beside the one of a part that hold what the tag camera saw."""
+    """Files of the tag camera next to a part's file."""
     kept = [path.with_suffix(TAG_CAMERA)] if settings.tag_camera.kept else []
     return [path.with_suffix(DETECTIONS), *kept] if settings.tag_camera.mounted else []
 
@@ -77,7 +77,7 @@ def _draw_twice(draw: Callable[[slice], np.ndarray], part: Part) -> tuple[np.nda
     """All images of a part, and how many were drawn twice and differed; raises UnsteadyError."""
     count = len(part.states)
     images = draw(slice(count))
-    again = zlib.crc32(part.path.name.encode()) % max(count - 1, 1)  # not the last one, so that others come between
+    again = zlib.crc32(part.path.name.encode()) % max(count - 1, 1)  # not the last one, so that others are drawn in between
     if not np.array_equal(draw(slice(again, again + 1))[0], images[again]):
         raise UnsteadyError(f"{part.path}: image {again} of {count} was drawn twice and came out different")
     return images, {TWICE: np.array(1 + part.differed), DIFFERED: np.array(part.differed)}
@@ -86,8 +86,10 @@ def _draw_twice(draw: Callable[[slice], np.ndarray], part: Part) -> tuple[np.nda
 def draw_states(
     settings: SimSettings, states: np.ndarray, leans: np.ndarray | None = None, beat: Beat = _rest
 ) -> np.ndarray:
-    """In a worker: polar images (n, rings, sectors, 3) of states (n, nq), the camera leaning by (n, 2) [rad]; ``beat``
-    is called after each."""
+    """Draw polar images (n, rings, sectors, 3) of states (n, nq), with the camera leaning by (n, 2) [rad].
+
+    Runs in a worker; ``beat`` is called after each image.
+    """
     world, fisheye = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     images = np.empty((len(states), settings.camera.rings, settings.camera.sectors, 3), np.uint8)
     for number, (image, state) in enumerate(zip(images, states, strict=True)):
@@ -100,7 +102,7 @@ def draw_states(
 def _expose(
     world: RoomWorld, fisheye: Fisheye, state: np.ndarray, lean: np.ndarray | None, driven_m: float
 ) -> np.ndarray:
-    """One polar image of a state (nq,), or where the robot drives meanwhile the mean light of several."""
+    """Polar image of a state (nq,); if the robot drives during the exposure, the mean light of several images."""
     light = []
     for place in drive_on(state, driven_m) if driven_m else [state]:
         world.data.qpos[:] = place
@@ -110,7 +112,7 @@ def _expose(
 
 
 def _scan_states(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.ndarray:
-    """In a worker: scans (n, headings, rays) [m] of states (n, nq), exact."""
+    """Noise-free scans (n, headings, rays) [m] of states (n, nq); runs in a worker."""
     lidar = _open_lidar(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     scans = []
     for state in states:
@@ -121,12 +123,12 @@ def _scan_states(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.nd
 
 @lru_cache(maxsize=1)
 def _open_lidar(settings: SimSettings) -> Lidar:
-    """The lidar in its room, opened once in each worker."""
+    """The lidar in its room, opened once per worker process."""
     return Lidar(build_room(settings.room), settings.lidar)
 
 
 def _look_around(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.ndarray:
-    """In a worker: grey images (n, rows, columns) of the tag camera at states (n, nq)."""
+    """Grey images (n, rows, columns) of the tag camera at states (n, nq); runs in a worker."""
     world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     tag_camera = _open_tag_camera(settings)  # pyright: ignore[reportArgumentType]
     images = np.empty((len(states), settings.tag_camera.height_px, settings.tag_camera.width_px), np.uint8)
@@ -140,13 +142,13 @@ def _look_around(settings: SimSettings, states: np.ndarray, beat: Beat) -> np.nd
 
 @lru_cache(maxsize=1)
 def _open_tag_camera(settings: SimSettings) -> TagCamera:
-    """The tag camera of the scene of ``open_camera``."""
+    """The tag camera in the scene of ``open_camera``."""
     return TagCamera(open_camera(settings)[0].model, settings.tag_camera)  # pyright: ignore[reportArgumentType]
 
 
 @lru_cache(maxsize=1)
 def open_camera(settings: SimSettings) -> tuple[RoomWorld, Fisheye]:
-    """The scene and its camera, opened once in each worker: a context belongs to its process."""
-    os.environ.setdefault("LP_NUM_THREADS", "0")  # none but this: the workers share the cores already
+    """The scene and its camera, opened once per worker process, since a context belongs to its process."""
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # no extra threads: the worker processes already share the cores
     world = RoomWorld(settings)
     return world, Fisheye(world.model, settings.camera)

@@ -78,7 +78,7 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
     walls = room.layout.walls
     for number, wall in enumerate(walls):
         body = room.spec.worldbody.add_body(name=f"wall_{number}", pos=(*wall.middle, 0.0), quat=turned(wall.yaw))
-        # A wall reaches over an outer corner by its thickness and ends just short of an inner one: no two faces coincide.
+        # A wall passes an outer corner by its thickness and ends just short of an inner one: no two faces coincide.
         before, after = (_overlap(walls[number - 1], wall), _overlap(wall, walls[(number + 1) % len(walls)]))
         length = wall.length_m + before + after
         middle = (before - after) / 2

@@ -210,7 +210,7 @@ def _block_terrain(blocked: np.ndarray, probe: _Probe, geom: int, origin: np.nda
 def _enclosed_region(
     model: mujoco.MjModel, label: np.ndarray, origin: np.ndarray, cell_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the region of the start site, or else the largest one off the border, and the start (2,) [m]."""
+    """Return the region of the start site, or else the largest one that is enclosed, and the start (2,) [m]."""
     outside = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
     start = _start_site(model)
     if start is not None:

@@ -75,7 +75,7 @@ class Layout:
     def against_wall(
         self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
     ) -> Pose | None:
-        """Find a place with the back to a wall, the cheapest or, without a cost, a random one."""
+        """Find a place with the back to a wall: roughly the cheapest or, without a cost, a random one."""
         poses = []
         for wall in self.walls if walls is None else walls:
             reach = (wall.length_m - piece.width_m) / 2 - 0.02
@@ -222,7 +222,7 @@ class Layout:
         taken = self.taken.copy()
         self._footprint(piece, pose, taken)[:] = True
         joined, cut_off = self._walk(taken)
-        # If earlier pieces already cut floor off, it must not become more.
+        # If earlier pieces already cut off more floor than that, this one must not cut off any more.
         if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
             return False
         if self._count_nooks(taken) > self.nooks:

@@ -45,7 +45,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
 
 
 def vet(path: Path) -> None:
-    """Refuse a file that could harm, before MuJoCo sees it.
+    """Refuse a harmful file before MuJoCo sees it.
 
     A room must not make MuJoCo open anything outside its folder, or take more memory or time than a room needs.
 

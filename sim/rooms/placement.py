@@ -16,7 +16,7 @@ from sim.rooms.outline import Wall
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
 NEIGHBOUR_M = 0.58
-"""Distance between the middles of two neighbouring chairs: it leaves no gap between them that leads nowhere [m]."""
+"""Distance between the middles of neighbouring chairs, which leaves no dead-end gap between them [m]."""
 WALK_M = 0.5
 """Free floor on each side of a free-standing piece, where the room allows it [m]."""
 Finish = Literal["plaster", "wallpaper", "brick", "tile", "boards"]

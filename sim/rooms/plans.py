@@ -241,4 +241,4 @@ PLANS: dict[RoomKind, RoomPlan] = {
     ),
     "lab": RoomPlan((6.0, 5.0, 2.8), ("plaster", "brick", "plaster", "boards"), furnish_lab, carpet, tubes_and_ducts),
 }
-"""Every kind of room, in the order of ``RoomKind``; new ones go last, because the position is part of the random seed."""
+"""Every kind of room, in the order of ``RoomKind``; new ones go last, as the position is part of the random seed."""

@@ -1,4 +1,4 @@
-"""What this machine has and lacks: each finding is one line, each lack comes with its cure."""
+"""Check of what this machine has and lacks: each finding is one line, and each problem comes with its cure."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ from sim.processes import usable_cores
 from sim.sensors.gl import EGL_CURE
 
 NVIDIA_CURE = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
-LEAST_FREE_GB = 1.0  # the demo leaves some 0.3 GB behind
+LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
 
 _DRAW = """
 import sys
@@ -31,13 +31,13 @@ except (errors.InputError, errors.WorkError) as error:
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The result of one check.
 
     Attributes:
-        name: What was looked at.
+        name: What was checked.
         ok: Whether the testbed can work with it.
         text: What was found.
-        cure: What to do or to type; empty where all is well.
+        cure: What to do or to type; empty if all is well.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Finding:
 
 
 def diagnose(runs: Path = Path("runs")) -> list[Finding]:
-    """Look at everything that a run needs; ``runs`` is where results would be written. Never raises."""
+    """Check everything that a run needs, without raising; ``runs`` is where results would be written."""
     return [
         check_python(),
         *check_packages(),
@@ -59,14 +59,14 @@ def diagnose(runs: Path = Path("runs")) -> list[Finding]:
 
 
 def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Finding:
-    """Whether this Python is one that all packages have a wheel for."""
+    """Check that all packages have a wheel for this Python."""
     ok = (3, 11) <= found < (3, 14)
     text = f"{platform.python_version()} at {sys.executable}"
     return Finding("python", ok, text, "" if ok else "make setup PYTHON=python3.11 (or 3.12, 3.13)")
 
 
 def check_packages(distribution: str = "deepgps") -> list[Finding]:
-    """The versions of what ``distribution`` requires, in one finding, and one for each that is missing or unfit."""
+    """Report the versions of what ``distribution`` requires, and one finding for each missing or unfit package."""
     try:
         wanted = [Requirement(line) for line in requires(distribution) or []]
     except PackageNotFoundError:
@@ -88,7 +88,7 @@ def check_packages(distribution: str = "deepgps") -> list[Finding]:
 
 
 def check_renderer() -> Finding:
-    """The OpenGL backend and its renderer string, asked for in a child process: a driver may crash it."""
+    """Report the OpenGL backend and its renderer string, queried in a child process that a driver may crash."""
     try:
         child = subprocess.run(
             [sys.executable, "-c", _DRAW],
@@ -105,14 +105,14 @@ def check_renderer() -> Finding:
         return judge_renderer(backend, renderer)
     complaint = (child.stderr.strip().splitlines() or [""])[-1]
     if child.returncode == 1 and "Traceback" not in child.stderr:
-        problem, _, cure = complaint.rpartition(": ")  # how sim/sensors/gl.py words its errors
+        problem, _, cure = complaint.rpartition(": ")  # the form of the errors of sim/sensors/gl.py
         return Finding("renderer", False, problem, cure)
     text = f"opening an OpenGL context ended with code {child.returncode}: {complaint}"
     return Finding("renderer", False, text, EGL_CURE)
 
 
 def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidiactl").exists()) -> Finding:
-    """A renderer that works; EGL falls back to software without a word where NVIDIA's own library is missing."""
+    """Report a working renderer; EGL silently falls back to software where NVIDIA's own library is missing."""
     text = f"{backend}, {renderer}"
     if any(name in renderer for name in ("llvmpipe", "softpipe", "swrast")):
         text += f" (in software, though an NVIDIA GPU is here: {NVIDIA_CURE})" if nvidia else " (in software)"
@@ -120,14 +120,14 @@ def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidia
 
 
 def check_machine() -> Finding:
-    """Cores that this process may use, and memory."""
+    """Report the cores that this process may use, and the memory."""
     memory_gb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     text = f"{usable_cores()} cores, {memory_gb:.0f} GB of memory, {platform.platform(terse=True)}"
     return Finding("machine", True, text)
 
 
 def check_folder(runs: Path) -> Finding:
-    """Whether results can be written to ``runs``."""
+    """Check that results can be written to ``runs``."""
     try:
         with tempfile.TemporaryFile(dir=_nearest(runs)):
             return Finding("folder", True, f"{runs.absolute()} can be written")
@@ -137,7 +137,7 @@ def check_folder(runs: Path) -> Finding:
 
 
 def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Finding:
-    """Whether there is room for results."""
+    """Check that there is disk space for results."""
     free_gb = shutil.disk_usage(_nearest(runs)).free / 1e9
     ok = free_gb >= least_gb
     cure = "" if ok else f"free {least_gb:g} GB, or give a folder on another disk with --out DIR"
@@ -145,5 +145,5 @@ def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Finding:
 
 
 def _nearest(folder: Path) -> Path:
-    """The folder itself, or the nearest one above it that exists."""
+    """Return the folder itself, or the nearest parent that exists."""
     return next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())

@@ -1,4 +1,4 @@
-"""A contact sheet of rooms: from a corner, from above with the reachable floor tinted, fisheye, polar; a row a room."""
+"""A contact sheet of rooms, one per row: corner view, top view with the reachable floor tinted, fisheye, polar."""
 
 from collections.abc import Callable, Sequence
 from io import BytesIO
@@ -20,7 +20,7 @@ from sim.sensors.fisheye import Fisheye
 from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 
 MARK = ("Software", "deepgps")
-"""What the picture says of its origin, so that another picture is never written over."""
+"""Mark of origin in the picture's metadata, so that no other picture is overwritten."""
 ROW_PX = 330
 PERSPECTIVE_PX = 560
 TOP_PX = 430
@@ -28,7 +28,7 @@ POLAR_PX = 520
 LABEL_PX = 26
 MARGIN_PX = 6
 CEILING_FROM_M = 1.8
-"""Bodies whose own frame lies higher belong to the ceiling, and are left out of the views from above."""
+"""Bodies whose origin is higher than this belong to the ceiling and are hidden in the views from above [m]."""
 HIDDEN_GROUP = 5
 _REACHABLE = np.array((70, 200, 120))
 _VIEW = {"azimuth": 58.0, "elevation": -40.0}
@@ -40,17 +40,17 @@ def draw_gallery(
     path: Path,
     progress: Callable[[str, int, int], None] = lambda *_: None,
 ) -> None:
-    """Draw every kind with every seed, the shapes in turn, and write one PNG.
+    """Draw every kind with every seed, cycling through the shapes, and write one PNG.
 
     Args:
         kinds: Kinds of room.
         seeds: Seeds of each kind; a seed's shape is the seed modulo the number of shapes.
-        path: The picture to write.
-        progress: Told how many rooms are drawn.
+        path: PNG file to write.
+        progress: Called with the rooms drawn and their number.
 
     Raises:
-        InputError: a room cannot be built.
-        WorkError: nothing can be drawn on this machine.
+        InputError: A room cannot be built.
+        WorkError: Nothing can be drawn on this machine.
     """
     gl.choose_backend()
     shapes = get_args(RoomShape)
@@ -71,7 +71,7 @@ def is_gallery(data: bytes) -> bool:
 
 
 def draw_room(settings: RoomSettings) -> np.ndarray:
-    """One row of the sheet, (rows, columns, 3) uint8 RGB."""
+    """Draw one row of the sheet, (rows, columns, 3) uint8 RGB."""
     spec = build_room(settings)
     world = RoomWorld(SimSettings(room=settings), spec)
     world.place(np.array((*world.free_space.start, 0.0)))
@@ -97,7 +97,7 @@ def draw_room(settings: RoomSettings) -> np.ndarray:
 
 
 def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
-    """From above a corner, without the ceiling and the walls that turn their backs."""
+    """Draw the room from above a corner, without the ceiling and the walls seen from behind."""
     low, high = _extent(model)
     view = mujoco.MjvCamera()
     view.azimuth, view.elevation = _VIEW["azimuth"], _VIEW["elevation"]
@@ -116,7 +116,7 @@ def _draw_perspective(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _draw_top(model: mujoco.MjModel, space: FreeSpace) -> np.ndarray:
-    """Straight from above without the ceiling; where the robot can get to is tinted, its start a dot."""
+    """Draw the room straight from above without the ceiling, with reachable floor tinted and the start as a dot."""
     low, high = _extent(model)
     middle, size = (low + high)[:2] / 2, (high - low)[:2] + 0.2
     metres = max(size[1], size[0] * ROW_PX / TOP_PX)
@@ -142,7 +142,7 @@ def _draw_fisheye(world: RoomWorld) -> np.ndarray:
 
 
 def _draw_polar(world: RoomWorld) -> np.ndarray:
-    """What a network gets, each pixel drawn large."""
+    """Draw the polar image that a network gets, enlarged."""
     with Fisheye(world.model, world.settings.camera) as camera:
         polar = camera.polar(world.data)
     tall = POLAR_PX * polar.shape[0] // polar.shape[1] * 2
@@ -160,7 +160,7 @@ def _render(model: mujoco.MjModel, view: mujoco.MjvCamera, hidden: np.ndarray, s
         renderer.update_scene(data, view)
         image = renderer.render()
     model.geom_group[:] = group
-    # The empty space around a room is black; on the sheet it is paper.
+    # The empty space around a room is black; on the sheet it is white.
     return np.where((image == 0).all(axis=-1, keepdims=True), 255, image).astype(np.uint8)
 
 
@@ -173,7 +173,7 @@ def _bodies(model: mujoco.MjModel, prefix: str) -> list[int]:
 
 
 def _extent(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper corner (3,) of all that is drawn and not endless [m]."""
+    """Return the lower and upper corner (3,) of all that is drawn except planes [m]."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     finite = (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE) & (model.geom_group <= 2)

@@ -1,4 +1,4 @@
-"""How fast pictures are: our camera against MuJoCo's own renderer, and how many images several processes draw."""
+"""Rendering speed: our camera against MuJoCo's own renderer, and the image rate of several worker processes."""
 
 import time
 from collections.abc import Callable
@@ -24,16 +24,16 @@ SIDES = ((0, 90), (0, 0), (90, 0), (180, 0), (270, 0))
 
 
 def measure_rendering(settings: SimSettings, poses: np.ndarray, repeats: int) -> dict[str, float]:
-    """Seconds of one observation by our camera, and of five faces by ``mujoco.Renderer``, which get no fisheye for it.
+    """Measure the time of one fisheye observation by our camera, and of five plain faces by ``mujoco.Renderer``.
 
     Args:
-        settings: The room and the camera; a face of either way is ``face_px`` wide.
-        poses: Poses (n, 3) x, y [m], yaw [rad], all of which each way draws in turn.
-        repeats: How often; the medians count.
+        settings: The room and the camera; a face is ``face_px`` wide with either renderer.
+        poses: Poses (n, 3) x, y [m], yaw [rad]; each renderer draws all of them in turn.
+        repeats: Number of repetitions, of which the median is returned.
 
     Returns:
-        ``fisheye``; ``faces``: without shadows and oversampling, primitives as fine as by default; ``plain``: with
-        MuJoCo's defaults, shadows among them; each in seconds, and ``geoms`` in the room.
+        ``fisheye``: our camera; ``faces``: without shadows and oversampling, primitives as fine as by default;
+        ``plain``: with MuJoCo's defaults, including shadows; each in seconds; and the number of ``geoms`` in the room.
     """
     world = RoomWorld(settings)
     states = world.rest_states(poses)
@@ -54,7 +54,7 @@ def measure_rendering(settings: SimSettings, poses: np.ndarray, repeats: int) ->
             "plain": lambda: _draw_sides(defaults, world.data),
         }
         seconds: dict[str, list[float]] = {name: [] for name in ways}
-        for way in ways.values():  # the first picture of each costs more
+        for way in ways.values():  # the first image of each takes longer
             _time(way, world, states[:1])
         for _ in range(repeats):
             for name, way in ways.items():
@@ -63,12 +63,12 @@ def measure_rendering(settings: SimSettings, poses: np.ndarray, repeats: int) ->
 
 
 def draw_poses(settings: SimSettings, poses: np.ndarray, processes: int = 2) -> tuple[np.ndarray, float]:
-    """Draw what the robot sees at rest at poses (n, 3); returns images (n, rings, sectors, 3) and images a second.
+    """Draw what the robot sees at rest at poses (n, 3); return images (n, rings, sectors, 3) and images per second.
 
-    The seconds count from when all processes are ready, and with the way of the images back to this one.
+    Timing starts when all worker processes are ready and includes the transfer of the images to this process.
     """
     ready = WORKERS.Barrier(processes + 1)
-    # as many parts as processes at least: each part starts one, and they wait for one another
+    # at least as many parts as processes: each part starts a process, and the processes wait for one another
     parts = np.array_split(poses, max(processes, len(poses) // CHUNK))
     with ProcessPoolExecutor(processes, WORKERS, _get_ready, (settings, ready)) as pool:
         try:
@@ -83,7 +83,7 @@ def draw_poses(settings: SimSettings, poses: np.ndarray, processes: int = 2) -> 
 
 
 def _as_by_default(model: mujoco.MjModel) -> mujoco.MjModel:
-    # A copy with MuJoCo's own quality of pictures, and an eye that sees a quarter of the circle.
+    # A copy with MuJoCo's default image quality and a 90 degree field of view.
     model, usual = deepcopy(model), mujoco.MjSpec().visual.quality
     for name in ("numslices", "numstacks", "numquads", "offsamples", "shadowsize"):
         setattr(model.vis.quality, name, getattr(usual, name))
@@ -118,7 +118,7 @@ def _get_ready(settings: SimSettings, ready: Barrier) -> None:
     try:
         _draw(settings, np.zeros((1, 3)))
     except Exception:
-        ready.abort()  # or the others would wait for this one
+        ready.abort()  # otherwise the others would wait for this one
         raise
     ready.wait(START_S)
 

@@ -33,7 +33,7 @@ def take_trainings(scenario: Scenario, run: Path) -> None:
     """Link into a run the trainings that other runs of its study have finished on the same data."""
     for name, shared in _find(scenario, run):
         if not _is_whole(run / name) and _is_sound(shared):
-            remove_files(run / name, TRAINED)  # a training that was cut off
+            remove_files(run / name, TRAINED)  # an interrupted training
             _link_folder(shared, run / name, shared.parent)
 
 

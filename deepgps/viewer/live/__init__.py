@@ -1,4 +1,4 @@
-"""The recording of a run that is still working, sent to a viewer as the stages report progress.
+"""The live recording of a run in progress, sent to a viewer as the stages report progress.
 
-It listens to the stages and never delays or changes them.
+The package listens to the stages and never delays or changes them.
 """

@@ -1,4 +1,4 @@
-"""The drive while it is collected: segments, robot and pictures, from the chunks that a recording is made of."""
+"""The drive while it is collected: segments, robot and pictures, from the chunks that make up a recording."""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -17,35 +17,35 @@ from sim.recording.format import Recording, Truth, chunk_files, work_folder
 from sim.settings import CameraSettings
 
 Spread = Callable[[int], list[rr.TimeColumn]]
-"""Times of so many rows, spread over the time since the last look."""
+"""Makes times for a number of rows, spread over the time since the last update."""
 
 PICTURE_EVERY = 32  # observations
 PICTURES_AT_ONCE = 100
 
 
 class LiveDrive:
-    """How much of a drive has been sent.
+    """Sends a drive to the viewer and keeps track of how much has been sent.
 
     Args:
-        stream: Where to.
-        folder: The recording's folder, there or not.
-        camera: What took the images.
+        stream: Stream to send to.
+        folder: The recording's folder, which need not exist yet.
+        camera: Settings of the camera that takes the images.
     """
 
     def __init__(self, stream: rr.RecordingStream, folder: Path, camera: CameraSettings) -> None:
         self.stream, self.work, self.camera = stream, work_folder(folder), camera
         self.chunks = self.pictures = self.observations = 0
         self.segments = 0
-        self.last = np.empty((0, 2))  # where the last segment ended, the next one begins
+        self.last = np.empty((0, 2))  # end of the last segment, where the next one begins
 
     def send_chunks(self, at: Spread) -> None:
-        """Send the chunks that have been driven and drawn since the last look."""
-        # The recording was made whole just now, and they are gone; or one is damaged, and will be made again.
+        """Send the chunks that have been driven and rendered since the last update."""
+        # Chunks disappear when the recording is finished; a damaged one will be made again.
         with suppress(FileNotFoundError, DamagedError):
             while (path := chunk_files(self.work, self.chunks)[0]).is_file():
                 chunk = read_arrays(path)
                 state, segment, observation = chunk["state"], chunk["segment"], chunk["observation"]
-                yaw = 2 * np.arctan2(state[:, 6], state[:, 3])  # of a robot that stands upright
+                yaw = 2 * np.arctan2(state[:, 6], state[:, 3])  # assumes an upright robot
                 self._send_segments(np.column_stack([state[:, :2], yaw]), segment, observation, at)
                 self.chunks += 1
             while (path := chunk_files(self.work, self.pictures)[1]).is_file():
@@ -53,14 +53,14 @@ class LiveDrive:
                 self.pictures += 1
 
     def send_rest(self, recording: Recording, truth: Truth, at: Spread) -> None:
-        """Send what no chunk has told of a recording that is whole."""
+        """Send the part of a finished recording that was not sent from its chunks."""
         segment, observation = truth.reading[truth.reading[:, 0] >= self.segments].T
         self._send_segments(truth.pose[self.observations :], segment, observation, at)
         if not self.pictures:
             self._send_pictures(recording.observation[:: max(1, len(truth.pose) // PICTURES_AT_ONCE)], at)
 
     def _send_segments(self, pose: np.ndarray, segment: np.ndarray, observation: np.ndarray, at: Spread) -> None:
-        """Send poses (n, 3) of new observations, and the segments of readings (r,) that begin there or just before."""
+        """Send poses (n, 3) of new observations, and the segments of readings (r,) that start there or just before."""
         if not len(pose):
             return
         if not self.observations:
@@ -91,7 +91,7 @@ class LiveDrive:
 
 
 def log_drive_styles(stream: rr.RecordingStream) -> None:
-    """Log what does not change about a drive: its colour, its pictures' format."""
+    """Log the static properties of a drive: colour and image format."""
     stream.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     stream.log("world/drive/path", rr.LineStrips3D.from_fields(radii=0.008, colors=[90, 160, 255]), static=True)
     for path in ("drive/fisheye", "drive/polar"):
@@ -99,7 +99,7 @@ def log_drive_styles(stream: rr.RecordingStream) -> None:
 
 
 def _log_robot(stream: rr.RecordingStream) -> None:
-    """Mark where the robot is and where it heads; its size is known only when the recording is whole."""
+    """Log a mark for the robot's place and heading; its size is known only when the recording is finished."""
     stream.log(f"{ROBOT}/place", rr.Points3D([(0, 0, 0.1)], radii=0.1, colors=[232, 37, 79]), static=True)
     heading = rr.Arrows3D(origins=[(0, 0, 0.1)], vectors=[(0.4, 0, 0)], colors=[255, 196, 60], radii=0.03)
     stream.log(f"{ROBOT}/heading", heading, static=True)

@@ -1,4 +1,4 @@
-"""How the viewer shows a run while it runs: a tab for each stage, the newest in front."""
+"""The viewer's layout for a run in progress: a tab for each stage, with the newest in front."""
 
 from collections.abc import Sequence
 
@@ -13,20 +13,20 @@ RUN_TIME = "run_time"
 EYE = rrb.EyeControls3D(
     kind=rrb.Eye3DKind.Orbital, position=(0.0, -3.0, 6.4), look_target=(0.0, -0.3, 0.0), eye_up=(0.0, 1.0, 0.0)
 )
-"""Until the room is known: all of a usual one."""
+"""View until the room is known: it shows all of a room of usual size."""
 
 
 def make_live_blueprint(
     space: FreeSpace | None, pictures: bool, trained: Sequence[str], began_s: float, measured: Sequence[str]
 ) -> rrb.Blueprint:
-    """How the viewer shows what there is so far.
+    """The viewer's layout for the data so far.
 
     Args:
-        space: The room's floor, once the recording is whole.
+        space: The room's floor, once the recording is finished.
         pictures: Whether the robot has a camera.
         trained: Methods whose training has begun.
-        began_s: When the first did [s].
-        measured: Methods whose error fields stand.
+        began_s: When the first training began [s].
+        measured: Methods whose error fields are available.
     """
     tabs: list[rrb.Container] = [_drive(space, pictures)]
     if space and trained:

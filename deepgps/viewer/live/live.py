@@ -1,7 +1,7 @@
-"""Showing a run while it runs: a thread sends a viewer what the stages tell and write.
+"""Showing a run in progress: a thread sends to a viewer what the stages report and write.
 
-The stages know nothing of it: it hears what they tell the progress bars, asks a training for its history now and then,
-and reads what lies in the run folder. Whatever becomes of the viewer, the run goes on.
+The stages know nothing of this thread: it receives the reports for the progress bars and the history of a training now
+and then, and reads the files in the run folder. Whatever happens to the viewer, the run continues.
 """
 
 import threading
@@ -19,16 +19,16 @@ from deepgps.viewer.live.view import LiveView
 from deepgps.viewer.window.connect import ANSWER_S, find_url, knock, open_viewer
 from sim.errors import InputError, one_line
 
-APPLICATION = "deepgps live"  # apart from recordings, whose blueprint it would replace
+APPLICATION = "deepgps live"  # not that of recordings, whose blueprint it would replace
 GONE = (RuntimeError, ConnectionError)
-"""What rerun raises when the viewer is gone."""
+"""Errors that rerun raises when the viewer is gone."""
 PERIOD_S = 1.0
 STALL_S = 10.0
-"""How long a viewer may take nothing."""
+"""How long a viewer may accept no data [s]."""
 PATIENCE_S = 20.0
-"""How long a finished run waits for a viewer that answers, but is slow, to take the rest."""
+"""How long a finished run waits for a slow viewer to accept the remaining data [s]."""
 LOOK_S = 0.4
-"""How often it is asked meanwhile whether it answers."""
+"""Interval at which a finished run checks whether the viewer still answers [s]."""
 
 
 @contextmanager
@@ -38,14 +38,14 @@ def show_live(
     """Stream a run to a viewer while it runs.
 
     Args:
-        address: Of a viewer that stands, host:port or Rerun's URL; empty: one is opened, and stays open.
-        scenario: What is run.
+        address: Address of a running viewer, host:port or a Rerun URL; empty: a viewer is opened, and stays open.
+        scenario: The run's scenario.
         folder: The run folder.
-        progress: Told on what the stages tell.
-        warn: Told in one line when the viewer goes away.
+        progress: Called with everything that the stages report.
+        warn: Called with one line when the viewer stops answering.
 
     Yields:
-        Whom the stages shall tell.
+        The progress report for the stages to call.
 
     Raises:
         InputError: The address is wrong, or no viewer answers there.
@@ -59,7 +59,7 @@ def show_live(
         warn(f"the viewer at {address} does not answer within {ANSWER_S} s; the run goes on without it")
         yield progress
         return
-    by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # flushed at each look
+    by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # each update flushes
     stream = rr.RecordingStream(APPLICATION, send_properties=False, batcher_config=by_hand)
     stream.connect_grpc(url)
     view = LiveView(stream, scenario, folder)
@@ -81,7 +81,7 @@ def show_live(
 
     try:
         yield report
-        begin()  # a finished run tells nothing
+        begin()  # the stages of a finished run report nothing
     finally:
         ended.set()
         if thread.ident is None:
@@ -91,7 +91,7 @@ def show_live(
 
 
 def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Callable[[str], None]) -> None:
-    """Wait until all is sent, as long as the viewer answers."""
+    """Wait until everything is sent, as long as the viewer answers."""
     end = time.monotonic() + PATIENCE_S
     thread.join(LOOK_S)
     while thread.is_alive() and not lost.is_set() and time.monotonic() < end and knock(url) == "viewer":
@@ -99,7 +99,7 @@ def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Calla
     if thread.is_alive():
         if not lost.is_set():
             warn("the viewer takes nothing any more; what it shows is not the whole run")
-        rr.unregister_shutdown()  # at the end of the process it would wait for the viewer for ever
+        rr.unregister_shutdown()  # when the process exits, it would wait forever for the viewer
 
 
 def _send(
@@ -109,26 +109,26 @@ def _send(
     lost: threading.Event,
     warn: Callable[[str], None],
 ) -> None:
-    """Send what is new every second, and a last time when the run has ended."""
+    """Send new data every ``PERIOD_S``, and a last time when the run has ended."""
     last = False
     try:
         while not last:
             last = ended.wait(PERIOD_S)
             view.update()
             stream.flush(timeout_sec=STALL_S)
-    except Exception as error:  # no fault in showing ends a run
+    except Exception as error:  # a bug in the live view must not end the run
         what = "the viewer is gone" if isinstance(error, GONE) else "showing failed"
         lost.set()
         warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run goes on without it")
     finally:
-        stream.disconnect()  # never returns where a viewer hangs
+        stream.disconnect()  # never returns if the viewer hangs
 
 
 def _check(stream: rr.RecordingStream, address: str) -> None:
-    """Raise InputError where something other than a viewer answers."""
+    """Raise InputError if something other than a viewer answers."""
     try:
         for _ in range(5):
             stream.flush(timeout_sec=ANSWER_S)
-            time.sleep(0.1)  # the refusal of what has been sent takes a moment
+            time.sleep(0.1)  # a refusal of the data takes a moment to arrive
     except RuntimeError:
         raise InputError(f"--live {address}: what answers there is no Rerun viewer") from None

@@ -1,4 +1,4 @@
-"""Trainings while they go on: loss and map of each, as far as their histories go."""
+"""Trainings in progress: loss and map of each, as far as the history goes."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,22 +17,22 @@ Arrays = Mapping[str, np.ndarray]
 
 
 class LiveTraining:
-    """How much of each training has been sent.
+    """Sends trainings to the viewer and keeps track of how much of each has been sent.
 
     Args:
-        stream: Where to.
+        stream: Stream to send to.
         folder: The run folder.
-        truth: Where the robot was at each observation (N, 2) [m], which maps are laid upon.
+        truth: True position of each observation (N, 2) [m], to which maps are aligned.
     """
 
     def __init__(self, stream: rr.RecordingStream, folder: Path, truth: np.ndarray) -> None:
         self.stream, self.folder, self.truth = stream, folder, truth
-        self.sent: dict[str, tuple[int, int]] = {}  # points of the loss, and snapshots
+        self.sent: dict[str, tuple[int, int]] = {}  # numbers of losses and of snapshots
         self.trained: list[str] = []
         self.finished: set[str] = set()
 
     def send(self, histories: Mapping[str, Arrays], methods: tuple[str, ...], at: Spread) -> None:
-        """Send what is new in the histories that trainings have told, and those that stand beside finished methods."""
+        """Send what is new in the histories that trainings report, and in the history files of finished methods."""
         for label, history in histories.items():
             self._send_history(label, history, at)
         for method in methods:
@@ -43,7 +43,7 @@ class LiveTraining:
                 self.finished.add(method)
 
     def _send_history(self, label: str, history: Arrays, at: Spread) -> None:
-        method = label.partition(",")[0]  # a restart is told as such, and goes on where the last attempt ended
+        method = label.partition(",")[0]  # a restart has its own label and continues the method's curve
         if method not in self.trained:
             self.trained.append(method)
             self._log_styles(method)

@@ -1,7 +1,7 @@
-"""What a viewer shows of a run while it runs: the drive, the training, the error field, each as far as it stands.
+"""What a viewer shows of a run in progress: the drive, the training and the error field, each as far as it goes.
 
-All rows stand on one timeline, ``run_time`` [s], since the view began. What has come since the last look is spread over
-the time between, so that it plays back as smoothly as it came.
+All rows are on one timeline, ``run_time`` [s], which starts with the view. New rows are spread over the time since the
+last update, so that they play back smoothly.
 """
 
 import time
@@ -25,16 +25,16 @@ from sim.recording.format import open_recording, open_truth
 
 
 class LiveView:
-    """What has been told and sent of a run.
+    """Collects what a run reports and sends it to the viewer.
 
     Args:
-        stream: Where to.
-        scenario: What is run.
+        stream: Stream to send to.
+        scenario: The run's scenario.
         folder: The run folder.
 
     Attributes:
-        steps: Of each label told, steps done and in all.
-        histories: Of each training told, its history so far.
+        steps: Steps done and their number, by reported label.
+        histories: Each training's history so far, by reported label.
     """
 
     def __init__(self, stream: rr.RecordingStream, scenario: Scenario, folder: Path) -> None:
@@ -45,8 +45,8 @@ class LiveView:
         self._space: FreeSpace | None = None
         self._training: LiveTraining | None = None
         self._measured: list[str] = []
-        self._start, self._before = time.monotonic(), 0.0  # when the view began; its last look, since then
-        self._began_s: float | None = None  # when the training did
+        self._start, self._before = time.monotonic(), 0.0  # start of the view; time of the last update since then [s]
+        self._began_s: float | None = None  # start of the training since then [s]
         self._text, self._shown = "", object()
         stream.send_recording_name(f"{scenario.name}, seed {scenario.seed}, live")
         log_drive_styles(stream)
@@ -74,7 +74,7 @@ class LiveView:
         self._arrange()
 
     def _send_room(self, at: Spread) -> LiveTraining:
-        """Send what is there once the recording is whole; returns what will show how it is learned."""
+        """Send the room and the rest of the finished recording; return the view of the training that follows."""
         recording = keep_plausible(open_recording(self._folder / "recording"))
         truth = open_truth(self._folder / "recording")
         self._space = truth.free_space
@@ -83,7 +83,7 @@ class LiveView:
         return LiveTraining(self._stream, self._folder, truth.pose[:, :2])
 
     def _send_results(self, space: FreeSpace) -> list[str]:
-        """Send the error fields and the figures; returns the methods measured."""
+        """Send the error fields and the figures; return the measured methods."""
         fields, metrics = field_plot.read_fields(self._folder), read_metrics(self._folder)
         for name, field in fields.items():
             log_field(self._stream, name, field)
@@ -101,7 +101,7 @@ class LiveView:
         self._stream.log("steps", rr.TextDocument(text, media_type="text/markdown"), static=True)
 
     def _arrange(self) -> None:
-        """Lay the views out anew where there is something new to see."""
+        """Send a new layout if there is something new to show."""
         trained = list(self._training.trained) if self._training else []
         pictures = self._scenario.world == "room" and self._scenario.sensor == "fisheye"
         shown = (self._space is not None, trained, self._measured)

@@ -1,4 +1,4 @@
-"""Two runs compared: what was set otherwise, which figures changed, and where the error grew or fell."""
+"""Comparison of two runs: which settings differ, which figures changed, and where the error grew or fell."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 
 SAME_M = SCALE_M[0]
-"""Errors that differ by less count as the same [m]."""
+"""Errors that differ by less than this count as equal [m]."""
 # blue: B is better; grey: the same; orange: B is worse
 CHANGE = LinearSegmentedColormap.from_list(
     "change",
@@ -32,7 +32,7 @@ CHANGE = LinearSegmentedColormap.from_list(
     ],
 )
 TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))
-"""Figures that stand in one table each, for its width."""
+"""Figures of each table, few enough for its width."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +40,10 @@ class Side:
     """One run of a pair.
 
     Attributes:
-        folder: Where it lies.
-        metrics: Its metrics.json.
-        fields: Its error fields by their methods' names.
-        space: The floor of its room.
+        folder: The run's folder.
+        metrics: The contents of its metrics.json.
+        fields: Its error fields by method name.
+        space: The free space of its room.
     """
 
     folder: Path
@@ -58,9 +58,9 @@ class Pair:
 
     Attributes:
         a: The first run.
-        b: The second.
-        methods: Those that both have, in the order of the first.
-        same_floor: Whether both have the same room and test positions, so that errors can be told apart place by place.
+        b: The second run.
+        methods: Methods that both runs have, in the order of the first.
+        same_floor: Whether both have the same room and test positions, so that errors can be compared at each position.
     """
 
     a: Side
@@ -70,7 +70,7 @@ class Pair:
 
 
 def open_pair(folders: Sequence[Path]) -> Pair:
-    """Open two runs; raises InputError for more or fewer, for one run twice, or where they have no method in common."""
+    """Open two runs; raise InputError unless there are exactly two different runs with a method in common."""
     if len(folders) != 2:
         raise InputError(f"two runs are compared, not {len(folders)}: {', '.join(map(str, folders))}")
     if folders[0].resolve() == folders[1].resolve():
@@ -86,12 +86,12 @@ def open_pair(folders: Sequence[Path]) -> Pair:
 
 
 def measure_change(pair: Pair, method: str) -> np.ndarray:
-    """How much larger the error of B is than that of A at each test position (C,) [m]."""
+    """Error of B minus error of A at each test position (C,) [m]."""
     return pair.b.fields[method].error - pair.a.fields[method].error
 
 
 def scale_change(change: np.ndarray) -> np.ndarray:
-    """Changes (...,) [m] from -1 to 1: 0 up to a centimetre, then by decades up to a metre, as errors are drawn."""
+    """Scale changes (...,) [m] to [-1, 1]: 0 up to a centimetre, then logarithmic to a metre, as errors are drawn."""
     decades = np.log10(SCALE_M[1] / SAME_M)
     return np.sign(change) * np.clip(np.log10(np.maximum(np.abs(change), SAME_M) / SAME_M) / decades, 0, 1)
 
@@ -102,7 +102,7 @@ def colours_of_change(share: np.ndarray) -> np.ndarray:
 
 
 def describe_pair(pair: Pair) -> str:
-    """Both runs, what was set otherwise, the figures side by side, and where which run is better, as Markdown."""
+    """Describe as Markdown both runs, the settings that differ, where which run is better, and both runs' figures."""
     return "\n".join(
         [
             "# B beside A",
@@ -126,7 +126,7 @@ def describe_pair(pair: Pair) -> str:
 
 
 def draw_distributions(pair: Pair) -> Figure:
-    """Share of test positions whose error is at most so large: A dashed, B drawn through."""
+    """Draw the cumulative distributions of errors over test positions: A dashed, B solid."""
     with style.context("dark_background"):
         figure = Figure(figsize=(9, 5.6), layout="constrained", facecolor=SCREEN[0])
         axes = figure.add_subplot(facecolor=SCREEN[0])
@@ -174,7 +174,7 @@ def _list_places(pair: Pair) -> list[str]:
 
 
 def _list_figures(pair: Pair, names: Sequence[str]) -> list[str]:
-    """One row for each method: figures of A, of B and their ratio."""
+    """A table with a row for each method: figures of A, of B, and their ratio."""
     columns = [column for column in COLUMNS if column[1] in names]
     heads = " | ".join(f"{heading.split(' [')[0]} A | B | B / A" for heading, _, _ in columns)
     rows = (
@@ -192,7 +192,7 @@ def _compare(pair: Pair, method: str, column: Column) -> str:
 
 
 def _list_settings(pair: Pair) -> list[str]:
-    """What the scenarios set otherwise, one row each, without ``methods``, since only common ones are shown."""
+    """A table of the settings that differ, without ``methods``, since only common methods are shown."""
     a, b = (_read_settings(side.folder) for side in (pair.a, pair.b))
     differ = [name for name in a if a[name] != b[name] and name != "methods"]
     if not differ:
@@ -202,7 +202,7 @@ def _list_settings(pair: Pair) -> list[str]:
 
 
 def _read_settings(folder: Path) -> dict[str, Any]:
-    """All settings of a run by dotted name, those too that were not there when it was made."""
+    """All settings of a run by dotted name, including those that did not exist yet when the run was made."""
     return dict(_flatten(open_run(folder).model_dump(mode="json")))
 
 

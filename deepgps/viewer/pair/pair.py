@@ -33,12 +33,12 @@ LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 c
 
 
 def write_pair(folders: Sequence[Path]) -> Path:
-    """Write two runs' recording into ``pairs`` in the first one's folder unless it stands; returns its path.
+    """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
 
-    The runs' own files are left as they are.
+    The runs' own files do not change.
 
     Raises:
-        InputError: The folders are not two whole runs with a method in common.
+        InputError: The folders are not two complete runs with a method in common.
     """
     pair = open_pair(folders)
     number = _hash_pair(folders)
@@ -50,7 +50,7 @@ def write_pair(folders: Sequence[Path]) -> Path:
 
 
 def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
-    """How the viewer shows a pair: what changed where, if that can be told, then both runs beside each other."""
+    """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
     return rrb.Blueprint(
         rrb.Tabs(
             *([_change(pair)] if pair.same_floor else []),
@@ -66,7 +66,7 @@ def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
 
 
 def _hash_pair(folders: Sequence[Path]) -> str:
-    """Thirty-two hexadecimal digits of all that two runs' recording shows."""
+    """Thirty-two hexadecimal digits of everything that the recording of two runs shows."""
     shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
     return hashlib.sha256(str(shown).encode()).hexdigest()[:32]
 
@@ -92,7 +92,7 @@ def _log_side(stream: rr.RecordingStream, root: str, side: Side, methods: Sequen
 
 
 def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change: np.ndarray) -> None:
-    """A dot at each test position, the larger the more the error changed; each change can be read as a scalar too."""
+    """Log a dot at each test position, larger the more the error changed, and the changes themselves as values."""
     share = scale_change(change)
     dots = rr.Points3D(
         lift(place, LAYER_M),

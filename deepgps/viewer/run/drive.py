@@ -1,4 +1,4 @@
-"""The drive along its timeline: the robot and its path below ``world``, what was sensed below ``drive``."""
+"""The drive along its timeline: the robot and its path below ``world``, sensor data below ``drive``."""
 
 import numpy as np
 import rerun as rr
@@ -32,7 +32,7 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
     log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
     _log_distances(stream, recording, truth)
     if recording.kind == "polar_image":
-        _log_images(stream, recording, seen, recording.time[first])
+        log_images(stream, recording, seen, recording.time[first])
     elif recording.kind == "scan":
         _log_scans(stream, recording, seen, recording.time[first])
 
@@ -40,14 +40,14 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
 def log_path(
     stream: rr.RecordingStream, root: str, place: np.ndarray, colours: tuple[Colour, Colour], recording: Recording
 ) -> None:
-    """Whole segments below ``root``, one row each, and the leg driven so far, of places at each reading (R, 2) [m].
+    """Log complete segments below ``root``, one row each, and at each reading the part of its segment driven so far.
 
     Args:
-        stream: Where to.
-        root: Entity below which they are logged.
-        place: Where the robot was, or is said to have been.
-        colours: Of the segments, and of the leg.
-        recording: What was sensed.
+        stream: Stream to log to.
+        root: Entity below which the path is logged.
+        place: Position at each reading, true or dead-reckoned (R, 2) [m].
+        colours: Colours of the segments and of the current part.
+        recording: The recording.
     """
     segment, place = recording.reading[:, 0], lift(place, LAYER_M)
     start = runs.find_starts(segment)
@@ -67,7 +67,7 @@ def log_path(
 
 
 def find_cameras(recording: Recording) -> list[str]:
-    """Names of the pictures that a recording has: none of scans and of distances to landmarks."""
+    """Names of the cameras whose pictures a recording has; scans and distances to landmarks are no pictures."""
     images = ["fisheye", "polar"] if recording.kind == "polar_image" else []
     return [*images, *(["tag_camera"] if "tag_camera" in recording.others else [])]
 
@@ -104,7 +104,8 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
         send_series(stream, path, indexes, values, label, colour)
 
 
-def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
+def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
+    """Log the pictures of the observations ``seen`` (n,), taken at ``time`` (n,) [s]."""
     step = -(-len(seen) // IMAGES_AT_MOST)
     seen, indexes = seen[::step], drive_index(time[::step], recording)
     _, rings, sectors, _ = recording.observation.shape
@@ -123,7 +124,7 @@ def _log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarr
 
 
 def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
-    """Where each ray ends, as points about the robot."""
+    """Log the end of each ray as a point in the robot's frame."""
     step = -(-len(seen) // IMAGES_AT_MOST)
     scans = np.asarray(recording.observation[seen[::step], 0])
     angle = 2.0 * np.pi * np.arange(scans.shape[1]) / scans.shape[1]
@@ -138,7 +139,7 @@ def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarra
 
 
 def _find_track_m(recording: Recording) -> float:
-    """The true distance of the wheels; odometry knows it as wrong as was set."""
+    """The true distance between the wheels; the one in the odometry contains the error that was set."""
     wrong = recording.manifest.settings.get("encoder", {}).get("track_error", 0.0)
     return float(recording.manifest.odometry["track_m"]) / (1.0 + wrong)
 
@@ -148,6 +149,6 @@ def _camera(recording: Recording) -> CameraSettings:
 
 
 def turn_up(yaw: np.ndarray) -> np.ndarray:
-    """Quaternions (N, 4), x y z w as Rerun has them, of headings (N,) [rad]."""
+    """Quaternions (N, 4), in Rerun's order x y z w, of headings (N,) [rad]."""
     zero = np.zeros_like(yaw)
     return np.stack([zero, zero, np.sin(yaw / 2), np.cos(yaw / 2)], axis=1)

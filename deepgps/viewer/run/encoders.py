@@ -1,4 +1,4 @@
-"""The encoders: the path they reckon below ``world/reckoned``, what they told of each segment below ``encoders``."""
+"""The encoders: the dead-reckoned path below ``world/reckoned``, the encoders' errors below ``encoders``."""
 
 from io import BytesIO
 
@@ -18,7 +18,7 @@ WRONG: Colour = (232, 37, 79)
 
 
 def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
-    """Log the dead-reckoned path beside the true one, their distance, and the errors of segments in words and dots."""
+    """Log the dead-reckoned path, its distance from the true path, and the errors of segments as text and figure."""
     true, reckoned = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
     drift = np.linalg.norm(reckoned - true, axis=1)
     indexes = drive_index(recording.time, recording)

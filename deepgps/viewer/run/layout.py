@@ -1,4 +1,4 @@
-"""How the viewer shows a run: its tabs, and what each shows."""
+"""The viewer's layout for a run: its tabs and their contents."""
 
 from collections.abc import Sequence
 
@@ -26,14 +26,14 @@ def make_blueprint(
     cameras: Sequence[str],
     drive_s: float,
 ) -> rrb.Blueprint:
-    """How the viewer shows a run: what matters first, without a click.
+    """The viewer's layout for a run, which opens with what matters most.
 
     Args:
         space: The room's floor.
-        methods: Those measured.
-        trained: Those with a history.
-        cameras: Whose pictures there are.
-        drive_s: How long the drive took [s].
+        methods: Measured methods.
+        trained: Methods with a training history.
+        cameras: Cameras with pictures.
+        drive_s: Duration of the drive [s].
     """
     return rrb.Blueprint(
         rrb.Tabs(
@@ -46,14 +46,14 @@ def make_blueprint(
         ),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        # at the end of the drive and of training, from where it plays all in a hundred seconds
+        # opens at the end of drive and training; playing everything takes a hundred seconds
         rrb.TimePanel(state="collapsed", timeline=PROGRESS, fps=PROGRESS_END / 100, play_state="following"),
         auto_views=False,
     )
 
 
 def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | rrb.Vertical:
-    """The first method's field in the furnished room, the figures of all, and the others' fields as plans."""
+    """The first method's error field in the furnished room, all figures, and the other methods' fields as plans."""
     first, *others = methods
     room = rrb.Spatial3DView(
         name=f"Error field of {title_of(first)}",
@@ -107,7 +107,7 @@ def _drive(space: FreeSpace, cameras: Sequence[str], drive_s: float) -> rrb.Hori
 
 
 def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
-    """What the encoders told: in words, on the floor, along the drive, and of each segment."""
+    """The encoders' errors: in words, as paths on the floor, along the drive, and for each segment."""
     lately = rrb.VisibleTimeRanges(_lately(TRAIL_S, drive_s))
     paths = rrb.Spatial3DView(
         name="The true path (blue) and the reckoned one (orange)",
@@ -199,7 +199,7 @@ def _until_now() -> list[rrb.VisibleTimeRange]:
 
 
 def _lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
-    """What came in the last seconds [s], on the timeline of all too, which stretches or squeezes the drive."""
+    """Show the last seconds [s] of the drive, also on the timeline ``progress``, on which the drive is rescaled."""
     relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
     return _since(relative(seconds=-seconds), relative(seq=-round(PROGRESS_END * share)))
 
@@ -213,19 +213,19 @@ def _since(drive_time: rr.TimeRangeBoundary, progress: rr.TimeRangeBoundary) -> 
 
 
 def aim_eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
-    """An eye above the room, which leaves space before it for the scale.
+    """Place the eye above the room, with space for the scale in front of it.
 
     Args:
         space: The room's floor.
-        tilt: How far it leans to the south [rad].
-        reach: How far away it is, as a multiple of what shows the plan.
-        before: How far south of the room's middle it looks [m].
+        tilt: How far the eye is tilted to the south [rad].
+        reach: Distance of the eye, as a multiple of the distance at which the plan is visible.
+        before: How far south of the room's middle the eye looks [m].
     """
     low, high = field_plot.limits(space)
     middle = np.array([*(low + high) / 2, 0.0]) - [0, before, 0]
     distance = reach * (1.2 * max(high[1] - low[1], 0.62 * (high[0] - low[0])) + (0.8 if before else 0.1))
     away = distance * np.array([0.0, -np.sin(tilt), np.cos(tilt)])
-    # an eye exactly above has no up direction of its own: north is up
+    # an eye exactly above the room has no up direction of its own, so north is up
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=middle + away, look_target=middle, eye_up=(0.0, 1.0, 0.0)
     )

@@ -1,7 +1,7 @@
 """A run's recording for the Rerun viewer, with a blueprint.
 
-Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (what was
-sensed), ``encoders`` (how wrong that was), ``training`` (loss) and ``report`` (text and figures).
+Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (sensor data),
+``encoders`` (encoder errors), ``training`` (loss) and ``report`` (text and figures).
 """
 
 import hashlib
@@ -21,20 +21,23 @@ from deepgps.viewer.run.drive import find_cameras, log_drive
 from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
 from deepgps.viewer.run.training import Data, log_training
+from deepgps.viewer.run.without_truth import write_without_truth
 from deepgps.viewer.save import save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
 from sim.files import is_intact, sha256
 from sim.occupancy import FreeSpace
-from sim.recording.format import open_recording, open_truth
+from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
 
 
 def write_recording(run: Path) -> Path:
-    """Write ``<run>/run.rrd``; raises InputError where the folder is no whole run.
+    """Write ``<run>/run.rrd``; raise InputError if the folder is not a complete run.
 
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """
+    if _lacks_truth(run):
+        return write_without_truth(run, run / RECORDING)
     metrics, fields, histories = read_metrics(run), field_plot.read_fields(run), run_figures.read_histories(run)
     recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     drive_s = float(recording.time[-1] - recording.time[0])
@@ -57,13 +60,18 @@ def write_recording(run: Path) -> Path:
 
 
 def find_recording(run: Path) -> Path:
-    """A run's recording, written if it is missing and checked to be whole; raises InputError."""
-    read_metrics(run)
+    """Return a run's recording, written if it is missing or damaged; raise InputError if it cannot be read."""
+    if not _lacks_truth(run):
+        read_metrics(run)
     path = run / RECORDING
     if not is_intact(path):
         return write_recording(run)
     open_rrd(path)
     return path
+
+
+def _lacks_truth(run: Path) -> bool:
+    return is_whole(run / "recording") and not has_truth(run / "recording")
 
 
 def _log_report(
@@ -102,7 +110,7 @@ def _log_report(
 
 
 def hash_run(run: Path) -> str:
-    """Thirty-two hexadecimal digits that tell a run's recording, figures and fields from another's."""
+    """Thirty-two hexadecimal digits of a run's metrics, error fields and recording."""
     state = hashlib.sha256()
     for path in (run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"):
         state.update(sha256(path).encode())

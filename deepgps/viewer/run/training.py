@@ -27,23 +27,24 @@ def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np
 
 
 def lay_upon(name: str, snapshots: np.ndarray, place: np.ndarray) -> list[np.ndarray]:
-    """A method's snapshots (k, n, 2) moved and turned onto true places (n, 2) [m], each as well as it fits.
+    """Align each of a method's snapshots (k, n, 2) to true places (n, 2) [m] by translation and rotation.
 
-    Only DeepGPS's may be mirrored: distances cannot tell left from right, and turns do so only when it has learned.
+    Only snapshots of DeepGPS may be mirrored: distances leave a mirror ambiguity, which turns resolve only after the
+    training.
     """
     kind = "E2" if name.startswith("deepgps") else "SE2"
     return [fit_alignment(points, place, kind).apply(points) for points in snapshots.astype(float)]
 
 
 def take_log(loss: np.ndarray) -> np.ndarray:
-    """Losses (n,) as powers of ten, as they are shown."""
+    """Decimal logarithm of losses (n,), as the viewer shows them."""
     return np.log10(np.maximum(np.asarray(loss, float), 1e-9))
 
 
 def log_snapshots(
     stream: rr.RecordingStream, name: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
 ) -> None:
-    """How the map unfolds: each snapshot's points (n, 2) [m], each in the colour of its true place (n, 2)."""
+    """Log how the map unfolds: each snapshot's points (n, 2) [m], in the colours of their true places (n, 2)."""
     path = f"world/training/{name}"
     stream.log(path, rr.Points3D.from_fields(radii=0.025), static=True)
     stream.send_columns(
@@ -59,7 +60,7 @@ def log_snapshots(
 def log_snapshot_errors(
     stream: rr.RecordingStream, name: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
 ) -> None:
-    """The error field of each snapshot: arrows from true places (n, 2) to predicted ones (n, 2) [m]."""
+    """Log the error field of each snapshot: arrows from true places (n, 2) to predicted ones (n, 2) [m]."""
     vectors = np.stack(snapshot) - place
     path, lengths = f"world/training_error/{name}", [len(place)] * len(snapshot)
     origins = lift(np.tile(place, (len(snapshot), 1)), LAYER_M)

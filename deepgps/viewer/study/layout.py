@@ -1,4 +1,4 @@
-"""How the viewer shows a study: its tabs, and what each shows."""
+"""The viewer's layout for a study: its tabs and their contents."""
 
 from collections.abc import Sequence
 
@@ -8,19 +8,19 @@ import rerun.blueprint as rrb
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.layout import whole_axis
 
-Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corner of where every room is drawn (2,) [m]
+Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
 STEPS_PER_SECOND = 1.5
 CURVES = {"rms": "RMS", "median": "Median"}
 
 
 def make_blueprint(slider: str, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
-    """How the viewer shows a study: first the error fields of all methods, side by side.
+    """The viewer's layout for a study, which opens with the error fields of all methods side by side.
 
     Args:
         slider: Name of the timeline to open with.
         methods: Names of the methods.
         figures: Names of the study's figures.
-        frame: Where every room is drawn.
+        frame: Rectangle in which every room is drawn.
     """
     return rrb.Blueprint(
         rrb.Tabs(
@@ -67,7 +67,7 @@ def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
 
 
 def _curve(name: str, methods: Sequence[str]) -> rrb.TimeSeriesView:
-    """A small curve without a legend: its colours are those of the text above each field."""
+    """A small plot without a legend, since its colours are those of the text above each field."""
     return rrb.TimeSeriesView(
         name=f"{CURVES[name]} along the slider [cm]",
         origin=f"curve/{name}",
@@ -100,10 +100,10 @@ def _figures(figures: Sequence[str]) -> rrb.Tabs:
 
 
 def _eye(frame: Frame, wide: bool) -> rrb.EyeControls3D:
-    """An eye above the frame that sees it, the text above it and the scale below it, in a wide panel or a high one."""
+    """Place the eye above the frame so that a wide or high panel shows the frame, its heading and its scale."""
     width, depth = frame[1] - frame[0]
     seen = max(depth + 2.2, 1.1 * width / (1.5 if wide else 0.83))
-    # the viewer's eye opens by 55 degrees; exactly above, it has no up direction of its own: north is up
+    # the viewer's field of view is 55 degrees; an eye exactly above has no up direction of its own, so north is up
     distance = seen / (2 * np.tan(np.radians(55 / 2)))
     return rrb.EyeControls3D(
         kind=rrb.Eye3DKind.Orbital, position=(0.0, 0.0, distance), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""Reading a study's folder: its table, and what else its recording shows."""
+"""Reading a study's folder: its table, and the other data that its recording shows."""
 
 import hashlib
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ def is_study(folder: Path) -> bool:
 
 
 def read_study(folder: Path) -> tuple[Study, list[Row]]:
-    """A study and its table; raises InputError where it is not finished, broken, or has no run that is done."""
+    """Read a study and its table; raise InputError if the study is unfinished, broken, or has no finished run."""
     path = folder / "table.parquet"
     if not is_study(folder) or not path.is_file():
         lack = "table.parquet" if is_study(folder) else "study.yaml"
@@ -52,7 +52,7 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
 
 
 def own_values(study: Study, names: Sequence[str]) -> dict[str, object]:
-    """What the scenario says of the settings that vary; nothing where its file is gone or is of another version."""
+    """The scenario's own values of the settings that vary; empty if its file is gone or of another version."""
     with suppress(InputError, AttributeError):
         scenario = load_scenario(study.scenario, study.set)
         return {name: read_setting(scenario, name) for name in names}
@@ -68,7 +68,7 @@ def read_step(folder: Path, step: Step) -> dict[str, WorstField]:
 
 
 def count_arrows(folder: Path, step: Step) -> int:
-    """How many arrows the error fields of a step have; each method's has one for each test position."""
+    """Number of arrows in the error fields of a step: one for each method and test position."""
     path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
     return len(step.rows) * len(read_arrays(path)["truth"])
 

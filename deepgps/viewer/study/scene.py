@@ -1,4 +1,4 @@
-"""What a study shows along one of its sliders: the floor plan, a heading above each field, curves."""
+"""What a study shows along a slider: the floor plan, a heading above each error field, and curves."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -15,7 +15,7 @@ from deepgps.viewer.study.sliders import Slider, Step
 from deepgps.viewer.study.text import describe_field
 from sim.occupancy import FreeSpace
 
-FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in; text beside it wants this much
+FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording
 Take = Callable[[Sequence[Row], str], float]
 
@@ -28,7 +28,7 @@ def find_frame(spaces: Spaces) -> Frame:
 
 
 def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame: Frame) -> None:
-    """The floor plan wherever it changes along a slider, moved and scaled into the frame, and a bar of known length."""
+    """Log the floor plan where it changes along a slider, scaled into the frame, and a scale bar of known length."""
     shown = None
     for index, step in enumerate(slider.steps):
         space = spaces[step.rows[0]["recording"]] if step.done else None
@@ -45,7 +45,7 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         bar = lift(start + np.array([[0, 0], [length, 0]]), 0.0)
         put(stream, "world/metre", rr.LineStrips3D([bar], radii=0.012 / scale, colors=[200, 206, 216]), at)
         label = f"{length:g} m" if length >= 1 else f"{100 * length:g} cm"
-        beside = bar[1:] + np.array([0.4, 0.18, 0]) / scale  # a label stands below its point
+        beside = bar[1:] + np.array([0.4, 0.18, 0]) / scale  # a label is drawn below its point
         name = rr.Points3D(beside, radii=0.0, colors=[200, 206, 216], labels=[label], show_labels=True)
         put(stream, "world/metre/length", name, at)
 
@@ -58,7 +58,7 @@ def log_heading(
     frame: Frame,
     at: Places,
 ) -> None:
-    """Above a method's field: where the slider stands, and how large the errors are."""
+    """Log the slider's place and the size of the errors above a method's error field."""
     text = describe_field(method, slider, step)
     place = [[(frame[0][0] + frame[1][0]) / 2, frame[1][1] + 1.15, 0.0]]
     put(
@@ -70,7 +70,7 @@ def log_heading(
 
 
 def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
-    """Errors along a slider: of the mean of all seeds, and of the best and the worst where there are several."""
+    """Log errors along a slider: the mean over seeds, and the best and the worst seed if there are several."""
     rows = [(index, row) for index, step in enumerate(slider.steps) for row in step.repeats]
     for method in find_methods(row for _, row in rows):
         groups = {
@@ -93,7 +93,7 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
 
 
 def _round_length(most: float) -> float:
-    """The longest of 1, 2, 5, 10 and so on, metres or parts of one, that is at most so long."""
+    """The longest length of at most ``most`` [m] that is 1, 2 or 5 times a power of ten."""
     decade = 10.0 ** np.floor(np.log10(most))
     return float(decade * max(step for step in (1, 2, 5) if step * decade <= most))
 

@@ -1,4 +1,4 @@
-"""The sliders of a study: for each thing that varies a timeline of runs in which nothing else does."""
+"""The sliders of a study: for each setting that varies, a timeline of runs in which nothing else varies."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +17,10 @@ class Step:
     """One place on a slider.
 
     Attributes:
-        value: What stands there, in words.
-        words: What sets the run that is shown apart from all others, in words.
-        rows: The run that is shown, a row for each method; of runs that differ in their seed, the first that is done.
-        repeats: Rows of all seeds that are done.
+        value: The setting's value at this place, in words.
+        words: What distinguishes the run shown here from all others, in words.
+        rows: Rows of the run shown here, one for each method; of runs that differ in seed, the first finished one.
+        repeats: Rows of all finished seeds.
     """
 
     value: str
@@ -30,7 +30,7 @@ class Step:
 
     @property
     def done(self) -> bool:
-        """Whether there is a run to show."""
+        """Whether there is a finished run to show."""
         return self.rows[0]["failure"] is None
 
 
@@ -39,9 +39,9 @@ class Slider:
     """One timeline.
 
     Attributes:
-        name: The setting that it moves, or ``case``, ``seed`` or ``run``.
-        steps: Its places in order.
-        others: What stays as it is meanwhile, in words.
+        name: The setting that the slider changes, or ``case``, ``seed`` or ``run``.
+        steps: The slider's places in order.
+        others: The settings that stay fixed, in words.
     """
 
     name: str
@@ -50,16 +50,17 @@ class Slider:
 
 
 def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any]) -> list[Slider]:
-    """Sliders of a study, the one to open with first.
+    """Find the sliders of a study; the viewer opens with the first.
 
-    An axis has a slider of its own, and so have cases and seeds where there are several; all else keeps its base value:
-    the scenario's own where the study has it, the first elsewhere. Where several things vary, ``run`` goes through all.
-    Where the scenario's own settings are one of many cases, the others are named by what they set otherwise, and a
-    setting to which some of the cases give several values, and change nothing else, has a slider as an axis has.
+    Each axis with several values has a slider, as have cases and seeds if there are several. While a slider moves, all
+    other dimensions keep their base value: the scenario's own value if it occurs in the study, otherwise the first one.
+    The slider ``run`` goes through all runs unless exactly one dimension varies. If the scenario's own settings are one
+    of several cases, the other cases are named by the settings that differ. A setting with three or more values in
+    cases that change nothing else then also has a slider.
 
     Args:
         rows: The study's table.
-        axes: Names of its axes; whatever else varies does so by cases.
+        axes: Names of the study's axes; everything else that varies is set by cases.
         own: The scenario's own values by dotted name.
     """
     runs = list(split_by(rows, "run").values())
@@ -90,8 +91,8 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
 
 
 def describe(names: Sequence[str], values: Sequence[Any], usual: Mapping[str, Any]) -> str:
-    """Settings in words: text as it is, numbers and flags with their names; what is as usual is left out."""
-    told = zip(names, shorten([*names, SEED]), values, strict=False)  # a room's seed is not the run's
+    """Describe settings in words: text as it is, numbers and flags with their names; usual values are left out."""
+    told = zip(names, shorten([*names, SEED]), values, strict=False)  # SEED keeps a room's seed distinct from the run's
     return ", ".join(
         value if isinstance(value, str) else f"{short} {write(value)}"
         for name, short, value in told
@@ -100,7 +101,7 @@ def describe(names: Sequence[str], values: Sequence[Any], usual: Mapping[str, An
 
 
 def write(value: Any) -> str:
-    """A setting's value as people write it."""
+    """Write a setting's value for people to read."""
     if value is None or isinstance(value, bool):
         return {None: "none", True: "yes", False: "no"}[value]
     return f"{value:g}" if isinstance(value, int | float) and abs(value) < 1e6 else str(value)
@@ -116,7 +117,7 @@ def _make(
     at: Mapping[Point, Sequence[Row]],
     usual: Mapping[str, Any],
 ) -> Slider:
-    """A slider that moves a dimension through values, each with its text, while all else keeps its base value."""
+    """Make a slider that moves a dimension through values, each with its text, and keeps all else at its base value."""
     steps = []
     for value, text in texts.items():
         point = {**base, dimension: value}
@@ -129,7 +130,7 @@ def _make(
 
 
 def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str, Any]) -> dict[str, dict[tuple, str]]:
-    """Settings that have three values or more in cases where all else is as usual: those cases, each with its value."""
+    """Cases, each with its value, of every setting with three or more values in cases where all else is as usual."""
     found = {}
     for place, name in enumerate(names if usual else ()):
         alone = [case for case in cases if all(case[k] == usual[other] for k, other in enumerate(names) if k != place)]
@@ -155,18 +156,18 @@ def _locate(row: Row, dimensions: Mapping[str, Sequence[str]]) -> Point:
 
 
 def _order(values: Mapping[tuple, None]) -> list[tuple]:
-    """Numbers by size, so that a slider goes one way; all else as the study lists it."""
+    """Sort numbers, so that a slider is monotonic; keep all else in the study's order."""
     numbers = all(len(value) == 1 and isinstance(value[0], int | float) for value in values)
     return sorted(values) if numbers else list(values)
 
 
 def _choose(values: Sequence[tuple], own: Sequence[Any]) -> tuple:
-    """The scenario's own value where it is among them, the first elsewhere."""
+    """The scenario's own value if it is among the values, otherwise the first."""
     return next((value for value in values if list(value) == own), values[0])
 
 
 def _rank(dimensions: Mapping[str, Sequence[str]]) -> list[str]:
-    """What is worth looking at comes first: the last axis, along which curves run, and seeds at the end."""
+    """Dimensions by interest: the last axis, along which curves run, comes first, and seeds come last."""
     axes = [name for name in dimensions if name not in (CASE, SEED)]
     repeats = [name for name in axes if name.endswith(SEED)]
     return [*(name for name in reversed(axes) if name not in repeats), CASE, *repeats, SEED]

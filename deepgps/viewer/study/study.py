@@ -1,4 +1,4 @@
-"""A study's recording for the Rerun viewer: its error fields, along a timeline for each thing that varies in it.
+"""A study's recording for the Rerun viewer: its error fields, along a timeline for each setting that varies.
 
 Entities: ``world`` (floor plan and error fields, in the world's frame, which is moved and scaled so that every room
 fills the same rectangle), ``curve`` (errors along each timeline) and ``report`` (text and figures).
@@ -24,19 +24,19 @@ from deepgps.viewer.study.sliders import Slider, find_sliders
 from sim.files import is_intact
 
 STUDY = "study.rrd"
-MOST_ARROWS = 2_500_000  # some 75 MB; in a larger study every field is thinned
-MOST_PLACES = 2_000  # of one slider, some 10 kB each besides their arrows
+MOST_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
+MOST_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
 NOTHING = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 def write_study(folder: Path) -> Path:
-    """Write ``<study>/study.rrd`` unless it stands and nothing changed since; returns its path.
+    """Write ``<study>/study.rrd`` unless it exists and is up to date; return its path.
 
-    Equal studies give equal contents: the recording's id is a hash of all that it shows, and no wall-clock time is
+    Equal studies give equal contents: the recording's id is a hash of everything it shows, and no wall-clock time is
     written.
 
     Raises:
-        InputError: The study has no table yet, or no run that is done, or one that is not whole.
+        InputError: The study has no table yet, or no finished run, or an incomplete one.
     """
     study, rows = read_study(folder)
     path, identity = folder / STUDY, hash_study(folder, rows)
@@ -46,7 +46,7 @@ def write_study(folder: Path) -> Path:
 
 
 def find_study(folder: Path) -> Path:
-    """A study's recording, written if it is missing and checked to be whole; raises InputError."""
+    """Return a study's recording, written if it is missing or damaged; raise InputError if it cannot be read."""
     path = folder / STUDY
     if not is_intact(path):
         return write_study(folder)
@@ -92,7 +92,7 @@ def _log_text(stream: rr.RecordingStream, name: str, text: str, at: Places = ())
 
 
 def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
-    """Every how many test positions are shown, so that the file stays small."""
+    """Stride of the test positions that are shown, so that the file stays small."""
     steps = [step for slider in sliders for step in slider.steps if step.done]
     arrows = sum(count_arrows(folder, step) for step in steps)
     return max(1, -(-arrows // MOST_ARROWS))

@@ -1,4 +1,4 @@
-"""What a study's recording says in words: where a slider stands, and what each slider does."""
+"""The texts of a study's recording: where a slider is, and what each slider does."""
 
 from collections.abc import Sequence
 
@@ -24,7 +24,7 @@ def describe_field(method: str, slider: Slider, step: Step) -> str:
 
 
 def describe_step(slider: Slider, step: Step) -> str:
-    """Where a slider stands, in Markdown: which run is shown, its errors, and those of the other seeds."""
+    """Describe a slider's place in Markdown: which run is shown, its errors, and the RMS over all seeds."""
     row = step.rows[0]
     blocks = [f"# {slider.name} {step.value}" if slider.name != RUN else f"# {step.value}"]
     if row["failure"] is not None:
@@ -45,7 +45,7 @@ def describe_step(slider: Slider, step: Step) -> str:
 def describe_study(
     study: Study, rows: Sequence[Row], sliders: Sequence[Slider], left_out: Sequence[str], every: int
 ) -> str:
-    """What each slider does, in Markdown, and how to read an error field."""
+    """Describe in Markdown what each slider does, and how to read an error field."""
     runs = split_by(rows, "run")
     lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
     first = f"The slider at the bottom moves `{sliders[0].name}`"
@@ -63,7 +63,7 @@ def describe_study(
 
 
 def write_length(length_m: float) -> str:
-    """A length in the unit that suits it; what is less than a micrometre is nothing."""
+    """Write a length in a suitable unit; less than a micrometre counts as zero."""
     if length_m < 1e-6:
         return "0 mm"
     if length_m < 0.01:

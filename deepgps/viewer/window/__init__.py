@@ -1,4 +1,4 @@
-"""The viewer's window: found, opened on the desktop or served as a web page.
+"""The viewer's window: the package finds the viewer and opens it on the desktop or serves it as a web page.
 
-What is drawn in it is decided by its neighbours.
+Its sibling packages decide what the window shows.
 """

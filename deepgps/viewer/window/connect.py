@@ -1,4 +1,4 @@
-"""Where a viewer listens: its address, a free port, a viewer of our own."""
+"""Connecting to a viewer: finding the address of a running one, or opening one at a free port."""
 
 import os
 import shutil
@@ -13,20 +13,20 @@ from urllib.parse import urlsplit
 
 from sim.errors import InputError, WorkError
 
-HOST = "127.0.0.1"  # what is served here, and what listens here, is for this machine alone
+HOST = "127.0.0.1"  # everything that listens here is for this machine alone
 ANSWER_S = 1.5
 HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
-"""How a client of HTTP/2 begins: a fixed text, and a frame of settings, here none. The server's begins with one too."""
+"""The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
 OPENING_S = 60.0
 
 
 def find_url(address: str) -> str:
-    """URL of the viewer that answers at ``host:port``, or at a URL of Rerun's kind; raises InputError."""
+    """URL of the viewer that answers at ``host:port`` or at a Rerun URL; raises InputError if none does."""
     url = address if "://" in address else f"rerun+http://{address}/proxy"
     parts = urlsplit(url)
     try:
         host, port = parts.hostname, parts.port
-    except ValueError:  # no number, or too large
+    except ValueError:  # the port is not a number, or too large
         host, port = None, None
     if not host or not port or parts.scheme not in {"rerun", "rerun+http", "rerun+https"} or parts.path != "/proxy":
         raise InputError(f"--live {address!r}: must be host:port, as {HOST}:9876, or rerun+http://host:port/proxy")
@@ -39,10 +39,10 @@ def find_url(address: str) -> str:
 
 
 def knock(url: str) -> Literal["viewer", "stranger", "nobody"]:
-    """Who answers at the URL of a viewer: one that speaks HTTP/2, something else, or nobody within ``ANSWER_S``."""
+    """What answers at a viewer's URL: a server that speaks HTTP/2, something else, or nothing within ``ANSWER_S``."""
     parts = urlsplit(url)
     if parts.scheme != "rerun+http":
-        return "viewer"  # it speaks through TLS, which is not looked into
+        return "viewer"  # its connection is encrypted by TLS, which is not checked
     try:
         with socket.create_connection((parts.hostname or "", parts.port or 0), ANSWER_S) as connection:
             connection.sendall(HELLO)
@@ -64,11 +64,11 @@ def find_viewer() -> str:
 
 
 def open_viewer() -> str:
-    """URL of a viewer that is opened for it, and stays open when this process ends; raises WorkError."""
+    """Open a viewer that stays open after this process ends, and return its URL; raise WorkError if that fails."""
     port = find_free_port()
     command = [find_viewer(), "--bind", HOST, "--port", str(port), "--expect-data-soon"]
     quiet = subprocess.DEVNULL
-    viewer = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)  # Ctrl-C is not for it
+    viewer = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)  # Ctrl-C does not reach it
     wait_for_port(port, viewer)
     with suppress(subprocess.TimeoutExpired):
         viewer.wait(0.5)  # it listens before it tries to open a window
@@ -80,14 +80,14 @@ def open_viewer() -> str:
 
 
 def find_free_port() -> int:
-    """A port of this machine that nothing listens at."""
+    """A port of this machine at which nothing listens."""
     with socket.socket() as listener:
         listener.bind((HOST, 0))
         return listener.getsockname()[1]
 
 
 def wait_for_port(port: int, process: subprocess.Popen) -> None:
-    """Wait until ``process`` listens or has ended; raises WorkError when it does neither."""
+    """Wait until ``process`` listens or has ended; raise WorkError if it does neither in time."""
     end = time.monotonic() + OPENING_S
     while process.poll() is None:
         with suppress(OSError):

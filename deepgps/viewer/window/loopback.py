@@ -1,7 +1,7 @@
-"""A server of a few files for this machine alone, which no page from elsewhere can read.
+"""A server of a few files for this machine alone, which no external page can read.
 
-It listens at 127.0.0.1 and answers only requests that name this host: a page of a foreign name that was made to point
-at this machine (DNS rebinding) gets nothing. There is no folder behind it, only the names given.
+It listens at 127.0.0.1 and answers only requests that name this host, so a page whose foreign host name was redirected
+to this machine (DNS rebinding) gets nothing. It serves no folder, only the given names.
 """
 
 import logging
@@ -30,8 +30,8 @@ class Served:
     """What is served under one name.
 
     Attributes:
-        kind: Its Content-Type.
-        source: The file, or its bytes.
+        kind: The Content-Type.
+        source: The file or its bytes.
     """
 
     kind: str
@@ -45,13 +45,13 @@ def serve_files(
     """Serve files while this is entered.
 
     Args:
-        port: Where to listen.
-        files: By their path in the URL, as ``/index.html``.
-        readers: Ports of this machine whose pages may read the files as well.
-        headers: Sent with every file.
+        port: Port to listen at.
+        files: Files by their path in the URL, such as ``/index.html``.
+        readers: Ports of this machine whose pages may also read the files.
+        headers: Headers sent with every file.
 
     Raises:
-        OSError: The port cannot be had.
+        OSError: The port is not available.
     """
 
     origins = frozenset(f"http://{host}" for reader in readers for host in _name_hosts(reader))
@@ -67,7 +67,7 @@ def serve_files(
 
 @dataclass(frozen=True)
 class _Site:
-    """What a server answers with, and to whom: names of hosts in requests, and origins of pages that may read it."""
+    """What a server serves, the host names that requests must use, and the origins of pages that may read it."""
 
     hosts: frozenset[str]
     origins: frozenset[str]
@@ -84,7 +84,7 @@ class _Server(ThreadingHTTPServer):
         super().__init__((HOST, port), _Handler)
 
     def handle_error(self, request: socket.socket | tuple[bytes, socket.socket], client_address: object) -> None:
-        """Say what failed in one line, unless it is a browser that went away."""
+        """Log the error in one line, unless the browser closed the connection."""
         error = sys.exception()
         if error is not None and not isinstance(error, OSError):
             logging.getLogger(__name__).warning("a request failed (%s: %s)", type(error).__name__, one_line(error))
@@ -96,7 +96,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     @property
     def site(self) -> _Site:
-        """What is served."""
+        """The site that is served."""
         assert isinstance(self.server, _Server)
         return self.server.site
 
@@ -105,7 +105,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(body=True)
 
     def do_HEAD(self) -> None:
-        """Send what would be said of a file."""
+        """Send the headers of a file."""
         self._answer(body=False)
 
     def version_string(self) -> str:
@@ -113,7 +113,7 @@ class _Handler(BaseHTTPRequestHandler):
         return "deepgps"
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing."""
+        """Log nothing."""
 
     def _answer(self, body: bool) -> None:
         found = self.site.files.get(self.path.partition("?")[0])
@@ -145,5 +145,5 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _name_hosts(port: int) -> frozenset[str]:
-    """What a browser on this machine may call this server in the header Host."""
+    """Values of the Host header by which a browser on this machine may address this server."""
     return frozenset(name if port == 80 else f"{name}:{port}" for name in NAMES)

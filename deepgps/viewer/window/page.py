@@ -1,4 +1,4 @@
-"""The files of Rerun's web viewer: they are inside its program, whose own server hands them out."""
+"""The files of Rerun's web viewer, which are embedded in its program and come from the program's own server."""
 
 import os
 import signal
@@ -23,7 +23,7 @@ ANSWER_S = 60.0
 
 
 def take_page() -> dict[str, Served]:
-    """The viewer's files by their path in the URL; raises WorkError where the viewer is missing or has others."""
+    """Return the viewer's files by their path in the URL; raise WorkError if the viewer or one of them is missing."""
     port = find_free_port()
     with _serve_page(port):
         connection = HTTPConnection(HOST, port, timeout=ANSWER_S)
@@ -46,10 +46,10 @@ def _take(connection: HTTPConnection, path: str, kind: str) -> Served:
 
 @contextmanager
 def _serve_page(port: int) -> Iterator[None]:
-    """Let Rerun's own server, which answers to every name, run as long as it takes."""
+    """Run Rerun's own server, but only while this is entered, since it answers requests for any host name."""
     command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(port)]
     quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
-    with TemporaryFile("w+", errors="replace") as told:  # its words, of which an error is the last line, are few
+    with TemporaryFile("w+", errors="replace") as told:  # short; an error is its last line
         server = subprocess.Popen(
             [*command, "--port", str(find_free_port())], stdout=told, stderr=told, env=quiet, start_new_session=True
         )

@@ -19,15 +19,15 @@ def view(paths: Sequence[Path]) -> None:
     """Open a run or a study, or two runs side by side, in the Rerun viewer and wait until it is closed.
 
     Args:
-        paths: As of ``find_shown``.
+        paths: As in ``find_shown``.
 
     Raises:
-        InputError: As of ``find_shown``.
+        InputError: As in ``find_shown``.
         WorkError: The viewer is missing or cannot open a window.
     """
     recording = find_shown(paths)
-    # The viewer also listens for data, which only this machine may send. At a port that another viewer has it would
-    # hand the recording over, open nothing, and wait for ever where that one hangs.
+    # The viewer also listens for data, which only this machine may send. At the port of another viewer, it would hand
+    # over the recording without opening a window, and wait forever if that viewer hangs.
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as viewer:
         try:
@@ -45,13 +45,14 @@ def view(paths: Sequence[Path]) -> None:
 
 
 def find_shown(paths: Sequence[Path]) -> Path:
-    """The recording that shows these folders, written where it is missing.
+    """Return the recording that shows these folders; write it if it is missing.
 
     Args:
-        paths: The folder of one run or of one study, or those of two runs, which get one recording of both.
+        paths: The folder of one run or of one study, or the folders of two runs, which share one recording.
 
     Raises:
-        InputError: A folder is no run and no finished study, its recording is cut off, or two cannot be compared.
+        InputError: A folder is neither a run nor a finished study, its recording is truncated, or two runs cannot be
+            compared.
     """
     if len(paths) != 1:
         return write_pair(paths)

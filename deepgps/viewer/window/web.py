@@ -1,4 +1,4 @@
-"""A run's recording in a browser: the viewer's page and its data, served to this machine alone."""
+"""Recordings in a browser: the viewer's page and its data, served to this machine alone."""
 
 import socket
 import threading
@@ -19,13 +19,13 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
     """Serve a run, a study or two runs to a browser until this process is interrupted, by Ctrl-C or by SIGTERM.
 
     Args:
-        paths: As of ``find_shown``.
-        ports: Of the page, and of its data.
-        say: Told the address once it can be opened.
+        paths: As in ``find_shown``.
+        ports: Ports of the page and of its data.
+        say: Called with the address once it can be opened.
 
     Raises:
-        InputError: As of ``find_shown``.
-        WorkError: The viewer is missing, or has no page.
+        InputError: As in ``find_shown``.
+        WorkError: The viewer is missing or has no page.
     """
     recording = Served("application/octet-stream", find_shown(paths))
     page, data = ports
@@ -39,7 +39,7 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
 
 
 def _allow(data: int) -> str:
-    """What the page may load: itself and its data, and nothing from elsewhere, as the fonts that Rerun's page names."""
+    """What the page may load: itself and its data, but nothing external such as the fonts that Rerun's page names."""
     sources = {
         "default-src": "'self' data: blob:",
         "script-src": "'self' 'unsafe-inline' 'wasm-unsafe-eval' blob:",
@@ -51,7 +51,7 @@ def _allow(data: int) -> str:
 
 
 def choose_ports(page: int | None) -> tuple[int, int]:
-    """Ports of the page and of its data: the one wanted and the next, or free ones; raises InputError."""
+    """Ports of the page and of its data: ``page`` and the next port, or free ones; raises InputError."""
     if page is None:
         return find_free_port(), find_free_port()
     if not 1 <= page <= 65534:

@@ -1,0 +1,107 @@
+"""The recording of a run without truth, as of a real robot: what was sensed, the dead-reckoned path, and the maps.
+
+Nothing here is an error: each map is in a frame of its own.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.figures import run_figures, style
+from deepgps.methods.catalog import title_of
+from deepgps.viewer import playback
+from deepgps.viewer.run.drive import LEG, find_cameras, log_images, log_path
+from deepgps.viewer.run.training import Data, take_log
+from deepgps.viewer.save import save_recording
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import drive_index, send_series, step_index
+from sim.files import sha256
+from sim.recording.format import Recording, open_recording
+
+RECKONED = (255, 150, 40)
+NOTE = (
+    "This recording has no truth, so there is no error field. *Drive* plays what the robot sensed and the path that "
+    "its wheels alone give; *Training* shows how each method's map unfolds, in a frame of its own."
+)
+
+
+def write_without_truth(run: Path, path: Path) -> Path:
+    """Write the recording of a run without truth to a path.
+
+    Raises:
+        InputError: The folder holds no finished recording.
+    """
+    recording = keep_plausible(open_recording(run / "recording"))
+    histories = run_figures.read_histories(run)
+
+    def log(stream: rr.RecordingStream) -> None:
+        _log_drive(stream, recording)
+        for name, history in histories.items():
+            _log_map(stream, name, history)
+        stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
+
+    blueprint = _make_blueprint(list(histories), find_cameras(recording))
+    save_recording(path, _hash(run), f"{run.name}, without truth", blueprint, log)
+    return path
+
+
+def _log_drive(stream: rr.RecordingStream, recording: Recording) -> None:
+    seen, first = np.unique(recording.reading[:, 1], return_index=True)
+    log_path(stream, "world/reckoned", dead_reckon(recording)[:, :2], (RECKONED, LEG), recording)
+    distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    indexes = drive_index(recording.time, recording)
+    send_series(stream, "drive/distance/encoder", indexes, distance, "by encoder", RECKONED)
+    for column, side in ((2, "left"), (3, "right")):
+        colour = (90, 160, 255) if side == "left" else (63, 208, 165)
+        send_series(stream, f"drive/ticks/{side}", indexes, recording.reading[:, column], side, colour)
+    if find_cameras(recording):
+        log_images(stream, recording, seen, recording.time[first])
+
+
+def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
+    """Loss of a training, and its snapshots (k, n, 2) [m], coloured by the places of the last one."""
+    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
+    indexes, loss = step_index(history["step"], last), take_log(history["loss"])
+    send_series(stream, f"training/{name}/loss", indexes, loss, "loss", style.colour_on_dark(name))
+    snapshot = history["snapshot"].astype(float)
+    stream.log(f"map/{name}", rr.Points3D.from_fields(radii=0.025), static=True)
+    stream.send_columns(
+        f"map/{name}",
+        step_index(history["snapshot_step"], last),
+        rr.Points3D.columns(
+            positions=lift(snapshot.reshape(-1, 2), LAYER_M),
+            colors=np.tile(playback.colours_of_places(snapshot[-1]), (len(snapshot), 1)),
+        ).partition([snapshot.shape[1]] * len(snapshot)),
+    )
+
+
+def _make_blueprint(methods: Sequence[str], cameras: Sequence[str]) -> rrb.Blueprint:
+    pictures = [rrb.Spatial2DView(name=name, origin=f"drive/{name}") for name in cameras]
+    curves = [
+        rrb.TimeSeriesView(name="Distance travelled [m]", origin="drive/distance"),
+        rrb.TimeSeriesView(name="Ticks", origin="drive/ticks"),
+    ]
+    path = rrb.Spatial3DView(name="Dead-reckoned path", origin="world")
+    maps = [rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}") for name in methods]
+    losses = [rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}") for name in methods]
+    note = rrb.TextDocumentView(name="Without truth", origin="report")
+    tabs: list[rrb.Horizontal | rrb.Vertical] = [
+        rrb.Horizontal(path, rrb.Vertical(*pictures, *curves, note), name="Drive", column_shares=[3, 2])
+    ]
+    if methods:
+        tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
+    return rrb.Blueprint(rrb.Tabs(*tabs), collapse_panels=True)
+
+
+def _hash(run: Path) -> str:
+    paths: Mapping[str, Path] = {path.relative_to(run).as_posix(): path for path in run.glob("*/history.npz")}
+    state = hashlib.sha256(sha256(run / "recording" / "manifest.json").encode())
+    for name in sorted(paths):
+        state.update(f"{name} {sha256(paths[name])}".encode())
+    return state.hexdigest()[:32]
