@@ -1,6 +1,6 @@
 """World, robot, sensors, driving and recording.
 
-Conventions of the whole project:
+Conventions of the project:
 
 - Frames: world x right, y forward, z up; metres, radians, seconds; yaw counter-clockwise from +x;
   quaternions wxyz. Names cancel like fractions: ``T_world_robot @ T_robot_camera``.

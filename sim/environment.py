@@ -44,7 +44,7 @@ class RoomEnvironment(dm_env.Environment):
 
     Raises:
         InputError: The encoder has faults that are drawn for a complete drive (slip, gap noise, lost readings, a stuck
-            wheel), or the camera has any faults.
+            encoder), or the camera has any faults.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 

@@ -34,7 +34,7 @@ SUM = ".sha256"
 LINES = "# sha256 of the lines below: "
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 PROBE = 1 << 20
-"""Bytes that are appended to a file at a time, at the least in all, to find out whether the disk is full."""
+"""Bytes per block, and the fewest in all, that are appended to a file to find out whether the disk is full."""
 
 
 def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> None:
@@ -46,9 +46,9 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
         size: Number of bytes that it will write, if known.
 
     Raises:
-        WorkError: The disk is full (the message says how much is needed and how much is free), or writing fails.
+        WorkError: The disk is full (the message states the space needed and free), or writing fails.
     """
-    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphaned process of a killed run may still write its own file
+    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its file
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write(part)

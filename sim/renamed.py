@@ -60,7 +60,7 @@ def explain_value(dotted: str, value: object) -> str | None:
 
 
 def name_methods(values: Mapping[str, Any]) -> dict[str, Any]:
-    """What a run made before says of its methods, by the names of today."""
+    """Translate an older run's values by method to the methods' current names."""
     return {METHODS.get(name, name): value for name, value in values.items()}
 
 

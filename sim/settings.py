@@ -1,4 +1,4 @@
-"""Settings of world, robot, sensors and driving: frozen groups, each checked once, when it is made."""
+"""Settings of world, robot, sensors and driving: frozen groups, each checked once when it is created."""
 
 from typing import Annotated, Literal
 
@@ -9,7 +9,7 @@ SensorName = Literal["fisheye", "lidar"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 LARGEST_MJCF = 64 * 1024 * 1024
-"""Bytes that each XML file of a room of one's own may have."""
+"""Largest size of each XML file of a user's own room, in bytes."""
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
@@ -20,62 +20,62 @@ class Group(BaseModel):
 
 
 class RoomSettings(Group):
-    """Which room is built, or which MJCF file is used in its place."""
+    """The room to build, or the MJCF file to use instead."""
 
     kind: RoomKind = "living_room"
-    """What the room is for; decides its furniture."""
+    """Purpose of the room, which determines its furniture."""
     shape: RoomShape = "rectangle"
     """Outline of the walls; two_rooms: a wall between two rooms, with a doorway."""
     seed: int = Field(default=0, ge=0)
-    """Everything random about the room comes from this number."""
+    """Seed of everything random about the room."""
     width_m: Metres | None = None
-    """Extent along x [m]; none: the kind's own."""
+    """Extent along x [m]; None: the default of the kind."""
     depth_m: Metres | None = None
-    """Extent along y [m]; none: the kind's own."""
+    """Extent along y [m]; None: the default of the kind."""
     mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
-    """A room of your own: path of an MJCF file, used in place of kind, shape, seed and size."""
+    """Your own room: path of an MJCF file, used instead of kind, shape, seed and size."""
 
 
 class LandmarksSettings(Group):
-    """The paper's plane world: a square with landmarks in it, whose distances are all that is seen (Sec. IV-A)."""
+    """The paper's planar world: a square with landmarks; the robot senses only its distances to them (Sec. IV-A)."""
 
     count: int = Field(default=128, ge=3, le=4096)
-    """Landmarks, numbered, so that each distance is known to be that of its own."""
+    """Number of landmarks; they are identifiable, so each distance is assigned to its landmark."""
     seed: int | None = Field(default=None, ge=0)
-    """Where the landmarks stand comes from this number; none: from the scenario's seed."""
+    """Seed of the landmarks' positions; None: the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
     reach_m: float | None = Field(default=None, gt=0.0, le=1e6)
-    """Landmarks farther than this are not seen, their distance reads as this [m] (the paper's d_max); none: all are."""
+    """Farther landmarks are not seen: their distance reads as this [m] (the paper's d_max); None: no limit."""
     segments: int = Field(default=128, ge=1, le=1_000_000)
-    """Straight segments to drive, each from wall to wall; drive.samples may end the drive before."""
+    """Straight segments to drive, each from wall to wall; drive.samples may end the drive earlier."""
 
 
 class ObstaclesSettings(Group):
     """The paper's lidar maps (its appendix): a walled square with rectangular obstacles along its axes."""
 
     seed: int | None = Field(default=None, ge=0)
-    """The obstacles come from this number; none: from the scenario's seed."""
+    """Seed of the obstacles; None: the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
     count: int = Field(default=20, ge=0, le=1000)
-    """Rectangles, of sides between 3 and 20 % of the square's; they may overlap, or leave passages of 6 %."""
+    """Rectangles with sides of 3 to 20 % of the square's; they may overlap, or leave passages of 6 %."""
     clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
-    """The robot is a point that keeps so far from walls and obstacles [m]."""
+    """The robot is a point that keeps this distance from walls and obstacles [m]."""
     relocate_after: int = Field(default=10, ge=0, le=1_000_000)
-    """Segments after which the robot is relocated to another place by chance, which it is not told; 0: it never is."""
+    """Segments after which the robot is relocated at random without being informed; 0: it never is."""
 
 
 class LidarSettings(Group):
-    """The lidar: distances all around the robot in one plane, in order."""
+    """The lidar: ordered distances all around the robot in one plane."""
 
     rays: int = Field(default=256, ge=8, le=4096)
-    """Rays of one scan, evenly around, the first straight ahead."""
+    """Rays of one scan, evenly spaced, the first straight ahead."""
     headings: int = Field(default=1, ge=1, le=64)
-    """Scans kept at each place, each turned on by this fraction of the angle between two rays. Turns by whole rays only
-    shift a scan in a circle, so that training can draw any of rays x headings."""
+    """Scans at each place, each turned from the last by 1 / headings of the angle between two rays. A turn by a full
+    ray only shifts a scan circularly, so that training can draw any of rays x headings."""
     reach_m: float = Field(default=8.0, ge=0.1, le=1000.0)
-    """Longest distance measured [m] (LDS-02, the TurtleBot3's lidar: 8 m); nothing nearer reads as this."""
+    """Longest distance measured [m] (LDS-02, the TurtleBot3's lidar: 8 m); also the reading if nothing is nearer."""
     height_m: float = Field(default=0.18, ge=0.02, le=1.5)
     """Height of the rays above the floor, in rooms [m] (TurtleBot3 Burger: 0.18)."""
     noise_m: float = Field(default=0.0, ge=0.0, le=1.0)
@@ -83,10 +83,10 @@ class LidarSettings(Group):
 
 
 class RobotSettings(Group):
-    """What is wrong with the robot's body."""
+    """Faults of the robot's body."""
 
     wheel_radius_error: float = Field(default=0.0, ge=-0.2, le=0.2)
-    """The left wheel of the model itself is larger by this fraction: the robot then curves."""
+    """The left wheel of the model itself is larger by this fraction, so the robot drives curves."""
 
 
 class CameraSettings(Group):
@@ -105,15 +105,15 @@ class CameraSettings(Group):
     k4: float = Field(default=0.0, ge=-0.5, le=0.5)
     """Kannala-Brandt coefficient of theta^9."""
     rings: int = Field(default=32, ge=4, le=256)
-    """Rows of the polar image, zenith to rim."""
+    """Rows of the polar image, from zenith to rim."""
     sectors: int = Field(default=128, ge=8, le=1024)
     """Columns of the polar image, once around."""
     face_px: int = Field(default=96, ge=16, le=512)
-    """Side of each pinhole face that is rendered [px]."""
+    """Side length of each rendered pinhole face [px]."""
 
 
 class TagCameraSettings(Group):
-    """A pinhole camera on the robot that looks level, for tags: labels are made of what it sees (Sec. IV-C)."""
+    """A horizontal pinhole camera on the robot that sees tags, from which labels are made (Sec. IV-C)."""
 
     mounted: bool = False
     """Whether the robot has it."""
@@ -126,11 +126,11 @@ class TagCameraSettings(Group):
     height_m: float = Field(default=0.28, ge=0.1, le=1.5)
     """Height of its middle above the floor [m]."""
     ahead_m: float = Field(default=-0.04, ge=-0.1, le=0.1)
-    """How far it sits before the wheel axle [m]."""
+    """Distance in front of the wheel axle [m]."""
     yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
-    """Where it looks, to the left of straight ahead; back, since the robot stops where something stands ahead [deg]."""
+    """Direction of view, left of straight ahead [deg]; backwards by default, as the robot stops at obstacles."""
     kept: bool = False
-    """Whether the recording keeps its images, 0.5 MB each, and not only the tags found in them."""
+    """Whether the recording keeps its images, 0.5 MB each, in addition to the tags found in them."""
 
 
 class EncoderSettings(Group):
@@ -139,28 +139,28 @@ class EncoderSettings(Group):
     ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
     """Ticks per wheel revolution (TurtleBot3: 4096)."""
     rounding: Literal["floor", "nearest"] = "floor"
-    """How an angle becomes a whole number of ticks."""
+    """How an angle is rounded to integer ticks."""
     radius_error_left: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """The left wheel's assumed radius is wrong by this fraction; its distances scale with 1 + it."""
+    """The left wheel's assumed radius is wrong by this fraction; its distances scale with 1 + the fraction."""
     radius_error_right: float = Field(default=0.0, ge=-0.5, le=0.5)
-    """The same for the right wheel."""
+    """The right wheel's assumed radius is wrong by this fraction."""
     track_error: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The assumed track width is wrong by this fraction (turns only)."""
     slip_per_m: float = Field(default=0.0, ge=0.0, le=0.5)
-    """Standard deviation of each wheel's slip after a metre [m]; grows with the root of the way."""
+    """Standard deviation of each wheel's slip after a metre [m]; it grows with the root of the distance travelled."""
     step_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """The paper's w: each gap between readings is multiplied by 1 + w n, n standard normal."""
     dropout: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of readings that never arrive."""
     stuck_fraction: float = Field(default=0.0, ge=0.0, le=0.9)
-    """Fraction of the readings, in one stretch, during which one encoder, left or right by chance, counts nothing."""
+    """Fraction of the readings, in one stretch, during which one random encoder, left or right, counts nothing."""
 
 
 class DriveSettings(Group):
     """How the robot drives and when it looks."""
 
     strategy: Literal["dense", "endpoint"] = "dense"
-    """dense: an image every spacing; endpoint: images only where a straight segment begins and ends."""
+    """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""
     samples: int = Field(default=8000, ge=16, le=2_000_000)
     """Images to collect."""
     spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
@@ -170,16 +170,16 @@ class DriveSettings(Group):
     turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
     """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
     stop_distance_m: float = Field(default=0.04, ge=0.0, le=1.0)
-    """The robot stops when a range ray leaves less room than this before its body [m]."""
+    """The robot stops when a range ray shows less room than this in front of its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
     lengths: Literal["longest", "random"] = "longest"
-    """longest: each segment is as long as it can be; random: each draws its own length up to longest_m, so that it
-    ends at a random place, as the paper's end-point strategy wants."""
+    """longest: each segment is as long as possible; random: each draws its own length up to longest_m, so that it ends
+    at a random place, as the paper's end-point strategy requires."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Chance to turn into an opening that the robot passes."""
+    """Probability of turning into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
-    """Chance, after a segment, to search for a while on one side for places that chance would not find."""
+    """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
 
 
 class GridSettings(Group):
@@ -188,63 +188,63 @@ class GridSettings(Group):
     spacing_m: float = Field(default=0.08, ge=0.005, le=1.0)
     """Distance between test positions [m]."""
     headings: int = Field(default=4, ge=1, le=64)
-    """Headings at each test position, evenly spread from +x."""
+    """Headings at each test position, evenly spaced from +x."""
     held_out: int = Field(default=0, ge=0, le=100_000)
-    """Samples driven after those to learn from, at which is tested in place of the grid; 0: the grid."""
+    """Held-out samples, driven after the training samples, that replace the grid as test positions; 0: the grid."""
 
 
 class ImageFaultSettings(Group):
-    """What the camera's sensor makes of light: faults that act on a finished image, in training and in use alike."""
+    """Faults of the camera's sensor: they act on finished images, in training and in deployment."""
 
     exposure: float = Field(default=1.0, gt=0.0, le=16.0)
-    """Exposure time, as a fraction of that of an image without faults; what is brighter than white is white."""
+    """Exposure time, as a fraction of that of an image without faults; values brighter than white are cut off."""
     vignetting: float = Field(default=0.0, ge=0.0, le=0.99)
-    """Fraction of the light that is lost at the rim of the image; less inward, none in the middle."""
+    """Fraction of the light that is lost at the rim of the image, decreasing to none in the middle."""
     read_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of each sensor pixel's noise in the dark, as a fraction of white, in linear light."""
     shot_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of each sensor pixel's photon noise at white, as a fraction of it; it grows with the root of
     the light. One over the root of the electrons that fill a pixel: 0.01 for 10,000 of them."""
     sensor_px: int = Field(default=480, ge=16, le=8192)
-    """Diameter of the image's circle on the sensor [px]; a pixel of the polar image is the mean of those it covers."""
+    """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
     turn_deg: float = Field(default=0.0, ge=0.0, le=90.0)
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 
 
 class CameraMountSettings(Group):
-    """How the camera sits on the robot and rides with it: faults that are drawn, in training and in use alike."""
+    """Faults of the camera's mounting and of its motion: they are rendered, in training and in deployment."""
 
     roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
     """The camera's axis leans to the robot's right by this [deg]."""
     pitch_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
-    """The camera's axis leans ahead by this [deg]."""
+    """The camera's axis leans forward by this [deg]."""
     wobble_deg: float = Field(default=0.0, ge=0.0, le=10.0)
-    """Standard deviation of a lean of its own for each image, to the right and ahead, besides [deg]."""
+    """Standard deviation of an additional random lean of each image, to the right and forward [deg]."""
     driven_m: float = Field(default=0.0, ge=0.0, le=0.5)
-    """Way that the robot drives ahead while the shutter is open: speed x exposure time [m]."""
+    """Distance that the robot drives while the shutter is open: speed x exposure time [m]."""
 
 
 class DeploymentSettings(Group):
-    """What has changed in the room between training and use: the test grid alone is drawn with it."""
+    """Changes in the room between training and deployment: only the test grid is rendered with them."""
 
     light: float = Field(default=1.0, ge=0.0, le=1.0)
-    """All light, that of windows too, as a fraction of that in training; of light, as exposure, not of pixel values."""
+    """All light, including that of windows, as a fraction of that in training; linear light, not pixel values."""
     lamps: float = Field(default=1.0, ge=0.0, le=1.0)
-    """Light of the lamps alone: what shines from them, and their own glow; light from all around stays."""
+    """Light of the lamps alone, both what they emit and their own glow, as a fraction; ambient light stays."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
-    """How far chairs and other small pieces have been pushed, each in a direction by chance in which it can be [m]."""
+    """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
     seed: int = Field(default=0, ge=0)
-    """Directions come from this number."""
+    """Seed of these directions."""
 
 
 class SimSettings(Group):
-    """All that decides a recording."""
+    """All settings that determine a recording."""
 
     world: WorldName = "room"
-    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks; obstacles: a plane with obstacles, seen by a
-    lidar. The planes have neither camera nor physics."""
+    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks; obstacles: a plane with obstacles, sensed by
+    a lidar. The planar worlds have neither camera nor physics."""
     sensor: SensorName = "fisheye"
-    """What a room is seen by. fisheye: the upward camera; lidar: level rays all around, which need no renderer."""
+    """Sensor in a room. fisheye: the upward camera; lidar: horizontal rays all around, which need no renderer."""
     room: RoomSettings = RoomSettings()
     landmarks: LandmarksSettings = LandmarksSettings()
     obstacles: ObstaclesSettings = ObstaclesSettings()
@@ -305,4 +305,4 @@ NO_FAULTS: dict[str, Group] = {
     "camera_mount": CameraMountSettings(),
     "deployment": DeploymentSettings(),
 }
-"""The groups of faults of images as they are by default: off."""
+"""Groups of image faults with their default values, which are off."""

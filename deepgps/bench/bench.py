@@ -1,4 +1,4 @@
-"""The bench: the promises about speed, latency, memory and steadiness, measured again and against naive baselines."""
+"""The bench: the promises about speed, latency, memory and steadiness, measured again, against naive baselines."""
 
 import os
 import subprocess

@@ -48,7 +48,7 @@ def stop_at_signals() -> None:
 
 
 def ignore_signals() -> int | None:
-    """From now on, ignore the signals that would end the process; return the number of one that already did, if any."""
+    """From now on, ignore signals that would end the process; return the number of the one received before, if any."""
     came = None
     for number in ENDINGS:
         stop = signal.getsignal(number)

@@ -79,7 +79,7 @@ def sample_from(segments: Segments, settings: TrainSettings) -> Draw:
 
 
 def sample_batch(segments: Segments, count: int, samples: int, generator: torch.Generator) -> Batch:
-    """Draw ``count`` segments in proportion to readings times weight, and up to ``samples`` distinct readings of each."""
+    """Draw ``count`` segments in proportion to readings times weight, and up to ``samples`` readings of each."""
     often = segments.count.float() if segments.weight is None else segments.count * segments.weight
     row = torch.multinomial(often, count, replacement=True, generator=generator)
     valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]

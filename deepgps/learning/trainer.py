@@ -158,7 +158,7 @@ def train(
 
 @contextmanager
 def use_threads(count: int) -> Iterator[None]:
-    """Fix the number of threads, so that sums have one order: torch uses ``count`` threads, NumPy and SciPy one.
+    """Fix the number of threads in this context, so that sums have one order: torch uses ``count``, NumPy and SciPy 1.
 
     OpenBLAS divides its work by the number of cores, and with two threads it does not even repeat its own sums.
     Libraries that are loaded later, such as scikit-learn, keep their threads.

@@ -112,7 +112,7 @@ def write_tag_camera(
     if settings.tag_camera.kept:
         ahead = [[path.with_suffix(TAG_CAMERA) for path in parts] for parts in (images, tests)]
         write_images(folder / observation_file("tag_camera"), ahead[0], (samples,))
-        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both cameras expose at the same time
+        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both expose at the same time
         write_images(folder / grid_file("tag_camera"), ahead[1], test_shape, first)
     return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
 

@@ -92,7 +92,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(exclude={"number", "sha256"}, exclude_unset=True)
     if not whole:
-        for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known of the whole drive only
+        for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known only for the complete drive
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}

@@ -50,7 +50,7 @@ class Recording:
         folder: Its folder.
         manifest: Settings, seeds, counts, odometry constants, checksums.
         observation: Observations of the first sensor, from which methods learn; memory-mapped. Polar images (N, rings,
-            sectors, 3) uint8, scans of a lidar (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
+            sectors, 3) uint8, lidar scans (N, headings, rays) or distances to landmarks (N, landmarks), both float32.
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
         test_observation: Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped.

@@ -133,7 +133,7 @@ def _box(model: mujoco.MjModel, geom: int) -> Shape:
 
 def _plane(model: mujoco.MjModel, geom: int) -> Shape:
     half = model.geom_size[geom, :2].copy()
-    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # an infinite plane extends beyond everything else
+    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # an infinite plane extends beyond the rest
     half[half == 0] = reach.max() + 1.0
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
     points = np.column_stack([corners * half, np.zeros(4)])

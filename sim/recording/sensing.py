@@ -77,7 +77,7 @@ def _draw_twice(draw: Callable[[slice], np.ndarray], part: Part) -> tuple[np.nda
     """All images of a part, and how many were drawn twice and differed; raises UnsteadyError."""
     count = len(part.states)
     images = draw(slice(count))
-    again = zlib.crc32(part.path.name.encode()) % max(count - 1, 1)  # not the last one, so that others are drawn in between
+    again = zlib.crc32(part.path.name.encode()) % max(count - 1, 1)  # not the last one, so that others come between
     if not np.array_equal(draw(slice(again, again + 1))[0], images[again]):
         raise UnsteadyError(f"{part.path}: image {again} of {count} was drawn twice and came out different")
     return images, {TWICE: np.array(1 + part.differed), DIFFERED: np.array(part.differed)}

@@ -1,4 +1,4 @@
-"""What the robot senses for learning: fisheye and tag camera, lidar, wheel encoders, and the faults of each.
+"""Sensors for learning: fisheye and tag camera, lidar, wheel encoders, and the faults of each.
 
-A sensor is told where it is and never decides where the robot goes.
+A sensor is given its pose and never decides where the robot goes.
 """

@@ -1,11 +1,12 @@
 """Faults of the camera that act on a finished image: linear light -> smear -> falloff -> exposure -> noise -> code.
 
-As pure functions, like those of the encoders: a recording with such faults is made of the one without, and nothing is
-drawn again. Values of an image are taken as sRGB (IEC 61966-2-1), as a camera's file would hold them; all faults act
-on the linear light that they stand for. What the image without faults has cut off at white stays cut off.
+They are pure functions, like those of the encoders: a recording with such faults is derived from the one without, and
+nothing is rendered again. Image values are taken as sRGB (IEC 61966-2-1), as in a camera's files; all faults act on the
+linear light that they encode. Light that the image without faults cuts off at white stays cut off.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,12 @@ from sim.rng import stream
 from sim.settings import ImageFaultSettings
 
 Develop = Callable[[np.ndarray], np.ndarray]
-"""Images (n, rings, sectors, 3) uint8 without faults -> the same with them, in the order in which they were taken."""
-_STEPS = 65535  # of linear light, far finer than any step of the code
+"""Images (n, rings, sectors, 3) uint8 without faults -> the same images with faults, in the order taken."""
+_STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
 class CameraStreams(NamedTuple):
-    """Chance of each kind and part, apart, so that one does not shift another, nor the drive's length the tests."""
+    """Separate RNG streams for noise and lean, in drive and tests, so that none shifts another."""
 
     noise: np.random.Generator
     test_noise: np.random.Generator
@@ -28,14 +29,14 @@ class CameraStreams(NamedTuple):
 
 
 def spawn_streams(seed: int) -> CameraStreams:
-    """The camera's streams of chance under a scenario's seed."""
+    """Return the camera's RNG streams for a scenario's seed."""
     return CameraStreams(*stream(seed, "camera").spawn(4))
 
 
 def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Develop | None:
-    """What turns images without faults into those of these settings; none where all are off.
+    """Return the function that applies the faults of these settings to images; None if all faults are off.
 
-    ``rng`` is drawn from once for each value, in order: the images of a shorter drive are the first of a longer one's.
+    One number is drawn from ``rng`` for each value, in order: a shorter drive has the first images of a longer one.
     """
     if all(getattr(settings, name) == off for name, off in _OFF.items()):
         return None
@@ -43,16 +44,15 @@ def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Deve
 
 
 def develop(images: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
-    """Images (n, rings, sectors, 3) uint8 with all faults of the settings."""
-    light = smear(decode(images), settings.turn_deg)
-    light = light * (vignette(images.shape[1], settings.vignetting) * settings.exposure).astype(np.float32)
-    if settings.read_noise or settings.shot_noise:
-        light = add_noise(light, settings, rng)
+    """Return images (n, rings, sectors, 3) uint8 with all faults of the settings."""
+    light = decode(images)
+    for fault in FAULTS:
+        light = fault.apply(light, settings, rng)
     return encode(light)
 
 
 def decode(images: np.ndarray) -> np.ndarray:
-    """Linear light (...) float32, white is 1, of sRGB values (...) uint8."""
+    """Linear light (...) float32, with white = 1, of sRGB values (...) uint8."""
     return _TO_LIGHT[images]
 
 
@@ -62,10 +62,11 @@ def encode(light: np.ndarray) -> np.ndarray:
 
 
 def smear(light: np.ndarray, turn_deg: float) -> np.ndarray:
-    """Light (n, rings, sectors, 3) while the camera turns evenly by an angle [deg], half of it before and after.
+    """Mean light (n, rings, sectors, 3) while the camera turns evenly by an angle [deg] about the image's heading.
 
-    Each pixel is the mean of what passes over it: the weight of the k-th to the side is the mean over s in [-w/2, w/2]
-    of max(0, 1 - |k - s|), where w is the angle in sectors. The weights add up to 1: a ring keeps its mean.
+    Each pixel is the mean of the light that passes over it: the weight of the k-th pixel to the side is the mean over s
+    in [-w/2, w/2] of max(0, 1 - |k - s|), where w is the angle in sectors. The weights add up to 1: a ring keeps its
+    mean.
     """
     width = turn_deg / 360.0 * light.shape[2]
     if width == 0.0:
@@ -79,20 +80,23 @@ def smear(light: np.ndarray, turn_deg: float) -> np.ndarray:
 
 
 def vignette(rings: int, lost: float) -> np.ndarray:
-    """Factors (rings, 1, 1) by which light falls off to the rim, where the fraction ``lost`` is gone: cos^4 of an angle
-    whose tangent grows with the image radius r, 1 / (1 + (r / f)^2)^2 (Kang and Weiss, "Can we calibrate a camera using
-    an image of a flat, textureless Lambertian surface?", ECCV 2000); f is what gives 1 - lost at r = 1.
+    """Factors (rings, 1, 1) by which light falls off towards the rim, where the fraction ``lost`` is gone.
+
+    This is cos^4 of an angle whose tangent grows with the image radius r, 1 / (1 + (r / f)^2)^2 (Kang and Weiss, "Can
+    we calibrate a camera using an image of a flat, textureless Lambertian surface?", ECCV 2000); f is chosen so that
+    the factor is 1 - lost at r = 1.
     """
     radius = (np.arange(rings) + 0.5) / rings
     return (1.0 + radius**2 * ((1.0 - lost) ** -0.5 - 1.0))[:, None, None] ** -2
 
 
 def add_noise(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
-    """Light (n, rings, sectors, 3) with noise of variance (shot^2 light + read^2) / pixels, normal and independent.
+    """Return light (n, rings, sectors, 3) with independent normal noise of variance (shot^2 light + read^2) / pixels.
 
     The variance of a sensor pixel is affine in its light (Foi et al., "Practical Poissonian-Gaussian noise modeling and
     fitting for single-image raw-data", IEEE TIP 17(10), 2008). A value of the polar image is the mean of the sensor
-    pixels that it covers, few in the middle and many at the rim; their own cut-off and colour filters are left out.
+    pixels that it covers, few in the middle and many at the rim; saturation and colour filters of the sensor pixels are
+    not modelled.
     """
     pixels = count_sensor_pixels(light.shape[1], light.shape[2], settings.sensor_px)
     shot, read = ((noise**2 / pixels).astype(np.float32) for noise in (settings.shot_noise, settings.read_noise))
@@ -116,8 +120,37 @@ def _srgb_to_light(value: np.ndarray) -> np.ndarray:
 
 
 _TO_LIGHT = _srgb_to_light(np.arange(256) / 255.0).astype(np.float32)
-# between two values the nearer one in code, so that the step lies at the light of the code's half
+# round to the nearest sRGB value: each step is at the light of the half-way sRGB value
 _TO_CODE = np.searchsorted(_srgb_to_light((np.arange(255) + 0.5) / 255.0), np.arange(_STEPS + 1) / _STEPS).astype(
     np.uint8
 )
-_OFF = {name: field.default for name, field in ImageFaultSettings.model_fields.items() if name != "sensor_px"}
+
+
+@dataclass(frozen=True)
+class ImageFault:
+    """A fault of finished images.
+
+    Attributes:
+        titles: Wording of its settings in reports, each with a placeholder for the value.
+        apply: (linear light (n, rings, sectors, 3), settings, RNG stream) -> the light with this fault.
+    """
+
+    titles: Mapping[str, str]
+    apply: Callable[[np.ndarray, ImageFaultSettings, np.random.Generator], np.ndarray]
+
+
+def _add_noise(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
+    return add_noise(light, settings, rng) if settings.read_noise or settings.shot_noise else light
+
+
+def _attenuate(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.Generator) -> np.ndarray:
+    return light * (vignette(light.shape[1], settings.vignetting) * settings.exposure).astype(np.float32)
+
+
+FAULTS = (
+    ImageFault({"turn_deg": "turned {:g}° meanwhile"}, lambda light, settings, rng: smear(light, settings.turn_deg)),
+    ImageFault({"vignetting": "vignetting {:g}", "exposure": "exposure x {:g}"}, _attenuate),
+    ImageFault({"read_noise": "read noise {:g}", "shot_noise": "shot noise {:g}"}, _add_noise),
+)
+"""Faults in the order in which they act on the light."""
+_OFF = {name: ImageFaultSettings.model_fields[name].default for fault in FAULTS for name in fault.titles}

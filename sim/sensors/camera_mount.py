@@ -1,4 +1,4 @@
-"""How the camera sits on the robot: its lean, and what it sees while it is driven on with the shutter open."""
+"""The camera's mounting: its lean, and its motion while the robot drives with the shutter open."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from sim.geometry import planar_pose
 from sim.settings import CameraMountSettings
 
 FRAMES = 5
-"""Pictures of which an image is the mean where the robot drives while the shutter is open."""
+"""Number of pictures that are averaged to an image if the robot drives while the shutter is open."""
 
 
 def draw_leans(settings: CameraMountSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
-    """Lean to the right and ahead (count, 2) [rad] of the next images; none where the camera stands upright."""
+    """Draw the lean to the right and forward (count, 2) [rad] of the next images; None if the camera is upright."""
     fixed = np.array([settings.roll_deg, settings.pitch_deg])
     if not fixed.any() and not settings.wobble_deg:
         return None
@@ -21,7 +21,7 @@ def tilt(lean: np.ndarray) -> np.ndarray:
     """Axes of the leaning camera as columns (3, 3), in the frame of the upright one: R_y(ahead) R_x(right).
 
     Args:
-        lean: To the right and ahead (2,) [rad].
+        lean: Lean to the right and forward (2,) [rad].
     """
     (s, t), (c, d) = np.sin(lean), np.cos(lean)
     right = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
@@ -30,7 +30,7 @@ def tilt(lean: np.ndarray) -> np.ndarray:
 
 
 def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
-    """States (FRAMES, nq) along a straight way whose middle is ``state`` (nq,): of equal parts, each its middle."""
+    """States (FRAMES, nq) at the middles of equal parts of a straight path; its own middle is ``state`` (nq,)."""
     yaw = planar_pose(state)[2]
     along = driven_m * ((np.arange(FRAMES) + 0.5) / FRAMES - 0.5)
     states = np.tile(state, (FRAMES, 1))

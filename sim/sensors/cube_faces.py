@@ -1,6 +1,6 @@
-"""The pinhole faces that together see what the fisheye sees: five sides of a cube, cut to the lens's cone.
+"""The pinhole faces that together cover the fisheye's view: five sides of a cube, cut to the lens's cone.
 
-Each face is an off-centre pinhole: of the four upright sides only what lies above the cone's rim is drawn. Cutting
+Each face is an off-centre pinhole: of the four upright sides only the part above the cone's rim is drawn. Cutting
 them this way, and drawing in each face only the geoms that reach into it, costs no more than three wide faces and
 gives a much more even resolution.
 """
@@ -20,7 +20,7 @@ class Face:
 
     Attributes:
         axes: Rows right, up, forward in the camera's frame (3, 3).
-        window: Tangents of its edges: left, right, bottom, top (4,).
+        window: Tangents of the angles of its edges: left, right, bottom, top (4,).
         column: First column in the strip [px].
         width: Width [px].
         height: Height [px].
@@ -34,7 +34,7 @@ class Face:
 
 
 def make_faces(lens: Lens, face_px: int) -> list[Face]:
-    """Faces that cover the lens's cone; a full side of the cube is ``face_px`` wide, so a pixel is 2 / face_px."""
+    """Make the faces that cover the lens's cone; a full side of the cube has ``face_px`` pixels of size 2 / face_px."""
     faces: list[Face] = []
     for forward, up, window in _cut_cube(lens.half_angle):
         left, right, bottom, top = window
@@ -49,9 +49,9 @@ def make_faces(lens: Lens, face_px: int) -> list[Face]:
 
 
 def map_rays(faces: list[Face], rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each ray (..., 3) is found in the strip, whose first row is the lowest: column, row [px], float32.
+    """Map rays (..., 3) to column and row [px] float32 in the strip, whose first row is the lowest.
 
-    Pixel middles are whole numbers; a ray that is NaN maps far outside the strip.
+    Pixel centres are integers; a ray that is NaN maps far outside the strip.
     """
     owner = np.argmax(np.stack([rays @ face.axes[2] for face in faces]), axis=0)
     column, row = np.empty(rays.shape[:-1], np.float32), np.empty(rays.shape[:-1], np.float32)
@@ -89,7 +89,7 @@ def _cut_cube(half_angle: float) -> list[tuple[np.ndarray, np.ndarray, tuple[flo
     top = [(z, x, (-across, across, -across, across))]
     if half_angle <= np.pi / 4:
         return top
-    # the rim, at this elevation, reaches lowest in a side's corners when below the horizon, else in its middle
+    # a rim below the horizon is lowest in a side's corners, a rim above it in the side's middle
     rim = np.tan(np.pi / 2 - half_angle)
     bottom = rim * np.sqrt(2.0) if rim < 0 else rim
     return top + [(forward, z, (-1.0, 1.0, bottom, 1.0)) for forward in (x, y, -x, -y)]

@@ -1,7 +1,7 @@
 """Wheel encoders: joint angle -> faults -> ticks -> distance, as separate pure functions.
 
 The drive uses the joint sensors themselves; the ticks of a recording are derived from its recorded wheel angles, so
-a study over encoder faults repeats only this file, never the drive or the images.
+a study of encoder faults repeats only this step, never the drive or the images.
 """
 
 from collections.abc import Mapping
@@ -20,21 +20,21 @@ RANGES = {
     "ticks_per_rev": (1.0, 1e9),
     **dict.fromkeys(IN_DATA_SHEETS, (0.0, 1e3)),
 }
-"""Odometry constants that can be; what may be zero may also be missing."""
+"""Allowed ranges of odometry constants; a constant that may be zero may also be missing."""
 LARGE = 2**40
-"""Ticks from which on metres, which are no integers, begin to lose them."""
+"""Number of ticks from which a conversion to metres in floating point becomes too coarse."""
 
 
 def read_encoders(
     wheel_angle: np.ndarray, wheel_radius_m: float, settings: EncoderSettings, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ticks that the encoders report for a whole drive, and which readings arrive.
+    """Ticks that the encoders report for a complete drive, and which readings arrive.
 
     Args:
         wheel_angle: Left and right joint angle at each reading (R, 2) [rad], in the order driven.
-        wheel_radius_m: The radius by which slip, given per metre, becomes an angle [m].
+        wheel_radius_m: Radius that converts slip per metre to an angle [m].
         settings: Resolution and faults.
-        rng: Source of every fault's own RNG stream.
+        rng: Parent of the faults' RNG streams.
 
     Returns:
         Cumulative ticks (R, 2) int64 and a mask (R,) bool of the readings that arrive.
@@ -44,12 +44,12 @@ def read_encoders(
 
 
 def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m: float) -> Constants:
-    """What a robot's builder knows of its odometry: constants, as wrong as they are set, and the noise in data sheets.
+    """What a robot's builder knows of its odometry: constants with their set errors, and the noise in data sheets.
 
     Args:
         settings: The encoders.
         wheel_radius_m: Radius of both wheels [m].
-        track_m: True distance of the wheels [m].
+        track_m: True distance between the wheels [m].
     """
     return {
         "wheel_radius_m": wheel_radius_m,
@@ -60,7 +60,7 @@ def describe_odometry(settings: EncoderSettings, wheel_radius_m: float, track_m:
 
 
 def check_odometry(odometry: Mapping[str, Any]) -> Mapping[str, float]:
-    """Odometry constants as a manifest has them; raises InputError naming the first that cannot be."""
+    """Check a manifest's odometry constants; raises InputError that names the first invalid one."""
     for name, (low, high) in RANGES.items():
         value = odometry.get(name, 0.0 if low == 0.0 else None)
         if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
@@ -69,19 +69,19 @@ def check_odometry(odometry: Mapping[str, Any]) -> Mapping[str, float]:
 
 
 def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarray:
-    """Whole ticks (R, 2) int64 of angles (R, 2) [rad]: floor or nearest of angle x ticks_per_rev / 2 pi."""
+    """Integer ticks (R, 2) int64 of angles (R, 2) [rad]: floor or nearest of angle x ticks_per_rev / 2 pi."""
     turns = np.asarray(wheel_angle) * (settings.ticks_per_rev / (2 * np.pi))
     return {"floor": np.floor, "nearest": np.rint}[settings.rounding](turns).astype(np.int64)
 
 
 def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: int) -> np.ndarray:
-    """Way (...) [m] of a wheel that counted ``ticks`` (...): 2 pi r ticks / ticks_per_rev."""
+    """Distance (...) [m] travelled by a wheel that counted ``ticks`` (...): 2 pi r ticks / ticks_per_rev."""
     return np.asarray(ticks) * (2 * np.pi * wheel_radius_m / ticks_per_rev)
 
 
 def count_from_first(ticks: np.ndarray) -> np.ndarray:
-    """Cumulative ticks (R, 2) int64 counted from the first reading if they are so large that metres would lose them.
+    """Cumulative ticks (R, 2) int64, counted from the first reading if they are too large for a conversion to metres.
 
-    Smaller ones stay as they are. A counter that overflows 64 bits on the way is taken to go on.
+    Smaller ticks are returned unchanged. The difference also unwraps a counter that overflows 64 bits.
     """
     return ticks - ticks[:1] if len(ticks) and (np.abs(ticks.astype(float)) >= LARGE).any() else ticks

@@ -21,13 +21,13 @@ class Fault:
 
     Attributes:
         settings: Fields of ``EncoderSettings`` that set it; 0 is off.
-        title: What grows with the setting, in words.
+        title: Description of the quantity that grows with the setting.
         apply: Changes the wheel angles (R, 2) [rad], given the settings, the wheels' radius [m] and an RNG stream.
-        drops: Decides, for so many readings, which of them arrive.
+        drops: Draws a mask of the readings, of a given number, that never arrive.
         variance: Expected squared error [m^2] that each gap between two readings adds to the distance along a segment,
-            where data sheets tell the setting: from the setting, the gaps' lengths [m] and the number of gaps that
-            each is made of because readings were lost.
-        bias: Mean squared error [m^2] of whole segments of these lengths [m] that is not noise.
+            for faults in data sheets: from the setting, the gaps' lengths [m] and the number of original gaps in
+            each, which is more than one where readings were lost.
+        bias: Mean squared error [m^2] of complete segments of these lengths [m] that is not noise.
         random: Whether it draws from an RNG stream. New ones go after the last of these, so that no stream changes.
     """
 
@@ -48,8 +48,8 @@ def disturb(
     Args:
         wheel_angle: Left and right joint angle at each reading (R, 2) [rad], in the order driven.
         settings: The faults.
-        wheel_radius_m: Radius by which slip, given per metre, becomes an angle [m].
-        rng: Each fault draws from an RNG stream of its own, so that none changes what another draws.
+        wheel_radius_m: Radius that converts slip per metre to an angle [m].
+        rng: Parent of the faults' RNG streams, which are separate, so that none changes what another draws.
     """
     angle, arrived = wheel_angle, np.ones(len(wheel_angle), bool)
     streams = iter(rng.spawn(sum(fault.random for fault in FAULTS)))
@@ -73,7 +73,7 @@ def slip_wheels(
 ) -> np.ndarray:
     """Angles (R, 2) with slip: each gap of length s gains a normal error of standard deviation slip_per_m sqrt(s).
 
-    A random walk of each wheel along its path, so that the error does not depend on how often the wheel is read.
+    Slip is a random walk of each wheel along its path, so the error does not depend on how often the wheel is read.
     """
     gap = np.diff(wheel_angle, axis=0)
     distance_m = np.abs(gap) * wheel_radius_m
@@ -110,12 +110,12 @@ def _accumulate(wheel_angle: np.ndarray, gap: np.ndarray) -> np.ndarray:
 
 
 def _bias_of_radii(encoder: EncoderSettings, distance: Any) -> Any:
-    """A radius that is wrong by e makes every distance longer by e / 2."""
+    """A wheel radius that is wrong by the fraction e makes every distance longer by e / 2."""
     return ((encoder.radius_error_left + encoder.radius_error_right) / 2.0 * distance) ** 2
 
 
 def _bias_of_sticking(encoder: EncoderSettings, distance: Any) -> Any:
-    """A wheel that counts nothing halves distances on that part of the drive; as measured, they are halved already."""
+    """A stuck encoder halves the measured distances on its part of the drive; ``distance`` is already halved there."""
     return encoder.stuck_fraction / (1.0 - 0.75 * encoder.stuck_fraction) * (distance / 2.0) ** 2
 
 
@@ -154,19 +154,19 @@ FAULTS: tuple[Fault, ...] = (
     ),
     Fault(
         ("track_error",), "error of the track width", random=False
-    ),  # an assumed constant of the odometry: only turns feel it
+    ),  # an assumed constant of the odometry that affects only turns
 )
 
 
 IN_DATA_SHEETS = tuple(fault.settings[0] for fault in FAULTS if fault.variance)
-"""Settings whose value a robot's builder knows, so that a recording holds it and noise-aware methods use it."""
+"""Settings whose values a robot's builder knows, so that recordings hold them and noise-aware methods use them."""
 
 
 def expect_variance(odometry: Mapping[str, float], gap: Any, made_of: Any) -> Any:
-    """Expected squared error [m^2] that each gap [m] adds, from what data sheets say of the encoders."""
+    """Expected squared error [m^2] that each gap [m] adds, from the encoders' data sheets."""
     return sum(fault.variance(odometry.get(fault.settings[0], 0.0), gap, made_of) for fault in FAULTS if fault.variance)
 
 
 def expect_bias(encoder: EncoderSettings, distance: Any) -> Any:
-    """Mean squared error [m^2] of whole segments of these lengths [m] that no data sheet tells."""
+    """Mean squared error [m^2] of complete segments of these lengths [m] from faults that are in no data sheet."""
     return sum(fault.bias(encoder, distance) for fault in FAULTS if fault.bias)

@@ -1,8 +1,8 @@
-"""The fisheye image: pinhole faces drawn by MuJoCo, brought to the lens's image by one ``cv2.remap``.
+"""The fisheye image: pinhole faces drawn by MuJoCo and mapped to the lens's image by one ``cv2.remap``.
 
-MuJoCo has no fisheye projection. On a CPU the cost of a face is the geoms in it, so each face draws only those that
-reach into it. Nothing in a picture may depend on the face it was drawn in: no shadows, no light that turns with the
-view.
+MuJoCo has no fisheye projection. On a CPU the cost of a face is that of its geoms, so each face draws only those that
+reach into it. An image must not depend on the face in which something is drawn: there are no shadows, and no light
+turns with the view.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ ROBOT = "robot/"
 CAMERA_SITE = "robot/camera"
 DRAWN_GROUPS = (0, 1, 2)
 _NEAR_M = 0.01
-# Points read per face pixel along each axis: more costs time and gains nothing that can be measured.
+# Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
 UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
 _OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
@@ -41,7 +41,7 @@ class Fisheye:
     """The upward camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
 
     Its optical axis is the z axis of the site ``robot/camera`` and azimuth zero its x axis. The robot's own geoms are
-    not drawn: none of them stands above the lens.
+    not drawn: none of them is above the lens.
 
     Args:
         model: A compiled room with the robot in it.
@@ -49,7 +49,7 @@ class Fisheye:
 
     Raises:
         InputError: The lens is impossible.
-        WorkError: No OpenGL context can be opened; the text names the cure.
+        WorkError: No OpenGL context can be opened; the message names the fix.
     """
 
     def __init__(self, model: mujoco.MjModel, camera: CameraSettings) -> None:
@@ -72,8 +72,8 @@ class Fisheye:
         """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
 
         Args:
-            data: Of the model, its places computed.
-            lean: Of the camera about its own place, to the robot's right and ahead (2,) [rad].
+            data: The model's state, with kinematics computed.
+            lean: Lean of the camera about its own centre, to the robot's right and forward (2,) [rad].
         """
         return _warp(self._draw(data, lean), self._polar)
 
@@ -95,7 +95,7 @@ class Fisheye:
         self.close()
 
     def _finer(self, pitch_rad: float) -> int:
-        """How many times finer than the image the faces are read, so that each of their pixels counts."""
+        """Factor by which the faces are read finer than the image, so that each of their pixels counts."""
         return int(np.clip(np.ceil(_READ_DENSITY * pitch_rad * self._camera.face_px / 2), 1, 8))
 
     def _make_warp(self, rays: np.ndarray, finer: int) -> _Warp:
@@ -125,7 +125,7 @@ class Fisheye:
         return self._screen.read()
 
     def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, turn: np.ndarray) -> np.ndarray:
-        """Which of the geoms reach into each face's pyramid (faces, geoms): their boxes against its four planes.
+        """Mask (faces, geoms) of the geoms whose boxes reach into each face's pyramid, by its four planes.
 
         ``turn`` (3, 3) holds the camera's axes as columns.
         """
@@ -134,14 +134,14 @@ class Fisheye:
         axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
         place = data.geom_xpos[geoms] - position + np.einsum("gij,gj->gi", axes, middle)
         planes = self._planes.reshape(-1, 3) @ turn.T
-        edges = (axes * half[:, None, :]).transpose(1, 0, 2).reshape(3, -1)  # half edges as columns, three a geom
+        edges = (axes * half[:, None, :]).transpose(1, 0, 2).reshape(3, -1)  # half edges as columns, three per geom
         reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
         inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
         return inside & ~self._robot[geoms]
 
 
 def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
-    """A scene of the visual geoms alone."""
+    """Make a scene of only the visual geoms."""
     scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
     for flag in _OFF:
         scene.flags[getattr(mujoco.mjtRndFlag, flag)] = 0
@@ -160,7 +160,7 @@ def _strip_size(faces: list[Face]) -> tuple[int, int]:
 
 
 def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Middle and half edges of each geom's box in its own frame; a plane without end has an endless box."""
+    """Centre and half edges of each geom's box in its own frame; an infinite plane has a very large box."""
     middle, half = model.geom_aabb[:, :3].copy(), model.geom_aabb[:, 3:].copy()
     plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
     size = model.geom_size[plane, :2]
@@ -171,14 +171,14 @@ def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dim_headlight(scene: mujoco.MjvScene) -> None:
-    """Take away the light that would turn with the view."""
+    """Switch off the light that would turn with the view."""
     for light in scene.lights[: scene.nlight]:
         if light.headlight:
             light.diffuse = light.specular = np.zeros(3, np.float32)
 
 
 def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
-    """Turn both eyes, which MuJoCo averages, to a face."""
+    """Point both eyes, which MuJoCo averages, at a face."""
     left, right, bottom, top = face.window * _NEAR_M
     for eye in scene.camera:
         eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]

@@ -1,7 +1,7 @@
 """The OpenGL backend for off-screen images: EGL first, OSMesa second, chosen before mujoco is imported.
 
-Every way in which it can be missing becomes one line that names the cure. Libraries are tried in this process through
-ctypes: that costs some ten milliseconds and, unlike a failed import of PyOpenGL, can be tried again.
+If it is missing for any reason, a one-line error names the fix. Libraries are probed in this process through ctypes:
+that takes about ten milliseconds and, unlike a failed import of PyOpenGL, can be repeated.
 """
 
 import ctypes
@@ -25,8 +25,8 @@ def choose_backend() -> str:
     Call it before mujoco is imported. A backend that the user's environment names is the only one tried.
 
     Raises:
-        InputError: An environment variable names no backend of this project, or two of them disagree.
-        WorkError: Nothing usable is installed; the text names the package that is missing.
+        InputError: An environment variable names an unknown backend, or two variables disagree.
+        WorkError: No usable backend is installed; the message names the missing package.
     """
     wanted = _read_environment()
     problems = {}
@@ -46,13 +46,13 @@ def open_context(width: int, height: int) -> Any:
         height: Its height [px].
 
     Raises:
-        InputError, WorkError: As ``choose_backend``, or the driver refuses a context.
+        InputError, WorkError: As in ``choose_backend``, or the driver refuses a context.
     """
     backend = choose_backend()
     try:
         context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         context.make_current()
-    except Exception as error:  # ImportError, AttributeError, RuntimeError, GLError: each driver fails in its own way
+    except Exception as error:  # drivers raise ImportError, AttributeError, RuntimeError or GLError
         cure = EGL_CURE if backend == "egl" else _OSMESA_CURE
         raise WorkError(f"{backend} cannot open an OpenGL context ({one_line(error)}): {cure}") from error
     return context
@@ -65,7 +65,7 @@ def read_renderer() -> str:
 
 
 def describe() -> tuple[str, str]:
-    """Backend and renderer of this machine, found by opening a context; raises as ``open_context``."""
+    """Backend and renderer of this machine, found by opening a context; raises like ``open_context``."""
     context = open_context(16, 16)
     try:
         return os.environ["MUJOCO_GL"], read_renderer()
@@ -98,14 +98,14 @@ def _explain(wanted: str | None, problems: dict[str, str | None]) -> str:
 
 
 def _probe_osmesa() -> str | None:
-    """What is wrong with OSMesa here, if anything."""
+    """The problem with OSMesa on this machine, or None."""
     names = ("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
     return None if any(_load(name) for name in names) else "libOSMesa is missing"
 
 
 def _probe_egl() -> str | None:
-    """What is wrong with EGL here, if anything: opens a display on each device as mujoco.egl does."""
-    # NVIDIA's driver wants libOpenGL before libEGL, as mujoco.egl loads them
+    """The problem with EGL on this machine, or None; tries a display on each device like mujoco.egl."""
+    # NVIDIA's driver needs libOpenGL before libEGL, the order in which mujoco.egl loads them
     if _load("libOpenGL.so.0", ctypes.RTLD_GLOBAL) is None and _load("libGL.so.1", ctypes.RTLD_GLOBAL) is None:
         return "libOpenGL is missing"
     egl = _load("libEGL.so.1")

@@ -1,14 +1,14 @@
-"""The fisheye lens: directions in the robot frame to places in the image, and back.
+"""The fisheye lens: maps directions in the robot frame to image points, and back.
 
 Equidistant with the optional Kannala-Brandt polynomial: the image radius grows with the angle theta from the
 optical axis as ``r = f (theta + k1 theta^3 + k2 theta^5 + k3 theta^7 + k4 theta^9)`` (Kannala and Brandt, "A generic
 camera model and calibration method", IEEE PAMI 28(8), 2006, eq. 6; the model of ``cv2.fisheye``). Here r is a
-fraction of the image's rim: ``f`` is such that the rim, half the field of view from the axis, has r = 1.
+fraction of the image's rim: ``f`` is chosen so that the rim, half the field of view from the axis, has r = 1.
 
 Directions are unit vectors (x forward, y left, z up along the optical axis). Two pictures are drawn:
 
 - polar ``(rings, sectors)``: row i at ``r = (i + 0.5) / rings``, column j at ``2 pi (j + 0.5) / sectors`` from x to y;
-- round ``(size, size)``: what an upward camera sees whose picture has the robot's x axis at the top; y is at the right.
+- round ``(size, size)``: the view of an upward camera, with the robot's x axis at the top and y at the right.
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Lens:
         target = radius * self._growth(np.array(self.half_angle))
         table = np.linspace(0.0, self.half_angle, 513)
         theta = np.interp(radius, self.radius(table), table) + np.maximum(radius - 1.0, 0.0) * self.half_angle
-        for _ in range(3):  # from a table this fine Newton's steps reach machine precision
+        for _ in range(3):  # starting from so fine a table, Newton steps reach machine precision
             theta = theta - (self._growth(theta) - target) / self._slope(theta)
         return theta
 
@@ -59,7 +59,7 @@ class Lens:
 
 
 def make_lens(camera: CameraSettings) -> Lens:
-    """Make the lens of the settings; raises InputError if its radius does not grow all the way to the rim."""
+    """Make the lens of the settings; raises InputError if its radius stops growing before the rim."""
     half_angle = np.radians(camera.field_of_view_deg) / 2
     k = (camera.k1, camera.k2, camera.k3, camera.k4)
     turning = _first_turning_angle(k)
@@ -73,7 +73,7 @@ def make_lens(camera: CameraSettings) -> Lens:
 
 
 def project_polar(lens: Lens, directions: np.ndarray, rings: int, sectors: int) -> np.ndarray:
-    """Place of directions (..., 3) in the polar image: (..., 2) row, column [px], pixel middles at whole numbers."""
+    """Project directions (..., 3) to the polar image: (..., 2) row, column [px], with pixel centres at integers."""
     theta, azimuth = _angles(directions)
     row = lens.radius(theta) * rings - 0.5
     column = np.mod(azimuth / (2 * np.pi), 1.0) * sectors - 0.5
@@ -81,14 +81,14 @@ def project_polar(lens: Lens, directions: np.ndarray, rings: int, sectors: int) 
 
 
 def unproject_polar(lens: Lens, pixels: np.ndarray, rings: int, sectors: int) -> np.ndarray:
-    """Directions (..., 3) seen at places (..., 2) row, column [px] of the polar image."""
+    """Directions (..., 3) seen at points (..., 2) row, column [px] of the polar image."""
     pixels = np.asarray(pixels, float)
     theta = lens.angle((pixels[..., 0] + 0.5) / rings)
     return _directions(theta, 2 * np.pi * (pixels[..., 1] + 0.5) / sectors)
 
 
 def project_round(lens: Lens, directions: np.ndarray, size: int) -> np.ndarray:
-    """Place of directions (..., 3) in the round picture: (..., 2) row, column [px], pixel middles at whole numbers."""
+    """Project directions (..., 3) to the round picture: (..., 2) row, column [px], with pixel centres at integers."""
     theta, azimuth = _angles(directions)
     radius = lens.radius(theta) * size / 2
     middle = (size - 1) / 2
@@ -96,7 +96,7 @@ def project_round(lens: Lens, directions: np.ndarray, size: int) -> np.ndarray:
 
 
 def unproject_round(lens: Lens, pixels: np.ndarray, size: int) -> np.ndarray:
-    """Directions (..., 3) seen at places (..., 2) row, column [px] of the round picture; NaN outside its rim."""
+    """Directions (..., 3) seen at points (..., 2) row, column [px] of the round picture; NaN outside its rim."""
     offset = (np.asarray(pixels, float) - (size - 1) / 2) / (size / 2)
     forward, left = -offset[..., 0], offset[..., 1]
     radius = np.hypot(forward, left)

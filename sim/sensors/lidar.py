@@ -1,6 +1,6 @@
 """The lidar in a room: rays all around in the robot's own level plane, by ``mujoco.mj_multiRay``; no OpenGL.
 
-The room without the robot is its model, so that it cannot see the robot itself. Rays meet what collides.
+The lidar's model is the room without the robot, so it cannot see the robot itself. Rays hit geoms that can collide.
 """
 
 import mujoco
@@ -12,7 +12,7 @@ from sim.settings import LidarSettings
 
 
 class Lidar:
-    """Casts the rays in a room.
+    """A lidar in a room.
 
     Args:
         room: The room without the robot.
@@ -27,7 +27,7 @@ class Lidar:
         self._distance, self._geom = np.empty(len(angle)), np.empty(len(angle), np.int32)
 
     def scan(self, state: np.ndarray) -> np.ndarray:
-        """Scan (headings, rays) float32 [m] of a state (nq,), whose free joint comes first; at most the reach."""
+        """Scan (headings, rays) float32 [m], cut off at the reach, of a state (nq,), whose free joint comes first."""
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, np.asarray(state[3:7], float))
         axes = turn.reshape(3, 3)
@@ -35,6 +35,6 @@ class Lidar:
         rays = np.ascontiguousarray((axes @ self._ahead).T).reshape(-1)
         distance, geom, reach_m = self._distance, self._geom, self._lidar.reach_m
         mujoco.mj_multiRay(self._model, self._data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
-        # MuJoCo says -1 where a ray meets nothing, and may tell of what is beyond the reach.
+        # MuJoCo returns -1 if a ray hits nothing, and may return distances beyond the reach.
         missed = (distance < 0) | (distance > reach_m)
         return arrange(np.where(missed, reach_m, distance), self._lidar)

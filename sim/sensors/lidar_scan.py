@@ -1,9 +1,8 @@
-"""The scan, a lidar's observation: ordered distances all around, at one or more headings. No MuJoCo.
+"""The scan, a lidar's observation: ordered distances all around, at one or more headings. It needs no MuJoCo.
 
 The array is (..., headings, rays) float32 [m]. Ray i of heading j looks at ``2 pi (i + j / headings) / rays`` from
 straight ahead, to the left: heading j is what the robot would see if it turned left by j / headings of the angle
-between two rays. Turning it by a whole ray shifts each row in a circle, so nothing else need be stored to know every
-heading.
+between two rays. A turn by a full ray shifts each row circularly, so these rows give the scan at every heading.
 """
 
 import numpy as np
@@ -12,19 +11,19 @@ from sim.settings import LidarSettings
 
 
 def ray_angles(lidar: LidarSettings) -> np.ndarray:
-    """Angles of all rays that are cast at one place, counter-clockwise from straight ahead (headings rays,) [rad]."""
+    """Angles of all rays cast at one place, counter-clockwise from straight ahead (headings rays,) [rad]."""
     count = lidar.rays * lidar.headings
     return 2.0 * np.pi * np.arange(count) / count
 
 
 def arrange(distance: np.ndarray, lidar: LidarSettings) -> np.ndarray:
-    """Distances in the order of ``ray_angles`` (..., headings rays) [m] as scans (..., headings, rays) float32."""
+    """Arrange distances (..., headings rays) [m], ordered as ``ray_angles``, as scans (..., headings, rays) float32."""
     by_ray = distance.reshape(*distance.shape[:-1], lidar.rays, lidar.headings)
     return np.ascontiguousarray(np.swapaxes(by_ray, -1, -2), np.float32)
 
 
 def measure(distance: np.ndarray, lidar: LidarSettings, rng: np.random.Generator) -> np.ndarray:
-    """What the sensor says of true distances: with its noise, between zero and its reach."""
+    """Distances that the sensor measures: the true ones plus noise, between zero and its reach."""
     if lidar.noise_m > 0.0:
         distance = distance + lidar.noise_m * rng.standard_normal(distance.shape, np.float32)
     return np.clip(distance, 0.0, lidar.reach_m, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Where pictures are drawn: an OpenGL context and MuJoCo's buffer in it, off screen."""
+"""Off-screen drawing: an OpenGL context and MuJoCo's buffer in it."""
 
 import atexit
 from typing import Any
@@ -14,16 +14,16 @@ class Offscreen:
     """A buffer to draw in; it belongs to the thread that opened it.
 
     Attributes:
-        target: MuJoCo's side of it.
-        renderer_string: What draws.
+        target: MuJoCo's rendering context.
+        renderer_string: Name of the OpenGL renderer.
 
     Args:
-        model: Whose meshes and textures are loaded.
+        model: The model whose meshes and textures are loaded.
         width: Columns [px].
         height: Rows [px].
 
     Raises:
-        WorkError: No OpenGL context can be opened; the text names the cure.
+        WorkError: No OpenGL context can be opened; the message names the fix.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
@@ -37,17 +37,17 @@ class Offscreen:
         except mujoco.FatalError as error:
             self._gl.free()
             raise WorkError(f"the OpenGL driver cannot draw off screen ({error}): update Mesa") from error
-        # Mesa's display is gone before objects that were never closed are collected
+        # at exit, Mesa's display is gone before objects that were never closed are collected
         atexit.register(self.close)
 
     def begin(self) -> None:
-        """Draw here from now on; raises WorkError where it is closed."""
+        """Draw into this buffer from now on; raises WorkError if it is closed."""
         if self._gl is None:
             raise WorkError("this camera is closed")
         self._gl.make_current()
 
     def read(self) -> np.ndarray:
-        """What was drawn: (height, width, 3) uint8 RGB, the lowest row first."""
+        """Read the picture: (height, width, 3) uint8 RGB, the lowest row first."""
         drawn = np.empty((self._height, self._width, 3), np.uint8)
         mujoco.mjr_readPixels(drawn, None, mujoco.MjrRect(0, 0, self._width, self._height), self.target)
         return drawn

@@ -1,6 +1,6 @@
-"""The tag camera: a pinhole on the robot that looks level, drawn in grey by MuJoCo.
+"""The tag camera: a horizontal pinhole camera on the robot, drawn in grey by MuJoCo.
 
-Its frame is OpenCV's: x to the right, y down, z ahead. The image's middle is the principal point; nothing is distorted.
+Its frame is OpenCV's: x to the right, y down, z ahead. The principal point is the image centre; there is no distortion.
 """
 
 from typing import Self
@@ -16,7 +16,7 @@ from sim.settings import TagCameraSettings
 
 SITE = "robot/tag_camera"
 TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Rotation from the camera's frame to its mount's, whose x looks out and z up: right is -y, down -z, ahead x."""
+"""Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
 
 
 class TagCamera:
@@ -26,10 +26,10 @@ class TagCamera:
 
     Args:
         model: A compiled room with a robot that has this camera.
-        settings: Its angle and the size of its image.
+        settings: Field of view and image size.
 
     Raises:
-        WorkError: No OpenGL context can be opened; the text names the cure.
+        WorkError: No OpenGL context can be opened; the message names the fix.
     """
 
     def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings) -> None:
@@ -67,7 +67,7 @@ class TagCamera:
 
 
 def camera_matrix(settings: TagCameraSettings) -> np.ndarray:
-    """Intrinsic matrix (3, 3) [px], pixel middles at whole numbers."""
+    """Intrinsic matrix (3, 3) [px], with pixel centres at integers."""
     focal = settings.width_px / 2 / np.tan(np.radians(settings.field_of_view_deg) / 2)
     middle = (settings.width_px - 1) / 2, (settings.height_px - 1) / 2
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])

@@ -14,15 +14,12 @@ from deepgps.methods.catalog import colour_of, title_of
 from deepgps.scenario import Scenario
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
+from sim.sensors.camera_faults import FAULTS
 
 CLEAN = "no fault"
 # formats of a fault's strength, by the setting's name
 TITLES = {
-    "image_faults.read_noise": "read noise {:g}",
-    "image_faults.shot_noise": "shot noise {:g}",
-    "image_faults.exposure": "exposure x {:g}",
-    "image_faults.vignetting": "vignetting {:g}",
-    "image_faults.turn_deg": "turned {:g}° meanwhile",
+    **{f"image_faults.{name}": title for fault in FAULTS for name, title in fault.titles.items()},
     "camera_mount.driven_m": "driven {:g} m meanwhile",
     "camera_mount.roll_deg": "leans {:g}° to the right",
     "camera_mount.pitch_deg": "leans {:g}° ahead",
