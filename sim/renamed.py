@@ -92,7 +92,7 @@ def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def translate_study(values: Mapping[str, Any]) -> dict[str, Any]:
     """Translate an older study to current names: the settings that it varies, and its methods."""
-    made = dict(values)
+    made = {name: value for name, value in values.items() if name != "record"}  # recordings are made when viewed
     for name in ("set", "axes"):
         if isinstance(values.get(name), Mapping):
             made[name] = _translate_dotted(values[name])

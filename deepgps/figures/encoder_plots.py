@@ -26,16 +26,16 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
     measured = {
         "one tick": f"{tick_mm:.3g} mm",
-        "segments": f"{len(length)}, {length.sum():.0f} m in all",
+        "segments": f"{len(length)}, {length.sum():.0f} m in total",
         "RMS error of a segment": f"{1000 * np.sqrt(np.mean(error**2)):.3g} mm",
         "mean error": f"{1000 * error.mean():+.3g} mm",
         "largest error": f"{1000 * np.abs(error).max():.3g} mm",
         "encoder / true distance": f"{1 + error.sum() / length.sum():.4f}",
-        "drift of the reckoned path": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
+        "drift of the dead-reckoned path": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
     }
     return "\n".join(
         [
-            "## What the encoders told",
+            "## Encoder measurements",
             "",
             *list_faults(recording),
             "",
@@ -43,8 +43,8 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
             "|---|---|",
             *(f"| {name} | {value} |" for name, value in measured.items()),
             "",
-            "Above: blue is where the robot drove, orange where its wheels alone reckon that it did, both of the last "
-            "two minutes; the red line joins the two of one moment.",
+            "Above: the true path (blue) and the dead-reckoned path (orange) of the last two minutes; the red line "
+            "joins the two positions at the current time.",
         ]
     )
 
@@ -61,9 +61,9 @@ def list_faults(recording: Recording) -> list[str]:
     was_set["encoder.ticks_per_rev"] = ticks
     faults = {name: value for name, value in was_set.items() if name in sound and value != sound[name]}
     if not faults:
-        return [f"No fault was set: {ticks} ticks per revolution, and each of them true."]
+        return [f"No faults are set: {ticks} ticks per revolution, all of them correct."]
     rows = (f"| {name} | **{value}** | {sound[name]} |" for name, value in faults.items())
-    return ["| fault or setting | here | usually |", "|---|---:|---:|", *rows]
+    return ["| fault or setting | this run | default |", "|---|---:|---:|", *rows]
 
 
 def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
@@ -78,7 +78,7 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
         cloud.axhline(0, color="#888888", linewidth=0.8)
         cloud.scatter(length, error_mm, s=9, color=ENCODER, alpha=0.6, linewidths=0)
         middle, rms = _rms_along(length, error_mm)
-        cloud.plot(middle, rms, color=TRUE, linewidth=1.6, label="RMS of like lengths, either way")
+        cloud.plot(middle, rms, color=TRUE, linewidth=1.6, label="± RMS of segments of similar length")
         cloud.plot(middle, -rms, color=TRUE, linewidth=1.6)
         cloud.set(xlabel="length of the segment [m]", ylabel="encoder minus truth [mm]", xlim=(0, None))
         cloud.legend(frameon=False, loc="upper left", fontsize=9)

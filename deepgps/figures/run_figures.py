@@ -80,7 +80,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
         axes.set_axis_off()
     add_scale(figure, list(grid.flat))
     figure.suptitle(
-        f"Where each method thinks it is: {metrics['scenario']}, seed {metrics['seed']}, "
+        f"Predicted positions of each method: {metrics['scenario']}, seed {metrics['seed']}, "
         f"{metrics['samples']} observations",
         fontsize=14,
     )
@@ -98,7 +98,7 @@ def draw_error_cdf(fields: Mapping[str, WorstField]) -> Figure:
     axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
     axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     axes.axhline(50, color="#999999", linewidth=0.8, linestyle=":")
-    axes.set_title("How large are the errors?", fontsize=13)
+    axes.set_title("Distribution of errors", fontsize=13)
     _finish_plot(axes)
     return figure
 

@@ -43,13 +43,13 @@ def read_metrics(run: Path) -> dict[str, Any]:
     """Read a run's metrics.json; raises InputError for a folder that holds no run or broken metrics."""
     path = run / "metrics.json"
     if not path.is_file():
-        raise InputError(f"{run} is no run: it has no metrics.json (deepgps run makes one)")
+        raise InputError(f"{run} is not a run: it has no metrics.json (deepgps run writes one)")
     try:
         metrics = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
-        raise InputError(f"{path} holds no methods: it is no run's metrics.json")
+        raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
     return {**metrics, "methods": name_methods(metrics["methods"])}
 
 
@@ -91,19 +91,20 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
     sentences = [
         f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
         f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
-        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) lie within "
-        "0.25 m of an observation the robot learned from.",
+        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
+        "0.25 m of a training observation.",
         describe_time(metrics["timing_s"] if times is None else times),
     ]
     if trajectory := metrics.get("trajectory"):
         drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
-        sentences.insert(1, f"The path that the wheels alone reckon drifts by {drift}.")
+        sentences.insert(1, f"The dead-reckoned path drifts by {drift}.")
     if distances := metrics.get("distances"):
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
         sentences.insert(
             1,
-            f"By encoder the length of a segment is off by {measured} (RMS), where theory expects {expected}; the "
-            f"wheels give away {distances['wrong_doubted']} of {distances['segments_wrong']} that are farther off.",
+            f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}. Of "
+            f"{distances['segments_wrong']} segments with larger errors than noise explains, "
+            f"{distances['wrong_doubted']} are recognised by disagreement of the wheels.",
         )
     if left_out := describe_readings(metrics.get("readings", {})):
         sentences.insert(1, left_out)
@@ -119,7 +120,7 @@ def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
 def describe_errors(metrics: Mapping[str, Any]) -> str:
     """Describe in a sentence where the errors were measured and how predictions were aligned."""
     where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"
-    worst = "" if metrics.get("test", {}).get("headings") == 1 else ", the worst heading of each position"
+    worst = "" if metrics.get("test", {}).get("headings") == 1 else " for the worst heading of each position"
     return f"Errors {where}{worst}; aligned on training samples, never scaled."
 
 
@@ -143,7 +144,7 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
             "",
             *(f"- {sentence}" for sentence in describe(metrics)),
             "",
-            "## Made with",
+            "## Environment",
             "",
             *environment,
             "",
@@ -176,7 +177,7 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     for sentence in describe(metrics, read_times(run, metrics)):
         console.print(sentence, highlight=False)
     if sitting_s is not None:
-        console.print(f"This sitting took {sitting_s:.1f} s by the clock.", highlight=False)
+        console.print(f"This sitting took {sitting_s:.1f} s of wall-clock time.", highlight=False)
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

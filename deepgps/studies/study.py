@@ -83,8 +83,6 @@ class Study(Variation):
     report: ReportName = "plain"
     """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means, and which method
     wins; compare: means over seeds for everything else that varies; curves: errors along the last axis."""
-    record: bool = False
-    """Draw figures and write a Rerun recording for every run; deepgps view writes a single run's on request."""
     target: dict[str, float] = Field(default_factory=dict)
     """Target values of the report's figures."""
     paper: dict[str, float] = Field(default_factory=dict)

@@ -25,7 +25,7 @@ def open_rrd(path: Path) -> RrdReader:
             reader.store().schema()  # needs the footer, which a truncated file lacks
     except Exception as error:  # rerun raises ValueError, RuntimeError and its own types
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path} is cut off or no recording ({reason}); delete it and view the run again") from None
+        raise InputError(f"{path} is truncated or no recording ({reason}); delete it and view the run again") from None
     return reader
 
 
@@ -104,7 +104,7 @@ def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
         name = chunk.entity_path.removeprefix(below)
         if chunk.entity_path.startswith(below) and "/" not in name:
             if chunk.timeline_names:
-                raise InputError(f"{path} has error fields of several runs; read_entity tells where each stands")
+                raise InputError(f"{path} has error fields of several runs; read_entity returns them with their times")
             batch = chunk.to_record_batch()
             for component in {"Arrows3D:origins", "Arrows3D:vectors"} & set(batch.schema.names):
                 flat = batch.column(component).flatten().flatten().to_numpy()

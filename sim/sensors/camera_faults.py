@@ -148,7 +148,9 @@ def _attenuate(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.G
 
 
 FAULTS = (
-    ImageFault({"turn_deg": "turned {:g}° meanwhile"}, lambda light, settings, rng: smear(light, settings.turn_deg)),
+    ImageFault(
+        {"turn_deg": "turned {:g}° during exposure"}, lambda light, settings, rng: smear(light, settings.turn_deg)
+    ),
     ImageFault({"vignetting": "vignetting {:g}", "exposure": "exposure x {:g}"}, _attenuate),
     ImageFault({"read_noise": "read noise {:g}", "shot_noise": "shot noise {:g}"}, _add_noise),
 )

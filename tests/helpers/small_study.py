@@ -60,9 +60,7 @@ def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) 
         time.sleep(0.02)
 
 
-def run_all_here(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+def run_all_here(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Do the runs of a study in this process, one after another, in place of an engine."""
-    found = {
-        plan.run: do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, record, progress) for plan in plans
-    }
+    found = {plan.run: do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, progress) for plan in plans}
     return {run: failure for run, failure in found.items() if failure}

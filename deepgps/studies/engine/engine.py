@@ -23,7 +23,7 @@ from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan, Study, write_out
 from sim.errors import InputError
-from sim.files import is_intact, sweep, write_lines
+from sim.files import sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING
 
 _HASH = "[0-9a-f]{8}"
@@ -37,7 +37,7 @@ STUDY = Kind(
     ),
 )
 EngineName = Literal["local", "ray"]
-RunAll = Callable[[Sequence[Plan], Path, bool, Report], Failures]
+RunAll = Callable[[Sequence[Plan], Path, Report], Failures]
 
 
 def default_folder(study: Study) -> Path:
@@ -117,7 +117,7 @@ def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll,
     unrecorded = record_all(plans, missing, place, progress)
     ready = [plan for plan in missing if plan.recording not in unrecorded]
     failed = {plan.run: unrecorded[plan.recording] for plan in missing if plan.recording in unrecorded}
-    return {**failed, **run_all(ready, place, study.record, progress)}
+    return {**failed, **run_all(ready, place, progress)}
 
 
 def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]:
@@ -125,7 +125,7 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run
-        if read_measured(run) is None or (study.record and not is_intact(run / "run.rrd")):
+        if read_measured(run) is None:
             missing.append(plan)
     return missing
 

@@ -16,13 +16,12 @@ from deepgps.studies.study import Plan
 from sim.processes import start_process, usable_cores
 
 
-def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Train and measure these runs, whose recordings are finished.
 
     Args:
         plans: The runs.
         folder: The study's folder.
-        record: Whether to draw figures and write a Rerun recording for each run.
         progress: Called with the training steps done and their number, summed over all runs.
 
     Returns:
@@ -34,7 +33,7 @@ def run_all(plans: Sequence[Plan], folder: Path, record: bool, progress: Report)
     try:
         while waiting or active:
             while waiting and len(active) < usable_cores():
-                pipe, process = _start(folder, record)
+                pipe, process = _start(folder)
                 active[pipe] = _give(pipe, waiting), process
             for pipe in wait(list(active)):
                 assert isinstance(pipe, Connection)
@@ -75,18 +74,18 @@ def work(handle: int) -> None:
     """Do the runs that arrive through a pipe until it is closed; this is the main function of a worker process.
 
     Args:
-        handle: File descriptor of the pipe, which carries (the study's folder, whether to record), then the runs.
+        handle: File descriptor of the pipe, which carries the study's folder, then the runs.
     """
     open_streams()
     warn_plainly()
     pipe = Connection(handle)
     with suppress(EOFError, BrokenPipeError):  # the parent needs no more, or is gone
-        folder, record = pipe.recv()
+        folder = pipe.recv()
         while True:
-            _do(pipe.recv(), folder, record, pipe)
+            _do(pipe.recv(), folder, pipe)
 
 
-def _do(plan: Plan, folder: Path, record: bool, pipe: Connection) -> None:
+def _do(plan: Plan, folder: Path, pipe: Connection) -> None:
     steps: dict[str, int] = {}
 
     def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
@@ -94,7 +93,7 @@ def _do(plan: Plan, folder: Path, record: bool, pipe: Connection) -> None:
             steps[label] = done
             pipe.send(Told(sum(steps.values())))
 
-    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, record, tell)
+    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, tell)
     pipe.send(Told(sum(steps.values()), ended=True, failure=failure))
 
 
@@ -104,10 +103,10 @@ def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
     return waiting.pop(0)
 
 
-def _start(folder: Path, record: bool) -> tuple[Connection, Popen[bytes]]:
+def _start(folder: Path) -> tuple[Connection, Popen[bytes]]:
     pipe, end = Pipe()
     code = "from deepgps.studies.engine.local import work; work(int(sys.argv[1]))"
     process = start_process(code, [str(end.fileno())], [end.fileno()])
     end.close()
-    pipe.send((folder, record))
+    pipe.send(folder)
     return pipe, process

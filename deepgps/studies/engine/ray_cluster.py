@@ -34,7 +34,7 @@ ENVIRONMENT = {
 
 
 @contextmanager
-def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path, bool, Report], Failures]]:
+def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path, Report], Failures]]:
     """Connect to the Ray cluster at an address, or start one here, and disconnect from it or end it afterwards.
 
     Args:
@@ -82,7 +82,7 @@ def _keep_handlers() -> Iterator[None]:
         signal.raise_signal(signal.SIGTERM)
 
 
-def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progress: Report) -> Failures:
+def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Train and measure these runs like ``engine_local.run_all``; progress counts only the steps of ended runs."""
     failed, done, total = Failures(), 0, sum(count_steps(plan.scenario) for plan in plans)
     gpus = int("GPU" in ray.cluster_resources())
@@ -90,7 +90,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, record: bool, progre
     for plan in plans:
         needs = {"num_cpus": 1, "num_gpus": gpus * _wants_gpu(plan.scenario), "max_retries": RETRIES}
         home = folder.resolve() / "runs" / plan.run
-        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, record, ignore)
+        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore)
         running[task] = plan
     progress(f"steps of {len(plans)} runs", 0, total)
     while running:

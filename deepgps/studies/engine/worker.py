@@ -7,7 +7,6 @@ from pathlib import Path
 
 from deepgps.methods.catalog import METHODS
 from deepgps.progress import Report
-from deepgps.run import show
 from deepgps.run_folder import claim
 from deepgps.scenario import Scenario
 from deepgps.stages import evaluate, train
@@ -18,14 +17,13 @@ FAILURE = "failure.txt"
 Failures = dict[str, str]  # reasons by the hash of the run
 
 
-def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progress: Report) -> str | None:
+def do_run(scenario: Scenario, folder: Path, recording: str, progress: Report) -> str | None:
     """Do the missing stages of one run on a finished recording.
 
     Args:
         scenario: The scenario to run.
         folder: The run's folder, in ``runs`` of the study's folder.
         recording: Name of the recording's folder, in ``recordings`` of the study's folder.
-        record: Whether to draw figures and write a Rerun recording.
         progress: Called with the progress of each stage.
 
     Returns:
@@ -45,8 +43,6 @@ def do_run(scenario: Scenario, folder: Path, recording: str, record: bool, progr
             train(scenario, folder, progress)
             leave_trainings(scenario, folder)
             evaluate(scenario, folder, progress)
-            if record:
-                show(scenario, folder, progress)
             (folder / FAILURE).unlink(missing_ok=True)
     except (InputError, WorkError, OSError) as error:
         return one_line(error)

@@ -20,21 +20,21 @@ CLEAN = "no fault"
 # formats of a fault's strength, by the setting's name
 TITLES = {
     **{f"image_faults.{name}": title for fault in FAULTS for name, title in fault.titles.items()},
-    "camera_mount.driven_m": "driven {:g} m meanwhile",
-    "camera_mount.roll_deg": "leans {:g}° to the right",
-    "camera_mount.pitch_deg": "leans {:g}° ahead",
-    "camera_mount.wobble_deg": "wobbles by {:g}°",
+    "camera_mount.driven_m": "driven {:g} m during exposure",
+    "camera_mount.roll_deg": "tilted {:g}° to the right",
+    "camera_mount.pitch_deg": "tilted {:g}° forward",
+    "camera_mount.wobble_deg": "wobbling by {:g}°",
     "deployment.light": "all light x {:g}",
     "deployment.lamps": "lamps x {:g}",
     "deployment.moved_m": "furniture moved {:g} m",
 }
-WHEN = {True: "deployment alone", False: "training and deployment"}
+WHEN = {True: "deployment only", False: "training and deployment"}
 NOTE = (
-    "Means over seeds; in brackets how many times that is the mean without faults. Errors in centimetres on the test "
-    "grid, the worst heading of each position; aligned on training samples, never scaled. Of what has changed between "
-    "training and use, training has seen nothing. Where furniture was moved, test positions on which it stands are "
-    "left out. Folded: maps that turn over more than a tenth of the neighbourhoods, as those that are merely wrong in "
-    "use do, too; said: those that the detector, which sees the training images alone, calls folded."
+    "Means over seeds; in brackets, the ratio to the mean without faults. Errors in centimetres on the test grid, for "
+    "the worst heading of each position; aligned on training samples, never scaled. Changes between training and "
+    "deployment do not appear in the training images. Test positions that moved furniture covers are left out. "
+    "Folded: maps that flip more than a tenth of the neighbourhoods, which includes maps that are wrong only in "
+    "deployment; said: maps that the detector, which uses only the training images, reports as folded."
 )
 
 
@@ -103,7 +103,13 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     if changed:
         axes.axhspan(changed[0] - 0.5, changed[-1] + 0.5, color="#f1ede4", zorder=0, lw=0)
         axes.text(
-            0.995, changed[0] - 0.42, "in use alone", transform=axes.get_yaxis_transform(), ha="right", va="top", size=8
+            0.995,
+            changed[0] - 0.42,
+            "deployment only",
+            transform=axes.get_yaxis_transform(),
+            ha="right",
+            va="top",
+            size=8,
         )
     axes.set_yticks(range(len(faults)), [fault.title for fault in faults])
     axes.set(xscale="log", ylim=(len(faults) - 0.5, -0.5))

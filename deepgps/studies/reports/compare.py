@@ -14,10 +14,10 @@ from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
 
 NOTE = (
-    "Means over runs that differ in seeds alone. Errors on the test grid, the worst heading of each position; aligned "
-    "on training samples, never scaled. Headings: RMS distance of the predictions at one position from their mean. "
-    "Folded: maps that turn over more than a tenth of the neighbourhoods; said: those that the detector, without the "
-    "truth, calls folded."
+    "Means over runs that differ only in their seeds. Errors on the test grid, for the worst heading of each position; "
+    "aligned on training samples, never scaled. Headings: RMS distance of the predictions at one position from their "
+    "mean. Folded: maps that flip more than a tenth of the neighbourhoods; said: maps that the detector, which does "
+    "not use the truth, reports as folded."
 )
 
 
@@ -55,7 +55,7 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
         cells.append([*kind, title_of(method), str(len(group)), *figures])
     follow = [name for name in varied if names and name not in names and not is_seed(name)]
-    told = [f"What goes with these: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
+    told = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
     return [tabulate([*kinds, "method", *ours], cells), *told, NOTE]
 
 

@@ -26,9 +26,9 @@ EDGES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 1.0)
 LITTLE = 2
 """Number of leading bins that count as reaching little of the room."""
 NOTE = (
-    "Reach: share of the floor where the robot fits that straight drives from a position come to. Positions of all "
-    "rooms together; errors of the worst heading. PoseNet learns from true positions: what both get wrong is not for "
-    "want of straight ways."
+    "Reach: share of the accessible floor that the robot can reach from a position by one straight drive. Positions "
+    "of all rooms are pooled; errors are for the worst heading. PoseNet learns from true positions, so errors that "
+    "both methods make are not due to a lack of straight paths."
 )
 
 
@@ -88,7 +88,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         axes.plot(list(there), rms, "o-", color=colour, label=f"{title}, RMS")
         axes.plot(list(there), median, "o--", color=colour, mfc="none", label=f"{title}, median")
     axes.set(yscale="log", xlim=(0, 100), ylabel="error of the worst heading [cm]")
-    axes.set_xlabel("part of the floor that straight drives reach [%]")
+    axes.set_xlabel("share of the floor reached by straight drives [%]")
     count_by_decades(axes.yaxis)
     axes.grid(alpha=0.25, which="both")
     axes.legend(frameon=False, fontsize=8)
@@ -112,7 +112,7 @@ def draw_rooms(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pict
         left.set(aspect="equal", ylabel="y [m]")
     if dots is not None:
         picture.colorbar(
-            dots, ax=list(panels[:, 0]), shrink=0.5, label="part of the floor reached [%]", location="left"
+            dots, ax=list(panels[:, 0]), shrink=0.5, label="share of the floor reached [%]", location="left"
         )
     add_scale(picture, list(panels[:, 1]))
     return picture

@@ -14,14 +14,14 @@ from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, Row, mean, split_by, tell_apart, varied_in
 
-TITLES = {"encoder.step_noise": "noise w of each gap between readings", "drive.samples": "training images"}
+TITLES = {"encoder.step_noise": "noise w per gap between readings", "drive.samples": "training images"}
 # The paper on DeepGPS: its RMS is below this share of the room's side (Sec. V-A); its RMS at a value [m] (V-B).
 PAPER_SHARE = {"encoder.step_noise": 0.02}
 PAPER_RMS: dict[str, dict[float, float]] = {"drive.samples": {1000: 0.04}}
 KNEE = 1.25
 DECADES = 10.0
 NOTE = (
-    "Errors in centimetres on the test grid, the worst heading of each position, means over the seeds, and the RMS of "
+    "Errors in centimetres on the test grid for the worst heading of each position: means over seeds, and the RMS of "
     "the worst seed; aligned on training samples, never scaled."
 )
 Panels = Mapping[tuple[str, ...], Sequence[Row]]
@@ -42,8 +42,8 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
                 theirs = [_write_paper(axis, value, group[0])] if paper else []
                 cells.append([*title, title_of(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
     knees = [
-        f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the least from which on the RMS of "
-        f"DeepGPS (mean over the seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
+        f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the smallest value from which "
+        f"the RMS of DeepGPS (mean over seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
         for title, line in _our_lines(rows).items()
         if (knee := find_knee(line, axis)) is not None
     ]

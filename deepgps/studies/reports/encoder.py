@@ -27,28 +27,32 @@ NEAR_M = (0.02, 0.05)
 PART = 0.8
 """The part of the test positions whose errors must be good enough."""
 CHOICE = (
-    f"Up to where at least {100 * PART:g} % of the test positions, each at its worst heading, lie so near the truth, "
-    "in the mean of the seeds. Not the RMS: a few places far off decide that, and no encoder mends them."
+    f"The strongest fault at which at least {100 * PART:g} % of the test positions, each at its worst heading, are "
+    "still within this distance of the truth (mean over seeds). RMS is not the criterion, since it is dominated by a "
+    "few positions with large errors that no encoder can reduce."
 )
 NOTE = (
-    "RMS of the worst heading of each test position in centimetres, mean, least and most of the seeds, and near: the "
-    f"part of the test positions within {100 * NEAR_M[0]:g} cm; aligned on training samples, never scaled. Segment: "
-    "RMS error of the length of whole segments, measured and as theory expects it (uniform rounding within a tick, w "
-    "growing with the root of the number of gaps, slip with the root of the way, radius in proportion, a stuck encoder "
-    "taking half of the way); what is left without any fault is the wheels' creep on the floor. Where a map does "
-    "better than its segments, many of them cross each place and their errors average. Where it does worse, all err "
-    "alike, or segments are so good that the network, and places that the drive hardly saw, decide."
+    "RMS in centimetres for the worst heading of each test position: mean, minimum and maximum over seeds. Near: share "
+    f"of the test positions with errors within {100 * NEAR_M[0]:g} cm. Aligned on training samples, never scaled. "
+    "Segment: RMS error of the lengths of complete segments, measured and predicted by theory (rounding is uniform "
+    "within a tick; the error from w grows with the root of the number of gaps, slip with the root of the distance "
+    "travelled, a radius error in proportion to it; a stuck encoder halves the distance). The error that remains "
+    "without faults is due to the wheels creeping on the floor. A map can be more accurate than its segments because "
+    "many segments cross each place and their errors average out. It is less accurate if all segments have the same "
+    "error, or if segments are so accurate that the network and poorly covered places limit the map."
 )
 EXPLAIN = (
-    "Rounding should hardly matter while a tick is short beside the spacing of images: the phases of ticks differ.",
-    "A radius that is wrong on both wheels makes the map larger by as much, and one that is wrong on one wheel by half "
-    "of it. It costs that part of the distance from the middle of the room and shows in the scale alone; no method "
-    "without positions can know better.",
-    "Distances along segments do not know the track width, nor how a turn went: these hurt only who reckons a path. "
-    "What makes the wheels differ loses the path, and where it is lost farther than look-alike places mend, the map "
-    "that starts from it as well.",
-    "Lost readings are images lost to DeepGPS, and the distances of the others stay right. PoseNet learns from all "
-    "images, but the features that both look at are chosen along the segments, whose images lie farther apart.",
+    "Rounding should hardly matter while a tick is short compared with the spacing of images, since the phases of the "
+    "ticks differ.",
+    "A radius error on both wheels enlarges the map by the same fraction, and an error on one wheel by half of it. The "
+    "position error is that fraction of the distance from the middle of the room, and only the scale of the map shows "
+    "it; no method without known positions can detect it.",
+    "Distances along segments depend neither on the track width nor on turns, so errors in these affect only dead "
+    "reckoning. Faults that make the wheels differ corrupt the dead-reckoned path and, if the path drifts farther than "
+    "loop closures can correct, also the map that starts from it.",
+    "When readings are lost, DeepGPS loses their images, but the distances between the remaining ones stay correct. "
+    "PoseNet still learns from all images, but the features that both methods use are chosen along the segments, whose "
+    "images are then farther apart.",
 )
 
 

@@ -20,7 +20,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 def draw_near(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw a panel for each fault: the part of the test positions with small errors, with a band of seeds."""
-    return _draw_panels(rows, _draw_near, f"places within {100 * NEAR_M[0]:g} cm [%]")
+    return _draw_panels(rows, _draw_near, f"positions within {100 * NEAR_M[0]:g} cm [%]")
 
 
 def _draw_panels(rows: Sequence[Row], draw_one: Callable[[Axes, Sweep], None], ylabel: str) -> Picture:

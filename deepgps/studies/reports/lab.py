@@ -24,11 +24,11 @@ PAPER = {
 }
 NOTE = (
     "Errors in centimetres at test samples of the same drive; aligned on training samples, never scaled. Labels "
-    "are what the tag camera measured from AprilTags, in images alone: PoseNet learned from them, and the "
-    "first errors are against them, as in the paper. The others are against the simulator's truth, which the "
-    "paper could not know. Unlabelled: training and test samples that show too few tags; PoseNet does not learn "
-    "from them, and errors against labels leave them out. Label RMS: the labels' own error. The last lines are "
-    "the paper's means and standard deviations over its six data sets."
+    "are positions that the tag camera measured from images of AprilTags: PoseNet learned from them, and the "
+    "first errors are measured against them, as in the paper. The other errors are measured against the "
+    "simulator's truth, which the paper did not have. Unlabelled: training and test samples that show too few "
+    "tags; PoseNet does not learn from them, and errors against labels exclude them. Label RMS: the error of the "
+    "labels themselves. The last lines are the paper's means and standard deviations over its six data sets."
 )
 
 

@@ -23,9 +23,10 @@ PAPER = {
     ("incomplete", "explicit"): (1.131, 0.742, 5.048),
 }
 NOTE = (
-    "Errors in millimetres on the test grid, means over the seeds, and the RMS of the worst seed; aligned on training "
-    "samples, never scaled. Complete: all landmarks are seen; incomplete: only near ones. Explicit positioning starts "
-    "at random, as in the paper, or from a map of the landmarks by multidimensional scaling, which is not in the paper."
+    "Errors in millimetres on the test grid: means over seeds, and the RMS of the worst seed; aligned on training "
+    "samples, never scaled. Complete: all landmarks are visible; incomplete: only nearby ones. Explicit positioning "
+    "starts at random, as in the paper, or from a map of the landmarks found by multidimensional scaling, which the "
+    "paper does not use."
 )
 Groups = Mapping[tuple[str, str], Sequence[Row]]
 

@@ -23,10 +23,10 @@ PAPER = {
 }
 SCALE_M = (0.001, 1.0)
 NOTE = (
-    "Errors in metres on squares of 2 m, which are the paper's units; of the worst heading of each test position, and "
-    "of each scan by itself, as the paper counts. The paper's maps are not ours: its rows stand beside by number only. "
-    "Aligned on training samples, never scaled. PCA + nearest neighbour knows true positions. Stored: numbers that a "
-    "method keeps to position, of which the paper's take 2 and 66 million."
+    "Errors in metres on squares with a side of 2 m, as in the paper: for the worst heading of each test position, and "
+    "for each scan separately, as the paper reports them. The paper's maps differ from ours; its results are assigned "
+    "to our maps by number only. Aligned on training samples, never scaled. PCA + nearest neighbour uses true "
+    "positions. Stored: how many numbers a method stores for positioning; in the paper, these are 2 and 66 million."
 )
 
 
@@ -73,7 +73,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
             figures[f"{name.removesuffix('_m')}_ratio"] = Figure(title, max(ratios), "", worst=max(ratios))
     if both:
         less = [other["stored"] / mine["stored"] for mine, other in both]
-        figures["stored_ratio"] = Figure("times as much stored by it", min(less), "", at_least=True, worst=min(less))
+        figures["stored_ratio"] = Figure("stored by PCA / by DeepGPS", min(less), "", at_least=True, worst=min(less))
     if ours:
         seconds = [row["train_s"] for row in ours]
         figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))

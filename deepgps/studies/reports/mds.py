@@ -42,9 +42,10 @@ MAPS = {"own_m": "own RMS [cm]", "mds_m": "MDS RMS [cm]"}
 PAIRS = {"joined_m": "joined [cm]", "unjoined_m": "not joined [cm]"}
 NOTE = (
     "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
-    "its distances; apart: RMS distance of the two. Planar: share of the two largest eigenvalues in the sum of the "
-    "sizes of all. Joined: median error of the distance of positions that a straight way of the robot joins; not "
-    "joined: none does. Folded: maps that turn over more than a tenth of the neighbourhoods."
+    "its distances; apart: RMS distance between the two. Planar: share of the two largest eigenvalues in the sum of "
+    "the absolute values of all. Joined: median error of the distance between positions that the robot can join by a "
+    "straight drive; not joined: the same for positions that it cannot. Folded: maps that flip more than a tenth of "
+    "the neighbourhoods."
 )
 
 
@@ -93,7 +94,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     if plane:
         same = [row["mds_own_m"] for row in plane]
-        figures["apart"] = Figure("MDS from own, two outputs", float(np.mean(same)), "mm", worst=max(same))
+        figures["apart"] = Figure("distance of MDS from own, two outputs", float(np.mean(same)), "mm", worst=max(same))
         ratios = [row["unjoined_m"] / row["joined_m"] for row in plane]
         title = "error of distances, not joined / joined"
         figures["not_joined_ratio"] = Figure(title, float(np.mean(ratios)), "", worst=max(ratios))
@@ -127,7 +128,7 @@ def find_distances(run: Path, method: str) -> Distances:
     """Predict the distances between positions of the test grid with a trained network, and scale them."""
     positioner = load_positioner(run / method)
     if not isinstance(positioner, NetworkPositioner):
-        raise InputError(f"{run / method}: {method} has no network that could be asked for distances")
+        raise InputError(f"{run / method}: {method} has no network that could predict distances")
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     some = _spread(len(recording.test_observation), POSITIONS)
     place = truth.test_pose[some, 0, :2]
@@ -198,8 +199,8 @@ def _draw_spectrum(axes: Axes, found: Mapping[str, Distances]) -> None:
     for (title, one), colour in zip(found.items(), COLOURS, strict=False):
         share = (one.eigenvalues / one.eigenvalues[0]).clip(min=1e-8)
         axes.plot(np.arange(1, len(share) + 1), share, "o-", color=colour, label=title, markersize=4)
-    axes.set(yscale="log", xlabel="eigenvalue", ylabel="size, the first = 1", ylim=(0.5e-8, 2))
-    axes.set_title("Do the distances lie in a plane?", fontsize=10)
+    axes.set(yscale="log", xlabel="eigenvalue", ylabel="relative to the largest", ylim=(0.5e-8, 2))
+    axes.set_title("Are the distances planar?", fontsize=10)
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=7)
 
@@ -219,7 +220,7 @@ def _draw_errors(axes: Axes, found: Mapping[str, Distances]) -> None:
     axes.set(yscale="log", xlabel="true distance [m]", ylabel="median error of the distance [cm]")
     axes.yaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
     axes.yaxis.set_minor_formatter(ticker.NullFormatter())
-    axes.set_title("Solid: a straight way joins the pair; dashed: none does", fontsize=10)
+    axes.set_title("Solid: a straight drive joins the pair; dashed: none does", fontsize=10)
     axes.grid(alpha=0.25, which="both")
 
 

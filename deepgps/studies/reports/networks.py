@@ -16,8 +16,8 @@ from sim.recording.format import open_recording
 NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
 IMAGES = 30
 NOTE = (
-    "Turned: RMS distance of the predictions of one test image, turned by every whole number of sectors, from their "
-    "mean; it leaves out what rendering adds to headings."
+    "Turned: RMS distance from their mean of the predictions for one test image turned by every whole number of "
+    "sectors; unlike the spread over headings, it excludes the effects of rendering."
 )
 
 

@@ -73,16 +73,16 @@ def publish(folder: Path, target: Path) -> None:
 def check_publish(target: Path) -> None:
     """Raise InputError if publishing would replace a file that deepgps did not publish or that was changed since."""
     if target.exists() and not target.is_dir():
-        raise InputError(f"--publish: {target} is no folder")
+        raise InputError(f"--publish: {target} is not a folder")
     lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
     published = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
     names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in PICTURES)]
     if foreign := set(published) - set(names):
-        raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which deepgps does not publish")
+        raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which is not a file that deepgps publishes")
     for path in (target / name for name in names):
         name = path.relative_to(target).as_posix()
         if os.path.lexists(path) and (path.is_symlink() or sha256(path) != published.get(name)):
-            raise InputError(f"--publish: {path} was not published by deepgps, or was changed since; move it away")
+            raise InputError(f"--publish: {path} was not published by deepgps or has changed since; move it away")
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
@@ -93,7 +93,7 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     if measured:
         blocks += load(REPORTS[study.report].text)(measured, varied)
         if figures := measure_targets(study.report, measured):
-            blocks += ["## In all", tabulate_targets(figures, study.target, study.paper)]
+            blocks += ["## Summary", tabulate_targets(figures, study.target, study.paper)]
     if failures:
         failed = {row["run"]: row for row in rows if row["failure"]}.values()
         cells = [[*(str(row[name]) for name in varied), row["run"], row["failure"]] for row in failed]

@@ -15,11 +15,11 @@ from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_er
 
 SHARES = ("relative_rms", "seen", "flipped")
 NOTE = (
-    "Errors on the test grid, the worst heading of each position; aligned on training samples, never scaled. "
-    "Seen: positions within 0.25 m of an image learned from. Flipped: neighbourhoods that the map turns over."
+    "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
+    "Seen: share of positions within 0.25 m of a training image. Flipped: share of neighbourhoods that the map flips."
 )
 
-SIGN_TEST = "p is that of a two-sided sign test: above 0.05, these rooms do not show which of the two is ahead."
+SIGN_TEST = "p is from a two-sided sign test: above 0.05, these rooms do not show which of the two is more accurate."
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:

@@ -26,8 +26,8 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         middle = {name: float(np.median([row[name] for row in group])) for name in ERRORS}
         cells.append([title, str(len(group)), unfolded, str(said), *shares, *write_errors(middle)])
     note = (
-        f"A map is folded if it turns over more than {write(FLIPPED, '%')} of the test grid's neighbourhoods; "
-        "said to be unfolded is what the detector says. Errors are medians over the maps."
+        f"A map is folded if it flips more than {write(FLIPPED, '%')} of the test grid's neighbourhoods; "
+        "said to be: how many maps the detector reports as unfolded. Errors are medians over the maps."
     )
     return [tabulate(headings, cells), note]
 
@@ -39,16 +39,16 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     folded = [row["fold_found"] for row in rows if is_folded(row)]
     right = [row["fold_found"] for row in rows if not is_folded(row)]
     return {
-        "unfolded": Figure(f"unfolded of {len(own)} maps, not from random starts", _share(own), "%", at_least=True),
+        "unfolded": Figure(f"unfolded, of {len(own)} maps without random starts", _share(own), "%", at_least=True),
         "found": Figure(f"folds found, of {len(folded)}", _share(folded), "%", at_least=True),
-        "false_alarms": Figure(f"false alarms, of {len(right)} right maps", _share(right), "%"),
+        "false_alarms": Figure(f"false alarms, of {len(right)} unfolded maps", _share(right), "%"),
     }
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw what the detector measures over the truth, with a point for each map."""
     picture = Picture(figsize=(9, 4), layout="constrained")
-    signs = {"length_error_fraction": "wrong lengths", "overlap_fraction": "overlap"}
+    signs = {"length_error_fraction": "length errors", "overlap_fraction": "overlap"}
     for index, (sign, title) in enumerate(signs.items()):
         axes = picture.add_subplot(1, 2, index + 1)
         for start, group in _by_start(rows, varied).items():
@@ -56,7 +56,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
             flipped, said = ([100 * row[name] for row in known] for name in ("flipped", sign))
             axes.plot(flipped, said, "o", alpha=0.6, label=start)
         axes.axvline(100 * FLIPPED, color="#999999", linestyle=":")
-        axes.set(xlabel="flipped, by the truth [%]", ylabel=f"{title}, by the detector [%]", xlim=(0, 50))
+        axes.set(xlabel="flipped (truth) [%]", ylabel=f"{title} (detector) [%]", xlim=(0, 50))
         axes.set_ylim(bottom=0)
         axes.grid(alpha=0.25)
         if index == 0:

@@ -66,7 +66,7 @@ def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
 def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.Vertical:
     maps = [
         rrb.Spatial3DView(
-            name=f"{title_of(name)}: where it puts the training images",
+            name=f"{title_of(name)}: map of the training images",
             origin="world",
             contents=["world/floor_plan", "world/outline", f"world/training/{name}"],
             eye_controls=aim_eye(space, reach=0.9),

@@ -54,9 +54,9 @@ def show_live(
     url = find_url(address) if address else open_viewer()
     who = knock(url)
     if who == "stranger":
-        raise InputError(f"--live {address}: what answers there is no Rerun viewer")
+        raise InputError(f"--live {address}: what answers there is not a Rerun viewer")
     if who == "nobody":
-        warn(f"the viewer at {address} does not answer within {ANSWER_S} s; the run goes on without it")
+        warn(f"the viewer at {address} does not answer within {ANSWER_S} s; the run continues without it")
         yield progress
         return
     by_hand = rr.ChunkBatcherConfig(flush_tick=timedelta(days=1))  # each update flushes
@@ -98,7 +98,7 @@ def _wait(thread: threading.Thread, lost: threading.Event, url: str, warn: Calla
         thread.join(LOOK_S)
     if thread.is_alive():
         if not lost.is_set():
-            warn("the viewer takes nothing any more; what it shows is not the whole run")
+            warn("the viewer no longer accepts data; it does not show the complete run")
         rr.unregister_shutdown()  # when the process exits, it would wait forever for the viewer
 
 
@@ -117,9 +117,9 @@ def _send(
             view.update()
             stream.flush(timeout_sec=STALL_S)
     except Exception as error:  # a bug in the live view must not end the run
-        what = "the viewer is gone" if isinstance(error, GONE) else "showing failed"
+        what = "the connection to the viewer is lost" if isinstance(error, GONE) else "the live view failed"
         lost.set()
-        warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run goes on without it")
+        warn(f"{what} ({type(error).__name__}: {one_line(error)}); the run continues without it")
     finally:
         stream.disconnect()  # never returns if the viewer hangs
 
@@ -131,4 +131,4 @@ def _check(stream: rr.RecordingStream, address: str) -> None:
             stream.flush(timeout_sec=ANSWER_S)
             time.sleep(0.1)  # a refusal of the data takes a moment to arrive
     except RuntimeError:
-        raise InputError(f"--live {address}: what answers there is no Rerun viewer") from None
+        raise InputError(f"--live {address}: what answers there is not a Rerun viewer") from None

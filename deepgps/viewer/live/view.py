@@ -94,7 +94,7 @@ class LiveView:
 
     def _send_steps(self) -> None:
         rows = [f"| {title_of(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()]
-        text = "\n".join(["| what | done | of |", "|---|---|---|", *rows])
+        text = "\n".join(["| stage | done | of |", "|---|---|---|", *rows])
         if text == self._text:
             return
         self._text = text

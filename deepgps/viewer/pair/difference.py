@@ -72,9 +72,9 @@ class Pair:
 def open_pair(folders: Sequence[Path]) -> Pair:
     """Open two runs; raise InputError unless there are exactly two different runs with a method in common."""
     if len(folders) != 2:
-        raise InputError(f"two runs are compared, not {len(folders)}: {', '.join(map(str, folders))}")
+        raise InputError(f"exactly two runs can be compared, not {len(folders)}: {', '.join(map(str, folders))}")
     if folders[0].resolve() == folders[1].resolve():
-        raise InputError(f"{folders[0]} and {folders[1]} are the same run; two different ones are compared")
+        raise InputError(f"{folders[0]} and {folders[1]} are the same run; choose two different ones")
     a, b = (_open_side(folder) for folder in folders)
     methods = [name for name in a.fields if name in b.fields]
     if not methods:
@@ -105,7 +105,7 @@ def describe_pair(pair: Pair) -> str:
     """Describe as Markdown both runs, the settings that differ, where which run is better, and both runs' figures."""
     return "\n".join(
         [
-            "# B beside A",
+            "# B compared with A",
             "",
             "| | run | scenario | seed |",
             "|---|---|---|---:|",
@@ -118,7 +118,7 @@ def describe_pair(pair: Pair) -> str:
             "",
             *_list_places(pair),
             "",
-            "Errors [cm] of the worst heading of each test position:",
+            "Errors [cm] for the worst heading of each test position:",
             "",
             *(line for names in TABLES for line in [*_list_figures(pair, names), ""]),
         ]
@@ -144,7 +144,7 @@ def draw_distributions(pair: Pair) -> Figure:
         axes.grid(alpha=0.2, which="both")
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=9)
-        axes.set_title("How large are the errors?", fontsize=13)
+        axes.set_title("Distribution of errors", fontsize=13)
     return figure
 
 
@@ -158,7 +158,7 @@ def _name(folder: Path) -> str:
 
 def _list_places(pair: Pair) -> list[str]:
     if not pair.same_floor:
-        return ["**The rooms or test positions differ**: side by side only, there is no difference of the fields."]
+        return ["**The rooms or test positions differ**, so there is no difference of the fields to show."]
     rows = []
     for name in pair.methods:
         change = measure_change(pair, name)
@@ -196,9 +196,9 @@ def _list_settings(pair: Pair) -> list[str]:
     a, b = (_read_settings(side.folder) for side in (pair.a, pair.b))
     differ = [name for name in a if a[name] != b[name] and name != "methods"]
     if not differ:
-        return ["Both were made with the same settings."]
+        return ["Both runs have the same settings."]
     rows = (f"| {name} | {a[name]} | {b[name]} |" for name in differ)
-    return ["| set otherwise | A | B |", "|---|---:|---:|", *rows]
+    return ["| different setting | A | B |", "|---|---:|---:|", *rows]
 
 
 def _read_settings(folder: Path) -> dict[str, Any]:

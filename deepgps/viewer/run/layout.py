@@ -110,7 +110,7 @@ def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
     """The encoders' errors: in words, as paths on the floor, along the drive, and for each segment."""
     lately = rrb.VisibleTimeRanges(_lately(TRAIL_S, drive_s))
     paths = rrb.Spatial3DView(
-        name="The true path (blue) and the reckoned one (orange)",
+        name="True path (blue) and dead-reckoned path (orange)",
         origin="world",
         contents=["world/floor_plan", "world/drive/**", "world/reckoned/**"],
         eye_controls=aim_eye(space, reach=1.5, before=0.0),
@@ -123,9 +123,9 @@ def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
             rrb.Horizontal(_distances(drive_s), _ticks(drive_s)),
             rrb.Horizontal(
                 rrb.TimeSeriesView(
-                    name="Encoder minus truth, all the way [mm]", origin="drive/difference", axis_x=whole_axis()
+                    name="Encoder minus truth, cumulative [mm]", origin="drive/difference", axis_x=whole_axis()
                 ),
-                rrb.TimeSeriesView(name="Reckoned path off by [m]", origin="encoders/drift", axis_x=whole_axis()),
+                rrb.TimeSeriesView(name="Dead-reckoning drift [m]", origin="encoders/drift", axis_x=whole_axis()),
             ),
             rrb.Spatial2DView(name="Each segment", origin="encoders/segments"),
             row_shares=[4, 4, 6],
@@ -148,7 +148,7 @@ def _ticks(drive_s: float) -> rrb.TimeSeriesView:
 def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
     maps = [
         rrb.Spatial3DView(
-            name=f"{title_of(name)}: its map of the training images",
+            name=f"{title_of(name)}: map of the training images",
             origin="world",
             contents=["world/outline", f"world/training/{name}"],
             eye_controls=aim_eye(space, reach=0.85, before=0.0),
@@ -158,7 +158,7 @@ def _training(space: FreeSpace, trained: Sequence[str]) -> rrb.Vertical:
     ]
     errors = [
         rrb.Spatial3DView(
-            name=f"{title_of(name)}: its errors on them",
+            name=f"{title_of(name)}: errors on the training images",
             origin="world",
             contents=["world/outline", "world/scale/**", f"world/training_error/{name}/**"],
             eye_controls=aim_eye(space),

@@ -89,11 +89,11 @@ def _log_report(
             "",
             *(f"- {sentence}" for sentence in describe(metrics)),
             "",
-            "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. "
-            "One colour scale for all methods.",
+            "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
+            "methods share one colour scale.",
             "",
-            "The slider below runs through the drive and the training; choose `drive_time` or `step` for seconds "
-            "or training steps.",
+            "The slider below runs through the drive and the training at the same time; choose the timeline "
+            "`drive_time` or `step` to move in seconds or in training steps.",
         ]
     )
     for name, text in {"figures": summary, "text": markdown_report(metrics)}.items():

@@ -26,8 +26,8 @@ from sim.recording.format import Recording, open_recording
 
 RECKONED = (255, 150, 40)
 NOTE = (
-    "This recording has no truth, so there is no error field. *Drive* plays what the robot sensed and the path that "
-    "its wheels alone give; *Training* shows how each method's map unfolds, in a frame of its own."
+    "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "
+    "dead-reckoned path; *Training* shows how each method's map unfolds, each in a frame of its own."
 )
 
 

@@ -30,12 +30,12 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
     path = folder / "table.parquet"
     if not is_study(folder) or not path.is_file():
         lack = "table.parquet" if is_study(folder) else "study.yaml"
-        raise InputError(f"{folder} is no finished study: it has no {lack} (deepgps study writes it)")
+        raise InputError(f"{folder} is not a finished study: it has no {lack} (deepgps study writes it)")
     try:
         check_lines(folder / "study.yaml")
         check_sum(path)
     except DamagedError as error:
-        raise DamagedError(f"{error}; deepgps study with the same study and --out writes it again") from None
+        raise DamagedError(f"{error}; run deepgps study with the same study and --out to write it again") from None
     try:
         study = Study.model_validate(translate_study(read_yaml(folder / "study.yaml")))
     except ValidationError as error:
@@ -45,9 +45,9 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
     if not rows or not {"run", "recording", "seed", "samples", "method", "failure"} <= set(rows[0]):
-        raise InputError(f"{path} is no table of a study")
+        raise InputError(f"{path} is not a study's table")
     if not any(row["failure"] is None for row in rows):
-        raise InputError(f"{folder} has no run that is done; its table.md says why")
+        raise InputError(f"{folder} has no finished run; see its table.md for the reasons")
     return study, rows
 
 
@@ -88,6 +88,6 @@ def hash_study(folder: Path, rows: Sequence[Row]) -> str:
         *(run / "recording/manifest.json" for run in runs),
     ]:
         if not path.is_file():
-            raise InputError(f"{folder} is no whole study: {path.relative_to(folder)} is missing")
+            raise InputError(f"{folder} is an incomplete study: {path.relative_to(folder)} is missing")
         state.update(f"{path.relative_to(folder)} {sha256(path)}\n".encode())
     return state.hexdigest()[:32]

@@ -49,14 +49,14 @@ def describe_study(
     runs = split_by(rows, "run")
     lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
     first = f"The slider at the bottom moves `{sliders[0].name}`"
-    more = "; the list at its left has the others." if len(sliders) > 1 else "."
+    more = "; the list to its left has the others." if len(sliders) > 1 else "."
     reading = (
-        "Each arrow leads from where the robot stood to where the method put it, for the worst heading there. One "
-        "colour scale for all methods and all places of a slider. Every room is drawn to fill the same "
-        "rectangle; the bar above it says how large it is."
+        "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
+        "methods and all positions of a slider share one colour scale. Every room is scaled to fill the same "
+        "rectangle; the bar above it shows its scale."
     )
-    notes = [f"Left out, for it has too many places: {name}." for name in left_out]
-    notes += [f"Only one in {every} test positions is drawn, so that the file stays small."] if every > 1 else []
+    notes = [f"Left out because it has too many positions: {name}." for name in left_out]
+    notes += [f"Only one in {every} test positions is drawn, to keep the file small."] if every > 1 else []
     return "\n\n".join(
         [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *notes]
     )
@@ -77,7 +77,7 @@ def _list_values(slider: Slider) -> str:
     values = [f"`{step.value}`" for step in slider.steps]
     if len(values) > MOST_VALUES:
         values = [*values[: MOST_VALUES - 2], "...", values[-1]]
-    count = f"{len(slider.steps)} places, " if "..." in values else ""
+    count = f"{len(slider.steps)} positions, " if "..." in values else ""
     others = f" (with {slider.others})" if slider.others else ""
     return f"{count}{', '.join(values)}{others}"
 

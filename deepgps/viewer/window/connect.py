@@ -29,12 +29,12 @@ def find_url(address: str) -> str:
     except ValueError:  # the port is not a number, or too large
         host, port = None, None
     if not host or not port or parts.scheme not in {"rerun", "rerun+http", "rerun+https"} or parts.path != "/proxy":
-        raise InputError(f"--live {address!r}: must be host:port, as {HOST}:9876, or rerun+http://host:port/proxy")
+        raise InputError(f"--live {address!r}: must be host:port, like {HOST}:9876, or rerun+http://host:port/proxy")
     try:
         socket.create_connection((host, port), ANSWER_S).close()
     except OSError as error:
         reason = error.strerror or str(error) or type(error).__name__
-        raise InputError(f"--live {address}: no viewer answers there ({reason}); one listens after: rerun") from None
+        raise InputError(f"--live {address}: no viewer answers there ({reason}); start one with: rerun") from None
     return url
 
 
@@ -59,7 +59,7 @@ def find_viewer() -> str:
     places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
     viewer = shutil.which("rerun", path=places)
     if viewer is None:
-        raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk brings it")
+        raise WorkError("the Rerun viewer is missing: there is no command rerun; pip install rerun-sdk installs it")
     return viewer
 
 
@@ -95,5 +95,5 @@ def wait_for_port(port: int, process: subprocess.Popen) -> None:
             return
         if time.monotonic() > end:
             process.kill()
-            raise WorkError(f"the Rerun viewer does not listen after {OPENING_S:.0f} s")
+            raise WorkError(f"the Rerun viewer did not start to listen within {OPENING_S:.0f} s")
         time.sleep(0.1)

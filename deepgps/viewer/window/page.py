@@ -30,7 +30,7 @@ def take_page() -> dict[str, Served]:
         try:
             return {path: _take(connection, path, kind) for path, kind in KINDS.items()}
         except (OSError, HTTPException) as error:
-            raise WorkError(f"the Rerun viewer does not hand out its web page ({error})") from None
+            raise WorkError(f"the Rerun viewer does not serve its web page ({error})") from None
         finally:
             connection.close()
 
@@ -40,7 +40,7 @@ def _take(connection: HTTPConnection, path: str, kind: str) -> Served:
     answer = connection.getresponse()
     data = answer.read()
     if answer.status != 200:
-        raise WorkError(f"the Rerun viewer has no {path} ({answer.status}); pip install -U rerun-sdk may bring it")
+        raise WorkError(f"the Rerun viewer has no {path} ({answer.status}); pip install -U rerun-sdk may add it")
     return Served(kind, data)
 
 
@@ -58,7 +58,7 @@ def _serve_page(port: int) -> Iterator[None]:
             if server.poll() is not None:
                 told.seek(0)
                 reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
-                raise WorkError(f"the Rerun viewer's server ended with {server.returncode} ({reason})")
+                raise WorkError(f"the Rerun viewer's server exited with code {server.returncode} ({reason})")
             yield
         finally:
             with suppress(ProcessLookupError):  # it has ended

@@ -39,8 +39,8 @@ def view(paths: Sequence[Path]) -> None:
     if viewer.returncode != 0:
         lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
-            f"the Rerun viewer ended with {viewer.returncode} ({lines[-1]}); without a display, copy "
-            f"{recording} to a machine that has one, or: deepgps view {' '.join(map(str, paths))} --web"
+            f"the Rerun viewer exited with code {viewer.returncode} ({lines[-1]}); without a display, copy "
+            f"{recording} to a machine that has one, or run: deepgps view {' '.join(map(str, paths))} --web"
         )
 
 

@@ -34,7 +34,7 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
         serve_files(data, {RECORDING: recording}, readers=(page,)),
     ):
         source = quote(f"http://{HOST}:{data}{RECORDING}", safe="")
-        say(f"open http://{HOST}:{page}/?url={source}\nCtrl-C ends it")
+        say(f"open http://{HOST}:{page}/?url={source}\npress Ctrl-C to stop")
         threading.Event().wait()
 
 
@@ -55,7 +55,7 @@ def choose_ports(page: int | None) -> tuple[int, int]:
     if page is None:
         return find_free_port(), find_free_port()
     if not 1 <= page <= 65534:
-        raise InputError(f"--port {page}: must be between 1 and 65534, since the data comes from the next one")
+        raise InputError(f"--port {page}: must be between 1 and 65534, since the next port serves the data")
     for port in (page, page + 1):
         try:
             with socket.socket() as listener:
@@ -63,6 +63,6 @@ def choose_ports(page: int | None) -> tuple[int, int]:
                 listener.bind((HOST, port))
         except OSError as error:
             raise InputError(
-                f"--port {page}: port {port} cannot be had ({error.strerror}); without --port a free one is taken"
+                f"--port {page}: port {port} is not available ({error.strerror}); without --port, a free one is chosen"
             ) from None
     return page, page + 1

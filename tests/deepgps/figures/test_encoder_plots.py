@@ -68,7 +68,7 @@ def test_a_path_without_turns_is_as_wrong_as_its_ticks(drive: tuple[Recording, T
 
 def test_faults_that_were_set_are_listed_and_no_others(drive: tuple[Recording, Truth]) -> None:
     recording, _ = drive
-    assert list_faults(recording) == ["No fault was set: 4096 ticks per revolution, and each of them true."]
+    assert list_faults(recording) == ["No faults are set: 4096 ticks per revolution, all of them correct."]
     faulty = list_faults(set_encoders(recording, step_noise=0.1, dropout=0.0, slip_per_m=0.02, ticks_per_rev=4096))
     assert faulty[2:] == ["| encoder.step_noise | **0.1** | 0.0 |", "| encoder.slip_per_m | **0.02** | 0.0 |"]
 

@@ -64,8 +64,8 @@ def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
 @pytest.mark.parametrize(
     ("test", "errors", "places"),
     [
-        ({}, "on the test grid, the worst heading of each position;", "reachable test positions"),
-        ({"held_out": False, "headings": 4}, "on the test grid, the worst heading of", "reachable test positions"),
+        ({}, "on the test grid for the worst heading of each position;", "reachable test positions"),
+        ({"held_out": False, "headings": 4}, "on the test grid for the worst heading of", "reachable test positions"),
         ({"held_out": False, "headings": 1}, "on the test grid;", "reachable test positions"),
         ({"held_out": True, "headings": 1}, "at test samples of the same drive;", "test samples"),
     ],
@@ -73,7 +73,7 @@ def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
 def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: str, places: str) -> None:
     text = markdown_report({**metrics, "test": test})
     assert f"Errors {errors}" in text
-    assert f"1 of 4 {places} (25.0 %) lie within" in text
+    assert f"1 of 4 {places} (25.0 %) are within" in text
 
 
 def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
@@ -88,7 +88,7 @@ def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path,
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "is no run: it has no metrics.json"), ("{", "is not JSON"), ('{"a": 1}', "holds no methods")],
+    [(None, "is not a run: it has no metrics.json"), ("{", "is not JSON"), ('{"a": 1}', "lists no methods")],
 )
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
     if content is not None:

@@ -85,7 +85,7 @@ def test_the_table_holds_every_run_and_the_report_its_target(finished):
     assert [(row["learn.start"], row["learn.seed"]) for row in rows] == [("auto", 0), ("random", 1)]
     text = (out / "table.md").read_text()
     assert text in said
-    assert "unfolded of 1 maps" in text
+    assert "unfolded, of 1 maps" in text
     assert ">= 100.0 %" in text
     assert (out / "figures" / "seeds.png").is_file()
     assert yaml.safe_load((out / "study.yaml").read_text())["methods"] == ["deepgps"]
@@ -266,7 +266,7 @@ def test_targets_are_met_or_missed_by_the_mean_of_the_rooms():
     lines = write_report(study, plans, {}, rows).splitlines()
     verdicts = {
         line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
-        for line in lines[lines.index("## In all") :]
+        for line in lines[lines.index("## Summary") :]
         if "|" in line
     }
     assert verdicts["RMS"] == ["2.0 cm", "3.0 cm", "<= 2.0 cm", "met", "10.1 cm"]

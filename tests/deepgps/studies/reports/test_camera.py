@@ -53,7 +53,7 @@ def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last():
     assert cells(table, "exposure x 0.25", "training and deployment", "DeepGPS") == [
         *("2", "4.0 (2.00)", "2.0 (2.00)", "8.0 (2.00)", "40.0 (2.00)", "1", "0")
     ]
-    assert cells(table, "all light x 0.5", "deployment alone", "PoseNet")[1::4] == ["5.0 (5.00)", "1"]
+    assert cells(table, "all light x 0.5", "deployment only", "PoseNet")[1::4] == ["5.0 (5.00)", "1"]
     assert [fault.in_use for fault in camera.group_faults(ROWS, VARIED)] == [False, False, True]
 
 
@@ -75,7 +75,7 @@ def test_without_a_test_grid_nothing_is_folded():
 def test_without_a_run_without_faults_there_is_nothing_to_compare_with():
     faulty = [row for row in ROWS if row["deployment.light"] != 1.0]
     assert camera.measure(faulty) == {}
-    assert cells(camera.report(faulty, VARIED)[0], "all light x 0.5", "deployment alone", "DeepGPS")[1] == "4.0"
+    assert cells(camera.report(faulty, VARIED)[0], "all light x 0.5", "deployment only", "DeepGPS")[1] == "4.0"
 
 
 def test_every_fault_of_the_settings_has_words_and_is_in_the_study():

@@ -73,7 +73,7 @@ def test_what_follows_from_another_choice_is_not_named():
 def test_what_follows_is_told_below_the_table():
     text = "\n".join(compare.report(STRATEGIES, VARIED))
     assert "learn.start paths (dense), ends (endpoint); learn.train.segments 16 (dense), 128 (endpoint)" in text
-    assert "What goes with these" not in "\n".join(compare.report(STRATEGIES, ["drive.strategy", "drive.samples"]))
+    assert "Dependent settings" not in "\n".join(compare.report(STRATEGIES, ["drive.strategy", "drive.samples"]))
 
 
 def test_names_are_short_but_never_the_same():

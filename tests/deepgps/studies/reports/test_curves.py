@@ -83,7 +83,7 @@ def test_the_knee_is_where_the_line_becomes_flat():
     assert measure(rows)["knee"].value == 4000
     text = report(rows, [])
     assert cells(text[0], "DeepGPS", "1000")[-1] == "4"
-    assert "drive.samples 4000, the least from which on" in text[1]
+    assert "drive.samples 4000, the smallest value" in text[1]
 
 
 def test_a_line_that_still_falls_at_its_end_has_no_knee():

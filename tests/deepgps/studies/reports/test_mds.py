@@ -96,7 +96,7 @@ def test_the_report_says_how_far_the_map_is_from_the_network_and_draws_it(folder
 
 
 def test_a_method_without_a_network_has_no_distances(folder: Path):
-    with pytest.raises(InputError, match="knn has no network that could be asked for distances"):
+    with pytest.raises(InputError, match="knn has no network"):
         find_distances(folder / "runs" / "lifting", "knn")
 
 

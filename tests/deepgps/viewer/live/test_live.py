@@ -116,7 +116,7 @@ def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(
         server.kill()
         _, said = process.communicate(timeout=300)
     assert process.returncode == 0, said
-    assert "warning: the viewer is gone" in said and "the run goes on without it" in said
+    assert "warning: the connection to the viewer is lost" in said and "the run continues without it" in said
     assert len(drop_progress(said)) == 1
     assert arrays(tmp_path / "run") == arrays(run)  # of which one was hardly watched, and the other to its end
 
@@ -177,7 +177,7 @@ def test_a_viewer_that_hangs_holds_up_neither_the_run_nor_the_end_of_the_process
     assert done.returncode == 0, done.stderr
     warning, end = done.stdout.splitlines()
     assert re.fullmatch(
-        r"the viewer (is gone \(.+\); the run goes on|takes nothing any more; what it shows).+", warning
+        r"the (connection to the viewer is lost \(.+\); the run continues|viewer no longer accepts data).+", warning
     )
     assert end == "done"
 
@@ -201,9 +201,9 @@ def test_what_the_stages_tell_is_told_on(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("error", "said"),
     [
-        (RuntimeError("no connection"), "the viewer is gone (RuntimeError: no connection)"),
-        (ConnectionResetError("reset"), "the viewer is gone (ConnectionResetError: reset)"),
-        (InputError("a file is\ncut off"), "showing failed (InputError: a file is cut off)"),
+        (RuntimeError("no connection"), "the connection to the viewer is lost (RuntimeError: no connection)"),
+        (ConnectionResetError("reset"), "the connection to the viewer is lost (ConnectionResetError: reset)"),
+        (InputError("a file is\ncut off"), "the live view failed (InputError: a file is cut off)"),
     ],
 )
 def test_only_a_viewer_that_went_away_is_called_gone(
@@ -219,7 +219,7 @@ def test_only_a_viewer_that_went_away_is_called_gone(
         show_live(address, Scenario(), tmp_path, ignore, warned.append) as report,
     ):
         report("drive", 1, 2)
-    assert warned == [f"{said}; the run goes on without it"]
+    assert warned == [f"{said}; the run continues without it"]
 
 
 @pytest.mark.parametrize(("refused", "looks"), [(True, 0), (False, 1)])
@@ -245,13 +245,13 @@ def test_a_folder_that_is_refused_is_not_shown_and_a_finished_run_is(
 @pytest.mark.parametrize(
     ("address", "message"),
     [
-        ("nowhere", "--live 'nowhere': must be host:port, as 127.0.0.1:9876"),
+        ("nowhere", "--live 'nowhere': must be host:port, like 127.0.0.1:9876"),
         ("127.0.0.1:99999", "must be host:port"),
         ("127.0.0.1:one", "must be host:port"),
         ("127.0.0.1:9876 twice", "must be host:port"),
         ("http://127.0.0.1:9876/proxy", "or rerun+http://host:port/proxy"),
         ("rerun+http://127.0.0.1:9876", "or rerun+http://host:port/proxy"),
-        ("127.0.0.1:1", "--live 127.0.0.1:1: no viewer answers there (Connection refused); one listens after: rerun"),
+        ("127.0.0.1:1", "--live 127.0.0.1:1: no viewer answers there (Connection refused); start one with: rerun"),
     ],
 )
 def test_a_wrong_address_is_one_clear_line(address: str, message: str) -> None:
@@ -287,7 +287,7 @@ def stranger() -> Iterator[str]:
 
 def test_something_else_that_answers_is_refused_before_the_run_begins(stranger: str, tmp_path: Path) -> None:
     done = deepgps("run", "tiny", "--live", stranger, cwd=tmp_path)
-    assert_one_clear_line(done, 2, f"--live {stranger}: what answers there is no Rerun viewer", tmp_path)
+    assert_one_clear_line(done, 2, f"--live {stranger}: what answers there is not a Rerun viewer", tmp_path)
 
 
 def test_a_viewer_without_a_display_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:

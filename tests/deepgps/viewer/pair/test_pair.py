@@ -94,7 +94,7 @@ def test_a_run_and_its_copy_differ_nowhere(runs: tuple[Path, Path], tmp_path: Pa
     text = describe_pair(pair)
     assert pair.same_floor
     assert all(not measure_change(pair, method).any() for method in METHODS)
-    assert "Both were made with the same settings." in text
+    assert "Both runs have the same settings." in text
     assert text.count("| 1.00") == 4 * len(METHODS)
 
 
@@ -107,7 +107,7 @@ def test_figures_and_settings_stand_beside_each_other(runs: tuple[Path, Path]) -
 
 def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_default(copied: tuple[Path, Path]) -> None:
     write_text(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
-    assert "Both were made with the same settings." in describe_pair(open_pair(copied))
+    assert "Both runs have the same settings." in describe_pair(open_pair(copied))
     write_text(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
     rows = [line for line in describe_pair(open_pair(copied)).splitlines() if line.startswith("| image_faults.")]
     assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
@@ -198,19 +198,19 @@ def test_the_command_makes_the_recording_and_says_where_it_is(copied: tuple[Path
 
 
 def test_a_run_beside_itself_is_refused(runs: tuple[Path, Path]) -> None:
-    with pytest.raises(InputError, match="are the same run; two different ones are compared"):
+    with pytest.raises(InputError, match="are the same run"):
         view([runs[0], runs[0].parent / "." / runs[0].name])
 
 
 def test_three_runs_are_refused(runs: tuple[Path, Path], tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="two runs are compared, not 3"):
+    with pytest.raises(InputError, match="exactly two runs can be compared, not 3"):
         view([*runs, tmp_path])
 
 
 @pytest.mark.parametrize(
     ("missing", "message"),
     [
-        ("metrics.json", r"copy is no run: it has no metrics\.json"),
+        ("metrics.json", r"copy is not a run: it has no metrics\.json"),
         ("scenario.yaml", r"copy is no run folder: it has no scenario\.yaml"),
         ("error_field.npz", r"copy is no whole run: error_field\.npz is missing"),
         ("recording/manifest.json", r"recording is no finished recording: it has no manifest\.json"),

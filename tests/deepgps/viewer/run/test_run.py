@@ -231,7 +231,7 @@ def test_a_cut_off_recording_is_one_clear_line(copied: Path, keep: float) -> Non
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
     (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
-    with pytest.raises(InputError, match=r"run.rrd is cut off or no recording") as caught:
+    with pytest.raises(InputError, match=r"run.rrd is truncated or no recording") as caught:
         view([copied])
     assert "\n" not in str(caught.value)
 
@@ -246,7 +246,7 @@ def test_a_damaged_recording_is_made_again_and_said(copied: Path, caplog: pytest
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"is no run: it has no metrics\.json"):
+    with pytest.raises(InputError, match=r"is not a run: it has no metrics\.json"):
         view([tmp_path])
 
 

@@ -237,7 +237,7 @@ def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monk
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
     assert {line for line, _ in fields(path, "deepgps")} == {AXIS, "case", "seed"}
-    assert any("Left out, for it has too many places: run." in value[0] for value in static(path, "/report/sliders"))
+    assert any("it has too many positions: run." in value[0] for value in static(path, "/report/sliders"))
 
 
 def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
@@ -252,14 +252,14 @@ def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
 @pytest.mark.parametrize(
     ("lost", "content", "message"),
     [
-        ("table.parquet", None, "is no finished study: it has no table.parquet (deepgps study writes it)"),
+        ("table.parquet", None, "is not a finished study: it has no table.parquet (deepgps study writes it)"),
         ("table.parquet", "half", "table.parquet is damaged: "),
         ("study.yaml", "sceanrio: x", "sceanrio: there is no such setting"),
         ("study.yaml", "", "study.yaml is empty"),
         ("runs/*/error_field.npz", None, "error_field.npz is missing"),
         ("runs/*/error_field.npz", "half", "error_field.npz is damaged"),
         ("recordings/*/manifest.json", None, "recording/manifest.json is missing"),
-        ("table.md", None, "is no whole study: table.md is missing"),
+        ("table.md", None, "is an incomplete study: table.md is missing"),
     ],
 )
 def test_a_study_that_is_not_whole_is_one_clear_line(copied, lost, content, message):
@@ -276,13 +276,13 @@ def test_a_study_that_is_not_whole_is_one_clear_line(copied, lost, content, mess
 def test_another_table_is_one_clear_line(copied):
     (copied / STUDY_RRD).unlink()
     write_table(copied / "table.parquet", [{"name": "something else"}])
-    with pytest.raises(InputError, match=r"table\.parquet is no table of a study"):
+    with pytest.raises(InputError, match=r"table\.parquet is not a study's table"):
         view([copied])
 
 
 def test_a_study_without_a_run_that_is_done_is_one_clear_line(tmp_path):
     write_synthetic_study(tmp_path, STUDY, failed=tuple(range(12)))
-    with pytest.raises(InputError, match=r"has no run that is done; its table\.md says why"):
+    with pytest.raises(InputError, match=r"has no finished run; see its table\.md"):
         view([tmp_path])
 
 
@@ -292,7 +292,7 @@ def test_a_cut_off_recording_is_one_clear_line_and_the_study_repairs_it(copied, 
     content = path.read_bytes()
     path.write_bytes(content[: int(keep * len(content))])
     (copied / f"{STUDY_RRD}.sha256").unlink()  # as a version before checksums left it
-    with pytest.raises(InputError, match=r"study.rrd is cut off or no recording") as caught:
+    with pytest.raises(InputError, match=r"study.rrd is truncated or no recording") as caught:
         view([copied])
     assert "\n" not in str(caught.value)
     verify(write_rrd(copied))
@@ -382,7 +382,7 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     done = subprocess.run(view_it, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (
         2,
-        f"error: {out} is no finished study: it has no table.parquet (deepgps study writes it)\n",
+        f"error: {out} is not a finished study: it has no table.parquet (deepgps study writes it)\n",
     )
     said = finish(start(study, out, "--tiny"))
     assert f"look at it: deepgps view {out}, or at a run: deepgps view {out}/runs/" in said

@@ -183,14 +183,14 @@ def test_a_port_that_is_taken_is_one_clear_line(run: Path, capsys: pytest.Captur
     with socket.create_server((HOST, 0)) as taken:
         port = taken.getsockname()[1]
         said = fail_to_view(capsys, str(run), "--web", "--port", str(port))
-    reason = f"port {port} cannot be had (Address already in use); without --port a free one is taken"
+    reason = f"port {port} is not available (Address already in use); without --port, a free one is chosen"
     assert said == f"error: --port {port}: {reason}\n"
 
 
 def test_the_next_port_is_needed_as_well() -> None:
     with socket.create_server((HOST, 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=f"--port {port - 1}: port {port} cannot be had"):
+        with pytest.raises(InputError, match=f"--port {port - 1}: port {port} is not available"):
             choose_ports(port - 1)
 
 
@@ -216,7 +216,7 @@ def test_a_cut_off_recording_is_one_clear_line(run: Path, tmp_path: Path) -> Non
     command = [sys.executable, "-m", "deepgps.cli", "view", str(cut.parent), "--web"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 2
-    assert len(done.stderr.splitlines()) == 1 and "run.rrd is cut off or no recording" in done.stderr
+    assert len(done.stderr.splitlines()) == 1 and "run.rrd is truncated or no recording" in done.stderr
 
 
 def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
