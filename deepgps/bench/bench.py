@@ -70,7 +70,7 @@ TINY_SETTINGS = {
     "camera.face_px": 16,
     "drive.samples": 120,
     "grid.spacing_m": 0.5,
-    "learn.train.steps": 60,
+    "learn.train.steps": 20,
 }
 TINY = Size("tiny", "tiny", TINY_SETTINGS, places=3, headings=4, repeats=2, long=500, steps=20, paper_steps=2)
 
