@@ -14,7 +14,7 @@ tiny: setup  ## the same, small: under a minute
 	$(BIN)/deepgps run tiny
 
 test: setup
-	$(BIN)/pytest -n 2 --dist loadfile  # one worker a file: what its tests share is made once
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder  # one worker a file: what its tests share is made once
 
 faults: setup  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
 	$(BIN)/python -m tests.faults --out docs/faults.md

@@ -55,6 +55,7 @@ def images(count: int) -> np.ndarray:
     return np.random.default_rng(0).integers(0, 256, (count, 6, 32, 3), dtype=np.uint8)
 
 
+@pytest.mark.slow
 def test_a_small_bench_measures_everything(tmp_path: Path):
     done = bench("--tiny", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

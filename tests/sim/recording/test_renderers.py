@@ -76,6 +76,7 @@ def test_renderers_that_never_work_are_given_up(draw, message, small_settings, t
         draw_all(draw, small_settings, tmp_path)
 
 
+@pytest.mark.slow
 def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_settings, tmp_path, monkeypatch):
     monkeypatch.setattr(renderers, "FLOOR_S", 15.0)
     monkeypatch.setattr(renderers, "PATIENCE", 0.0)

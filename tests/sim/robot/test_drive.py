@@ -303,7 +303,8 @@ def test_without_chance_to_enter_or_search_it_never_stops_at_openings():
     assert all(segment.ended != "gap" and segment.mode.kind == "chance" for segment in segments)
 
 
-def test_enters_a_nook_that_chance_seldom_finds():
+@pytest.mark.slow
+def test_enters_a_region_that_random_headings_seldom_find():
     """A mouth of 0.36 m in a wall of a bare room: in five minutes, from more seeds than chance alone."""
     entered = [find_nook(seed, 0.36) < 300.0 for seed in range(6)]
     by_chance = [find_nook(seed, 0.36, enter=0.0, search=0.0) < 300.0 for seed in range(6)]
