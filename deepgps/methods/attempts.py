@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from deepgps.initial_map.fold_detector import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
@@ -12,6 +11,7 @@ from deepgps.methods.positioner import NetworkPositioner
 from sim.files import remove_files, write_bytes
 
 HISTORY = "history.npz"
+FOLDER = re.compile(r"attempt\d+")
 FILES = re.compile(rf"{re.escape(HISTORY)}|{re.escape(CHECKPOINT)}")
 
 
@@ -30,16 +30,9 @@ class Attempt:
     seconds: float
 
 
-class Total(NamedTuple):
-    """The number of attempts, and the seconds of all of them."""
-
-    count: int
-    seconds: float
-
-
 def train_until_unfolded(
     train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
-) -> tuple[Attempt, Total]:
+) -> tuple[Attempt, list[Attempt]]:
     """Train until a map shows no fold or no restart is left, and keep the history of the least folded attempt.
 
     Args:
@@ -48,7 +41,7 @@ def train_until_unfolded(
         folder: The method's folder, which gets the history of the attempt that is chosen.
 
     Returns:
-        The least folded attempt, and the total of all attempts.
+        The least folded attempt, and all attempts.
     """
     attempts = []
     for number in range(restarts + 1):
@@ -57,7 +50,7 @@ def train_until_unfolded(
             break
     best = min(range(len(attempts)), key=lambda number: attempts[number].score.worst)
     write_bytes(folder / HISTORY, (_folder_of(folder, best) / HISTORY).read_bytes())
-    return attempts[best], Total(len(attempts), sum(attempt.seconds for attempt in attempts))
+    return attempts[best], attempts
 
 
 def label_attempt(folder: Path, number: int) -> str:
@@ -69,7 +62,8 @@ def label_attempt(folder: Path, number: int) -> str:
 def remove_leftovers(folder: Path) -> None:
     """Remove the files of attempts and the checkpoint from a method's folder; a finished training needs neither."""
     for attempt in folder.glob("attempt*"):
-        remove_files(attempt, FILES)
+        if FOLDER.fullmatch(attempt.name):
+            remove_files(attempt, FILES)
     (folder / CHECKPOINT).unlink(missing_ok=True)
 
 

@@ -99,10 +99,10 @@ def fit_data(
 
     best, attempts = train_until_unfolded(train_once, settings.fold.restarts, folder)
     training = {
-        "steps": settings.train.steps * attempts.count,
-        "train_s": round(attempts.seconds, 1),
+        "steps": settings.train.steps * len(attempts),
+        "train_s": round(sum(attempt.seconds for attempt in attempts), 1),
         "parameters": count_parameters(best.positioner.network),
-        "attempts": attempts.count,
+        "attempts": len(attempts),
         "fold": {"found": best.score.folded, **asdict(best.score)},
         "segments_skipped": data.segments.skipped,
         "segments_down_weighted": len(data.segments.count) - len(keep_inliers(data.segments).count),

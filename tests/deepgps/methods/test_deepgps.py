@@ -52,8 +52,13 @@ def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
 
 def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: Recording, trained: Path):
     (trained / "attempt0").mkdir()
+    theirs = [trained / name / "history.npz" for name in ("attempt_mine", "attempt0x", "mine/attempt0")]
+    for path in theirs:
+        path.parent.mkdir(parents=True)
+        path.write_text("a user's")
     fit_method("deepgps", toy, SETTINGS, 0, trained)
     assert not (trained / "attempt0").exists()
+    assert [path.read_text() for path in theirs] == ["a user's"] * 3
 
 
 def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path):
