@@ -11,18 +11,18 @@ import yaml
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails
 
-from deepgps.methods.catalog import METHODS, Observation
+from deepgps.methods.catalog import METHODS
 from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings, one_of
 from sim.errors import InputError
 from sim.paths import SCENARIOS
-from sim.recording.manifest import SCHEMA
+from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
 from sim.settings import LARGEST_MJCF, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 
 MethodName = Annotated[str, one_of(METHODS)]
-GIVEN_BY: dict[Observation, str] = {
+GIVEN_BY: dict[ObservationKind, str] = {
     "polar_image": "images, which world room with sensor fisheye gives",
     "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
     "vector": "distances to landmarks, which world landmarks alone gives",
@@ -77,11 +77,9 @@ class Scenario(SimSettings):
         return self
 
     @property
-    def observation(self) -> Observation:
-        """The kind of observation that the scenario's sensor makes."""
-        if self.world == "room" and self.sensor == "fisheye":
-            return "polar_image"
-        return "vector" if self.world == "landmarks" else "scan"
+    def observation(self) -> ObservationKind:
+        """The kind of observation that methods learn from."""
+        return next(iter(name_sensors(self).values()))
 
     @property
     def sim(self) -> SimSettings:

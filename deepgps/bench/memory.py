@@ -16,7 +16,6 @@ from sim.errors import WorkError
 from sim.files import read_json, write_array, write_json
 from sim.processes import WORKERS
 from sim.recording.format import Recording, grid_file, observation_file, open_recording
-from sim.recording.manifest import SCHEMA
 
 LOOK_EVERY_S = 0.01
 SPARE_BYTES = 2_000_000_000  # disk space for features and weights, and so that the disk does not fill up
@@ -103,8 +102,8 @@ def repeat_recording(source: Recording, count: int, folder: Path) -> None:
     write_array(folder / "reading.npy", reading[kept])
     write_array(folder / "time.npy", time_s[kept])
     write_array(folder / grid_file(source.manifest.sensor), np.zeros((0, 1, *images.shape[1:]), images.dtype))
-    manifest = source.manifest.model_dump(mode="json", exclude={"sha256", "number"})
-    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA})  # without checksums: it is temporary
+    manifest = source.manifest.model_dump(mode="json", by_alias=True, exclude={"sha256"})
+    write_json(folder / "manifest.json", manifest)  # without checksums: it is temporary
 
 
 def measure_peak(training: Training) -> int:

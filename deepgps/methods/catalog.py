@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Literal
 
 from sim import renamed
+from sim.recording.manifest import ObservationKind
 
 AlignmentKind = Literal["E2", "SE2"]
-Observation = Literal["polar_image", "scan", "vector"]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Method:
     colour: str
     alignment: AlignmentKind
     fit: str
-    observes: Observation | None = None
+    observes: ObservationKind | None = None
     in_steps: bool = True
     reads_ticks: bool = True
 

@@ -100,7 +100,7 @@ def record(
     ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
     remove_recording(folder)  # what an interrupted collection left behind
     save_free_space(folder / "truth" / "free_space.npz", space)
-    sensors = name_sensors(settings.model_dump())
+    sensors = name_sensors(settings)
     sensor, *_ = sensors
     arrays = {
         observation_file(sensor): observe(drive.pose),

@@ -67,7 +67,7 @@ def write_drive(
     ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
-    sensor, *_ = name_sensors(settings.model_dump())
+    sensor, *_ = name_sensors(settings)
     write_images(folder / observation_file(sensor), drive.images, (samples,), sense=sense)
     write_array(folder / time_file(sensor), stamp(reading[:, 1], joined["time"][kept], samples))
     write_array(folder / "reading.npy", reading[arrived])

@@ -94,7 +94,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     save_free_space(folder / "truth" / "free_space.npz", world.free_space)
     write_scene(RoomWorld(taught).model, folder / "scene.glb")
     manifest = {
-        "sensors": name_sensors(settings.model_dump()),
+        "sensors": name_sensors(settings),
         "settings": settings.model_dump(mode="json"),
         "seed": seed,
         **counts,
@@ -292,13 +292,8 @@ def _assemble(
     first = 0
     if settings.grid.held_out:
         test_pose, tests, first = take_held_out(settings, drive), drive.images, settings.drive.samples
-    write_images(
-        folder / grid_file(next(iter(name_sensors(settings.model_dump())))),
-        tests,
-        test_pose.shape[:2],
-        first,
-        sense_test,
-    )
+    sensor, *_ = name_sensors(settings)
+    write_images(folder / grid_file(sensor), tests, test_pose.shape[:2], first, sense_test)
     if settings.tag_camera.mounted:
         counts |= write_tag_camera(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)

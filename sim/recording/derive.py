@@ -23,6 +23,7 @@ from sim.recording.format import (
     open_truth,
     remove_recording,
 )
+from sim.recording.manifest import SCHEMA
 from sim.rng import stream
 from sim.sensors.camera_faults import Develop, make_develop, spawn_streams
 from sim.sensors.encoder import describe_odometry, read_encoders
@@ -90,7 +91,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             write_array(folder / name, array[: samples if per_sample else kept])
         elif name not in READ_AGAIN:
             link_file(base / name, folder / name)
-    manifest = recording.manifest.model_dump(exclude={"number", "sha256"}, exclude_unset=True)
+    manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
         for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known only for the complete drive
             manifest.pop(name, None)
@@ -121,8 +122,12 @@ def _read_again(
 
 
 def _check(base: Recording, settings: SimSettings, seed: int) -> None:
-    other = SimSettings.model_validate(base.manifest.settings)
     samples, at = settings.drive.samples, base.folder
+    if base.manifest.number != SCHEMA:
+        raise InputError(
+            f"{at} has schema {base.manifest.number}, whose files have other names: nothing can be derived"
+        )
+    other = SimSettings.model_validate(base.manifest.settings)
     if (choose_drive(other, samples), base.manifest.seed) != (choose_drive(settings, samples), seed):
         raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
     if other.image_faults != ImageFaultSettings():

@@ -27,11 +27,10 @@ from sim.files import (
     write_json,
 )
 from sim.occupancy import FreeSpace, load_free_space
-from sim.recording.manifest import READ, SCHEMA, Manifest, ObservationKind
+from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind
 
-_SENSOR = r"[a-z][a-z0-9_]{0,40}"
 RECORDING = re.compile(
-    rf"manifest\.json|scene\.glb|(observations|test)/{_SENSOR}\.npy|(reading|time)\.npy"
+    rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time)\.npy"
     r"|(test/)?(observation|horizontal)\.npy|labels/(test_)?sighting\.npz"  # of schema 1
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
@@ -119,7 +118,7 @@ def open_recording(folder: Path) -> Recording:
         raise InputError(f"{folder / 'manifest.json'}: sensors must name at least one sensor")
     first, *others = manifest.sensors
     reading, time = _open_array(folder / "reading.npy"), _open_array(folder / "time.npy")
-    observation = _open_array(folder / _observation_file(manifest, first), mapped=True)
+    observation = _open_observations(folder, manifest, first)
     stamps = folder / time_file(first)
     return Recording(
         folder=folder,
@@ -129,7 +128,7 @@ def open_recording(folder: Path) -> Recording:
         time=time,
         test_observation=_open_array(folder / _grid_file(manifest, first), mapped=True),
         observation_time=_open_array(stamps) if stamps.is_file() else stamp(reading[:, 1], time, len(observation)),
-        others={name: _open_array(folder / _observation_file(manifest, name), mapped=True) for name in others},
+        others={name: _open_observations(folder, manifest, name) for name in others},
     )
 
 
@@ -272,6 +271,16 @@ def _observation_file(manifest: Manifest, sensor: str) -> str:
     if manifest.number > 1:
         return observation_file(sensor)
     return "observation.npy" if sensor == manifest.sensor else "horizontal.npy"
+
+
+def _open_observations(folder: Path, manifest: Manifest, sensor: str) -> np.ndarray:
+    name, kind = _observation_file(manifest, sensor), manifest.sensors[sensor]
+    array = _open_array(folder / name, mapped=True)
+    if array.ndim != DIMENSIONS[kind]:
+        raise InputError(
+            f"{folder / name} has {array.ndim} axes, and observations of kind {kind} have {DIMENSIONS[kind]}"
+        )
+    return array
 
 
 def _grid_file(manifest: Manifest, sensor: str) -> str:

@@ -1,11 +1,12 @@
 """The manifest: a recording's metadata, checked once when it is opened."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim import renamed
+from sim.settings import SimSettings
 
 SCHEMA = 2
 READ = (1, 2)
@@ -13,7 +14,10 @@ READ = (1, 2)
 ObservationKind = Literal["polar_image", "scan", "vector", "image"]
 """polar_image: fisheye images around the zenith; scan: a lidar's distances; vector: distances to landmarks;
 image: any other picture, which no method learns from."""
-_SENSOR_OF = {"landmarks": ("landmarks", "vector"), "obstacles": ("lidar", "scan")}
+SENSOR = r"[a-z][a-z0-9_]{0,40}"
+"""Pattern of a sensor's name, which is part of the names of its files."""
+DIMENSIONS: dict[ObservationKind, int] = {"polar_image": 4, "scan": 3, "vector": 2, "image": 3}
+"""Axes of an array of observations, that of the observations included."""
 
 
 class Manifest(BaseModel):
@@ -36,7 +40,7 @@ class Manifest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="allow", populate_by_name=True)
 
     number: int = Field(default=SCHEMA, alias="schema")
-    sensors: dict[str, ObservationKind] = Field(default_factory=dict)
+    sensors: dict[Annotated[str, Field(pattern=f"^{SENSOR}$")], ObservationKind] = Field(default_factory=dict)
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int | None = None
     samples: int | None = None
@@ -52,10 +56,15 @@ class Manifest(BaseModel):
     def _by_todays_names(cls, values: Any) -> Any:
         if not isinstance(values, Mapping) or values.get("schema") != 1:
             return values
-        settings = renamed.translate(values.get("settings", {}))
-        constants = {renamed.name_now(f"encoder.{name}"): value for name, value in values.get("odometry", {}).items()}
-        odometry = {str(name).removeprefix("encoder."): value for name, value in constants.items()}
-        return {**values, "settings": settings, "odometry": odometry, "sensors": name_sensors(settings)}
+        parts = {name: values.get(name, {}) for name in ("settings", "odometry")}
+        if not all(isinstance(part, Mapping) for part in parts.values()):
+            return values  # which the fields' own checks refuse
+        settings = renamed.translate(parts["settings"])
+        odometry = renamed.translate({"encoder": parts["odometry"]}).get("encoder", {})
+        tag_camera = settings.get("tag_camera")
+        kept = isinstance(tag_camera, Mapping) and _keeps_images(tag_camera.get("mounted"), tag_camera.get("kept"))
+        sensors = _name_sensors(settings.get("world"), settings.get("sensor"), kept)
+        return {**values, "settings": settings, "odometry": odometry, "sensors": sensors}
 
     @property
     def sensor(self) -> str:
@@ -68,9 +77,20 @@ class Manifest(BaseModel):
         return next(iter(self.sensors.values()), None)
 
 
-def name_sensors(settings: Mapping[str, Any]) -> dict[str, str]:
-    """Sensors and their kinds for the settings of a simulation, as in a manifest."""
-    world, sensor = settings.get("world", "room"), settings.get("sensor", "fisheye")
-    name, kind = _SENSOR_OF.get(world, ("lidar", "scan") if sensor == "lidar" else ("fisheye", "polar_image"))
-    tags = settings.get("tag_camera", {}).get("kept", False)
-    return {name: kind, **({"tag_camera": "image"} if tags else {})}
+def name_sensors(settings: SimSettings) -> dict[str, ObservationKind]:
+    """Sensors and their kinds for a simulation, as in a manifest."""
+    kept = _keeps_images(settings.tag_camera.mounted, settings.tag_camera.kept)
+    return _name_sensors(settings.world, settings.sensor, kept)
+
+
+def _keeps_images(mounted: object, kept: object) -> bool:
+    return bool(mounted and kept)
+
+
+def _name_sensors(world: object, sensor: object, tag_images: bool) -> dict[str, ObservationKind]:
+    others: dict[str, ObservationKind] = {"tag_camera": "image"} if tag_images else {}
+    if world == "landmarks":
+        return {"landmarks": "vector", **others}
+    if world == "obstacles" or sensor == "lidar":
+        return {"lidar": "scan", **others}
+    return {"fisheye": "polar_image", **others}

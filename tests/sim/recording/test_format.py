@@ -5,6 +5,8 @@ from sim.errors import InputError
 from sim.files import read_json, write_array, write_json
 from sim.occupancy import FreeSpace, load_free_space, save_free_space
 from sim.recording.format import check_recording, finish_recording, open_recording, open_truth
+from sim.recording.manifest import name_sensors
+from sim.settings import SimSettings, TagCameraSettings
 
 
 @pytest.fixture
@@ -103,3 +105,32 @@ def test_a_cut_array_is_refused(folder, name, left):
     path.write_bytes(path.read_bytes()[:left])
     with pytest.raises(InputError, match="is damaged"):
         open_recording(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema": 1, "settings": 3}, "manifest.json: settings cannot be used"),
+        ({"schema": 1, "odometry": [1]}, "manifest.json: odometry cannot be used"),
+        ({"schema": 1, "settings": {"horizontal": 3, "world": []}}, "observation.npy is missing"),
+        ({"sensors": {"../../fisheye": "polar_image"}}, "manifest.json: sensors"),
+        ({"sensors": {"fisheye": "smell"}}, "manifest.json: sensors.fisheye cannot be used"),
+        ({"sensors": {"fisheye": "vector"}}, "fisheye.npy has 4 axes, and observations of kind vector have 2"),
+        ({"sensors": {}}, "sensors must name at least one sensor"),
+        ({"sensors": {"lidar": "scan"}}, "lidar.npy is missing"),
+        ({"readings_lost": "many"}, "manifest.json: readings_lost cannot be used"),
+    ],
+)
+def test_a_manifest_that_cannot_be_is_one_line(folder, changes, message):
+    write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), **changes})
+    with pytest.raises(InputError) as caught:
+        open_recording(folder)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_sensor_is_named_whose_images_are_not_kept():
+    kept = SimSettings(tag_camera=TagCameraSettings(kept=True))
+    both = SimSettings(tag_camera=TagCameraSettings(kept=True, mounted=True))
+    assert name_sensors(kept) == {"fisheye": "polar_image"}
+    assert name_sensors(both) == {"fisheye": "polar_image", "tag_camera": "image"}

@@ -21,7 +21,7 @@ learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold:
 def forget_truth(recording: Path) -> None:
     """Make a recording one of a robot that nobody has watched."""
     shutil.rmtree(recording / "truth")
-    finish_recording(recording, read_manifest(recording).model_dump(exclude={"number", "sha256"}))
+    finish_recording(recording, read_manifest(recording).model_dump(by_alias=True))
     check_recording(recording)
 
 
