@@ -59,9 +59,14 @@ def explain_value(dotted: str, value: object) -> str | None:
     return f"it is called {table[value]} now" if isinstance(value, str) and value in table else None
 
 
+def method_now(name: Any) -> Any:
+    """Return the current name of a method; anything else is returned as it is."""
+    return METHODS.get(name, name) if isinstance(name, str) else name
+
+
 def name_methods(values: Mapping[str, Any]) -> dict[str, Any]:
     """Translate an older run's values by method to the methods' current names."""
-    return {METHODS.get(name, name): value for name, value in values.items()}
+    return {method_now(name): value for name, value in values.items()}
 
 
 def translate(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,15 +83,15 @@ def translate(values: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(made.get("world"), str):
         made["world"] = WORLDS.get(made["world"], made["world"])
     if isinstance(made.get("methods"), list):
-        made["methods"] = [METHODS.get(name, name) if isinstance(name, str) else name for name in made["methods"]]
+        made["methods"] = [method_now(name) for name in made["methods"]]
     return made
 
 
 def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:
     """Translate a row of an older study's table to current names."""
     made = {COLUMNS.get(name) or name_now(name) or name: value for name, value in row.items()}
-    if isinstance(made.get("method"), str):
-        made["method"] = METHODS.get(made["method"], made["method"])
+    if "method" in made:
+        made["method"] = method_now(made["method"])
     return made
 
 
@@ -99,7 +104,7 @@ def translate_study(values: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(values.get("cases"), list):
         made["cases"] = [_translate_dotted(case) if isinstance(case, Mapping) else case for case in values["cases"]]
     if isinstance(values.get("methods"), list):
-        made["methods"] = [METHODS.get(name, name) for name in values["methods"]]
+        made["methods"] = [method_now(name) for name in values["methods"]]
     return made
 
 

@@ -1,6 +1,7 @@
 """Saving a recording: atomically, and with equal contents for equal runs."""
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
@@ -10,7 +11,7 @@ import rerun.blueprint as rrb
 
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
-from sim.files import check_sum, drop_sum, write_bytes, write_sum
+from sim.files import check_sum, drop_sum, sha256, write_bytes, write_sum
 
 
 def save_recording(
@@ -42,6 +43,14 @@ def save_recording(
     drop_sum(path)
     write_bytes(path, data or b"")
     write_sum(path)
+
+
+def hash_files(folder: Path, paths: Iterable[Path]) -> str:
+    """Thirty-two hexadecimal digits of what a recording shows: the files' paths in their folder, and their contents."""
+    state = hashlib.sha256()
+    for path in paths:
+        state.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
+    return state.hexdigest()[:32]
 
 
 def holds(path: Path, number: str) -> bool:

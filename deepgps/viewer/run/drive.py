@@ -91,17 +91,22 @@ def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> N
 
 def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
     encoder, true, difference = segment_errors.measure_distances(recording, truth.pose)
-    ticks = recording.reading[:, 2:]
     series = {
         "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),
         "drive/distance/truth": (true, "true", TRUE),
         "drive/difference": (1000 * difference, "encoder minus truth", (232, 37, 79)),
-        "drive/ticks/left": (ticks[:, 0], "left", (90, 160, 255)),
-        "drive/ticks/right": (ticks[:, 1], "right", (63, 208, 165)),
     }
     indexes = drive_index(recording.time, recording)
     for path, (values, label, colour) in series.items():
         send_series(stream, path, indexes, values, label, colour)
+    log_ticks(stream, recording)
+
+
+def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
+    """Log the cumulative ticks of both wheels."""
+    indexes = drive_index(recording.time, recording)
+    for column, side, colour in ((2, "left", (90, 160, 255)), (3, "right", (63, 208, 165))):
+        send_series(stream, f"drive/ticks/{side}", indexes, recording.reading[:, column], side, colour)
 
 
 def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
@@ -145,7 +150,7 @@ def _find_track_m(recording: Recording) -> float:
 
 
 def _camera(recording: Recording) -> CameraSettings:
-    return CameraSettings.model_validate(recording.manifest.settings["camera"])
+    return CameraSettings.model_validate(recording.manifest.settings.get("camera", {}))
 
 
 def turn_up(yaw: np.ndarray) -> np.ndarray:

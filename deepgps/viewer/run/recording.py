@@ -4,7 +4,6 @@ Entities: ``world`` (room, robot, path, error fields, snapshots: all in the worl
 ``encoders`` (encoder errors), ``training`` (loss) and ``report`` (text and figures).
 """
 
-import hashlib
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -22,9 +21,9 @@ from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
 from deepgps.viewer.run.training import Data, log_training
 from deepgps.viewer.run.without_truth import write_without_truth
-from deepgps.viewer.save import save_recording
+from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.scene import log_field, log_room, log_scale
-from sim.files import is_intact, sha256
+from sim.files import is_intact
 from sim.occupancy import FreeSpace
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
@@ -111,7 +110,4 @@ def _log_report(
 
 def hash_run(run: Path) -> str:
     """Thirty-two hexadecimal digits of a run's metrics, error fields and recording."""
-    state = hashlib.sha256()
-    for path in (run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"):
-        state.update(sha256(path).encode())
-    return state.hexdigest()[:32]
+    return hash_files(run, [run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"])

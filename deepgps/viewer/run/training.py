@@ -15,15 +15,26 @@ Data = Mapping[str, np.ndarray]
 
 
 def log_training(stream: rr.RecordingStream, name: str, history: Data, truth: np.ndarray) -> None:
-    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    step, loss, colour = history["step"], take_log(history["loss"]), style.colour_on_dark(name)
-    send_series(stream, f"training/{name}/loss", step_index(step, last), loss, "loss", (*colour, 90))
-    send_series(stream, f"training/{name}/smooth", step_index(step, last), style.smooth(loss), "median", colour)
+    """Log a training's loss, and its snapshots aligned to the true places of the training samples (n, 2) [m]."""
+    log_loss(stream, name, history)
     place = truth[history["snapshot_index"]]
     snapshot = lay_upon(name, history["snapshot"], place)
-    indexes = step_index(history["snapshot_step"], last)
-    log_snapshots(stream, name, place, snapshot, indexes)
+    indexes = snapshot_index(history)
+    log_snapshots(stream, f"world/training/{name}", place, snapshot, indexes)
     log_snapshot_errors(stream, name, place, snapshot, indexes)
+
+
+def log_loss(stream: rr.RecordingStream, name: str, history: Data) -> None:
+    """Log the decimal logarithm of a training's loss, and its running median."""
+    loss, colour = take_log(history["loss"]), style.colour_on_dark(name)
+    indexes = step_index(history["step"], _last_step(history))
+    send_series(stream, f"training/{name}/loss", indexes, loss, "loss", (*colour, 90))
+    send_series(stream, f"training/{name}/smooth", indexes, style.smooth(loss), "median", colour)
+
+
+def snapshot_index(history: Data) -> list[rr.TimeColumn]:
+    """Rows along the timelines for a training's snapshots."""
+    return step_index(history["snapshot_step"], _last_step(history))
 
 
 def lay_upon(name: str, snapshots: np.ndarray, place: np.ndarray) -> list[np.ndarray]:
@@ -42,10 +53,9 @@ def take_log(loss: np.ndarray) -> np.ndarray:
 
 
 def log_snapshots(
-    stream: rr.RecordingStream, name: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
+    stream: rr.RecordingStream, path: str, place: np.ndarray, snapshot: list[np.ndarray], indexes: list[rr.TimeColumn]
 ) -> None:
-    """Log how the map unfolds: each snapshot's points (n, 2) [m], in the colours of their true places (n, 2)."""
-    path = f"world/training/{name}"
+    """Log how the map unfolds: each snapshot's points (n, 2) [m], in the colours of the places (n, 2)."""
     stream.log(path, rr.Points3D.from_fields(radii=0.025), static=True)
     stream.send_columns(
         path,
@@ -77,3 +87,7 @@ def log_snapshot_errors(
     stream.send_columns(
         f"{path}/places", indexes, rr.Points3D.columns(positions=origins, colors=colours).partition(lengths)
     )
+
+
+def _last_step(history: Data) -> int:
+    return max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)

@@ -3,8 +3,7 @@
 Nothing here is an error: each map is in a frame of its own.
 """
 
-import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,12 @@ import rerun.blueprint as rrb
 
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.figures import run_figures, style
+from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
-from deepgps.viewer import playback
-from deepgps.viewer.run.drive import LEG, find_cameras, log_images, log_path
-from deepgps.viewer.run.training import Data, take_log
-from deepgps.viewer.save import save_recording
-from deepgps.viewer.scene import LAYER_M, lift
-from deepgps.viewer.timeline import drive_index, send_series, step_index
-from sim.files import sha256
+from deepgps.viewer.run.drive import LEG, find_cameras, log_images, log_path, log_ticks
+from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
+from deepgps.viewer.save import hash_files, save_recording
+from deepgps.viewer.timeline import drive_index, send_series
 from sim.recording.format import Recording, open_recording
 
 RECKONED = (255, 150, 40)
@@ -47,7 +43,8 @@ def write_without_truth(run: Path, path: Path) -> Path:
         stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
 
     blueprint = _make_blueprint(list(histories), find_cameras(recording))
-    save_recording(path, _hash(run), f"{run.name}, without truth", blueprint, log)
+    identity = hash_files(run, [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz"))])
+    save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
     return path
 
 
@@ -57,28 +54,16 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording) -> None:
     distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     indexes = drive_index(recording.time, recording)
     send_series(stream, "drive/distance/encoder", indexes, distance, "by encoder", RECKONED)
-    for column, side in ((2, "left"), (3, "right")):
-        colour = (90, 160, 255) if side == "left" else (63, 208, 165)
-        send_series(stream, f"drive/ticks/{side}", indexes, recording.reading[:, column], side, colour)
-    if find_cameras(recording):
+    log_ticks(stream, recording)
+    if recording.kind == "polar_image":
         log_images(stream, recording, seen, recording.time[first])
 
 
 def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
-    """Loss of a training, and its snapshots (k, n, 2) [m], coloured by the places of the last one."""
-    last = max(int(history["step"][-1]), int(history["snapshot_step"][-1]), 1)
-    indexes, loss = step_index(history["step"], last), take_log(history["loss"])
-    send_series(stream, f"training/{name}/loss", indexes, loss, "loss", style.colour_on_dark(name))
+    """Log a training's loss, and its snapshots in their own frame, coloured by the places of the last one."""
+    log_loss(stream, name, history)
     snapshot = history["snapshot"].astype(float)
-    stream.log(f"map/{name}", rr.Points3D.from_fields(radii=0.025), static=True)
-    stream.send_columns(
-        f"map/{name}",
-        step_index(history["snapshot_step"], last),
-        rr.Points3D.columns(
-            positions=lift(snapshot.reshape(-1, 2), LAYER_M),
-            colors=np.tile(playback.colours_of_places(snapshot[-1]), (len(snapshot), 1)),
-        ).partition([snapshot.shape[1]] * len(snapshot)),
-    )
+    log_snapshots(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_index(history))
 
 
 def _make_blueprint(methods: Sequence[str], cameras: Sequence[str]) -> rrb.Blueprint:
@@ -97,11 +82,3 @@ def _make_blueprint(methods: Sequence[str], cameras: Sequence[str]) -> rrb.Bluep
     if methods:
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
     return rrb.Blueprint(rrb.Tabs(*tabs), collapse_panels=True)
-
-
-def _hash(run: Path) -> str:
-    paths: Mapping[str, Path] = {path.relative_to(run).as_posix(): path for path in run.glob("*/history.npz")}
-    state = hashlib.sha256(sha256(run / "recording" / "manifest.json").encode())
-    for name in sorted(paths):
-        state.update(f"{name} {sha256(paths[name])}".encode())
-    return state.hexdigest()[:32]

@@ -1,6 +1,5 @@
 """Reading a study's folder: its table, and the other data that its recording shows."""
 
-import hashlib
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -12,9 +11,10 @@ from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_rows, read_setting
+from deepgps.viewer.save import hash_files
 from deepgps.viewer.study.sliders import Step
 from sim.errors import DamagedError, InputError
-from sim.files import check_lines, check_sum, read_arrays, sha256
+from sim.files import check_lines, check_sum, read_arrays
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 from sim.renamed import translate_study
@@ -74,7 +74,7 @@ def count_arrows(folder: Path, step: Step) -> int:
 
 
 def hash_study(folder: Path, rows: Sequence[Row]) -> str:
-    state = hashlib.sha256()
+    """Thirty-two hexadecimal digits of a study's table, figures, error fields and recordings."""
     runs = dict.fromkeys(folder / "runs" / row["run"] for row in rows if row["failure"] is None)
     shown = [
         folder / "study.yaml",
@@ -82,12 +82,8 @@ def hash_study(folder: Path, rows: Sequence[Row]) -> str:
         folder / "table.md",
         *sorted(folder.glob("figures/*.png")),
     ]
-    for path in [
-        *shown,
-        *(run / "error_field.npz" for run in runs),
-        *(run / "recording/manifest.json" for run in runs),
-    ]:
+    shown += [run / name for name in ("error_field.npz", "recording/manifest.json") for run in runs]
+    for path in shown:
         if not path.is_file():
             raise InputError(f"{folder} is an incomplete study: {path.relative_to(folder)} is missing")
-        state.update(f"{path.relative_to(folder)} {sha256(path)}\n".encode())
-    return state.hexdigest()[:32]
+    return hash_files(folder, shown)
