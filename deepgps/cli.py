@@ -198,7 +198,7 @@ def doctor_command(words: Sequence[str]) -> None:
             console.print(f"     {'':<12} cure: {finding.cure}", soft_wrap=True)
     console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
     if not all(finding.ok for finding in findings):
-        raise WorkError("something is missing; the cures stand above")
+        raise WorkError("something is missing; the remedies are listed above")
 
 
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {

@@ -149,7 +149,7 @@ def judge_order(module: str, taken: str) -> str | None:
     (own, package), (other, other_package) = rank(module), rank(taken)
     if other < own or package == other_package:
         return None
-    return f"{package} comes before {other_package} or stands beside it"
+    return f"{package} comes before {other_package} or is its neighbour"
 
 
 def judge_simulation(module: str, taken: Import) -> str | None:
@@ -266,7 +266,7 @@ def test_package_has_no_import_cycle(package):
     [
         ("sim.sensors.fisheye", "import torch", "sim never imports torch"),
         ("sim.sensors.fisheye", "def f():\n    from deepgps.learning import trainer", "sim.sensors comes before"),
-        ("sim.sensors.fisheye", "from sim.robot.model import BASE", "stands beside it"),
+        ("sim.sensors.fisheye", "from sim.robot.model import BASE", "is its neighbour"),
         ("sim.rooms.build", "from sim.recording import collect", "sim.rooms comes before sim.recording"),
         (
             "sim.sensors.fisheye",

@@ -1,4 +1,4 @@
-"""Parts of a map that are joined to the rest as by a hinge: the map fits almost as well with such a part mirrored.
+"""Weakly connected parts of a map: each has a mirror ambiguity, because the map fits almost as well with it mirrored.
 
 Few segments reach the part of a room behind a passage hardly wider than the robot. Mirroring it about the path through
 the passage keeps all distances except those along these few segments, so any map of shortest paths may have the wrong

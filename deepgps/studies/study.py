@@ -64,7 +64,7 @@ class Variation(Group):
             if name in {*self.set, *varied, *self.axes}:
                 raise ValueError(f"{name} can be no name in set, cases or axes; a study has seeds, a name and methods")
         if both := [name for name in self.axes if name in varied]:
-            raise ValueError(f"{shorten(both[0])} stands both in cases and in axes")
+            raise ValueError(f"{shorten(both[0])} is both in cases and in axes")
         if empty := [name for name, values in self.axes.items() if not values]:
             raise ValueError(f"axes.{shorten(empty[0])} has no values")
         sources = [*(case["scenario"] for case in self.cases if "scenario" in case), *self.axes.get("scenario", ())]

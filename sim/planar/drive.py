@@ -189,10 +189,10 @@ def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:
 
 def count_drive(drive: Drive) -> dict[str, float]:
     """Return the manifest's entries about a drive."""
-    number, way_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
+    number, travelled_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
     return {
         "samples": len(drive.pose),
         "segments": int(number[-1]) + 1,
         "readings": len(drive.reading),
-        "distance_driven_m": round(float(np.diff(way_m)[np.diff(number) == 0].sum()), 3),
+        "distance_driven_m": round(float(np.diff(travelled_m)[np.diff(number) == 0].sum()), 3),
     }

@@ -76,8 +76,8 @@ def write_drive(
     write_array(folder / "truth" / "wheel_angle.npy", angle)
     write_array(folder / "truth" / "state.npy", state)
     write_array(folder / "truth" / "pose.npy", planar_pose(state))
-    way_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
-    driven = np.diff(way_m)[np.diff(segment) == 0]
+    travelled_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
+    driven = np.diff(travelled_m)[np.diff(segment) == 0]
     return {
         "samples": samples,
         "segments": int(segment[-1]) + 1,

@@ -21,7 +21,7 @@ from sim.errors import WorkError
 from sim.geometry import planar_pose
 from sim.robot.gaps import Gaps
 from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, wheel_speeds
-from sim.robot.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, look, ramp, stand, turn, way
+from sim.robot.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, halt, look, ramp, travelled, turn
 from sim.robot.range_finder import REACH_M
 from sim.settings import DriveSettings
 
@@ -48,7 +48,7 @@ TOWARDS_RAD = 0.6 * np.pi
 """To search, the robot turns by this to one side, then back until the path is clear [rad]."""
 GRAZE_RAD = 0.05
 """In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
-DOUBT_M = 0.12
+UNCERTAIN_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2
 """Wheels that turn at less than half the commanded speed for this long are blocked [s]."""
@@ -73,7 +73,7 @@ class DriveMode(NamedTuple):
 class Sample(NamedTuple):
     """What is recorded at one place: distance travelled in the segment [m], wheel angles, time, full positions."""
 
-    way_m: float
+    travelled_m: float
     wheel_angle: np.ndarray
     time: float
     state: np.ndarray
@@ -195,7 +195,7 @@ def _go_straight(
     """
     period, spacing = CONTROL_PERIOD_S, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
-    speed = way_m = slip_from_m = held_s = 0.0
+    speed = travelled_m = slip_from_m = held_s = 0.0
     seen_m, length_m, gap = np.inf, _draw_length(settings, rng), 0
     if mode.kind == "search":
         gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m), 1.0
@@ -208,31 +208,31 @@ def _go_straight(
     while True:
         clear_m = look(robot, reach_m) - stop_m
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
-            seen_m, slip_from_m = clear_m, way_m
-        for side in gaps.find(robot, way_m) if not gap else ():
+            seen_m, slip_from_m = clear_m, travelled_m
+        for side in gaps.find(robot, travelled_m) if not gap else ():
             if rng.uniform() < heed:
-                gap, length_m = side, min(length_m, way_m + speed**2 / (2 * ACCELERATION_MPS2))
-        rest_m = min(length_m - way_m, clear_m)
-        if ended := _why_stop(robot.bumped(), held_s, way_m - slip_from_m, clear_m, rest_m):
+                gap, length_m = side, min(length_m, travelled_m + speed**2 / (2 * ACCELERATION_MPS2))
+        rest_m = min(length_m - travelled_m, clear_m)
+        if ended := _why_stop(robot.bumped(), held_s, travelled_m - slip_from_m, clear_m, rest_m):
             break
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
         left, right = robot.wheel_angle() - start
         even = STRAIGHTEN_PER_S * (left - right) / 2
         robot.step(wheel_speeds(speed, 0.0) + (-even, even))
-        before_m, way_m = way_m, way(robot, start)
-        held_s = held_s + period if way_m - before_m < speed * period / 2 else 0.0
-        if settings.strategy == "dense" and way_m >= len(samples) * spacing:
-            samples.append(_sample(robot, way_m))
-    stand(robot, settings)
+        before_m, travelled_m = travelled_m, travelled(robot, start)
+        held_s = held_s + period if travelled_m - before_m < speed * period / 2 else 0.0
+        if settings.strategy == "dense" and travelled_m >= len(samples) * spacing:
+            samples.append(_sample(robot, travelled_m))
+    halt(robot, settings)
     taken = len(samples)
     if ended in TOUCHED:
-        samples = [sample for sample in samples if sample.way_m <= way_m - DOUBT_M]
-    elif way_m < CLOSE_M:
+        samples = [sample for sample in samples if sample.travelled_m <= travelled_m - UNCERTAIN_M]
+    elif travelled_m < CLOSE_M:
         samples = []
     else:
-        samples.append(_sample(robot, way(robot, start)))
+        samples.append(_sample(robot, travelled(robot, start)))
         # The end is the next segment's start, so a regular sample just before it is dropped.
-        if len(samples) > 2 and samples[-1].way_m - samples[-2].way_m < spacing / 2:
+        if len(samples) > 2 and samples[-1].travelled_m - samples[-2].travelled_m < spacing / 2:
             del samples[-2]
     return Segment(
         state=np.array([sample.state for sample in samples]),
@@ -273,5 +273,5 @@ def _go_on(settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, e
     return DriveMode(continues)
 
 
-def _sample(robot: Robot, way_m: float) -> Sample:
-    return Sample(way_m, robot.wheel_angle(), robot.time(), robot.snapshot())
+def _sample(robot: Robot, travelled_m: float) -> Sample:
+    return Sample(travelled_m, robot.wheel_angle(), robot.time(), robot.snapshot())

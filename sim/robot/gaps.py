@@ -27,11 +27,11 @@ class Gaps:
         self.reach_m = REACH_M if enough_m is None else enough_m + RADIUS_M + SEEN_M
         self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
 
-    def find(self, robot: Robot, way_m: float) -> list[int]:
-        """Return the sides on which a gap has begun since the last look, ``way_m`` [m] after the segment's start."""
-        if way_m < self.next_m:
+    def find(self, robot: Robot, travelled_m: float) -> list[int]:
+        """Return the sides on which a gap has begun since the last look, after ``travelled_m`` [m] of the segment."""
+        if travelled_m < self.next_m:
             return []
-        self.next_m = way_m + EVERY_M
+        self.next_m = travelled_m + EVERY_M
         return [side for side in self.sides if self._begins(side, look(robot, self.reach_m, side * np.pi / 2))]
 
     def _begins(self, side: int, clear_m: float) -> bool:

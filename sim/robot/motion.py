@@ -80,19 +80,19 @@ def turn(
             break
         rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
-    stand(robot, settings)
+    halt(robot, settings)
     return goal < np.inf
 
 
 def back_off(robot: Robot, settings: DriveSettings) -> None:
     """Roll back a little from the contact."""
     start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
-    while way(robot, start) > -BACK_M and robot.time() < deadline:
+    while travelled(robot, start) > -BACK_M and robot.time() < deadline:
         robot.step(wheel_speeds(-BACK_MPS, 0.0))
-    stand(robot, settings)
+    halt(robot, settings)
 
 
-def stand(robot: Robot, settings: DriveSettings) -> None:
+def halt(robot: Robot, settings: DriveSettings) -> None:
     for _ in range(max(1, round(REST_S / CONTROL_PERIOD_S))):
         robot.step(wheel_speeds(0.0, 0.0))
 
@@ -106,7 +106,7 @@ def ramp(speed: float, highest: float, acceleration: float, rest: float, period:
     return float(min(highest, speed + acceleration * period, braking))
 
 
-def way(robot: Robot, start: np.ndarray) -> float:
+def travelled(robot: Robot, start: np.ndarray) -> float:
     """Return the distance travelled by the wheel angles since they were ``start`` (2,) [m]."""
     left, right = robot.wheel_angle() - start
     return float(left + right) / 2 * WHEEL_RADIUS_M

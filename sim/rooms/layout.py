@@ -21,7 +21,7 @@ CUT_OFF_SHARE = 0.1
 GAP_CELLS = 2
 """Gaps between pieces may be at most this wide..."""
 BROOM_CELLS = 7
-"""...or at least this wide, enough for a broom; floor behind a gap in between counts as an unswept region (nook)."""
+"""...or at least this wide, enough for a broom; floor behind a gap in between counts as an unswept region."""
 NEAR_WALL_M = 0.3
 """A piece nearer to a wall than this hides what hangs there."""
 
@@ -70,7 +70,7 @@ class Layout:
         self.overhead = ~self.inside
         self.tall = np.zeros(self.inside.shape)
         self.entrance: Pose | None = None
-        self.cut_off = self.nooks = 0
+        self.cut_off = self.unswept = 0
 
     def against_wall(
         self, piece: Footprint, rng: np.random.Generator, cost: Cost | None = None, walls: Sequence[Wall] | None = None
@@ -111,7 +111,7 @@ class Layout:
             wall.taken.append(rectangle)
         if self.entrance is not None:
             self.cut_off = self._walk(self.taken)[1]
-            self.nooks = self._count_nooks(self.taken)
+            self.unswept = self._count_unswept(self.taken)
 
     def hang(
         self, wall: Wall, cover: tuple[float, float, float], rng: np.random.Generator, cost: Cost | None = None
@@ -225,7 +225,7 @@ class Layout:
         # If earlier pieces already cut off more floor than that, this one must not cut off any more.
         if not joined.any() or cut_off > max(CUT_OFF_SHARE * joined.sum(), self.cut_off):
             return False
-        if self._count_nooks(taken) > self.nooks:
+        if self._count_unswept(taken) > self.unswept:
             return False
         if piece.front_m == 0.0:
             return True
@@ -241,7 +241,7 @@ class Layout:
         joined = (label == first) & (first > 0)
         return joined, int(walkable.sum() - joined.sum())
 
-    def _count_nooks(self, taken: np.ndarray) -> int:
+    def _count_unswept(self, taken: np.ndarray) -> int:
         """Count the cells behind a gap that is too wide to count as closed and too narrow for a broom."""
         clear = self.inside & ~taken
         broom = ndimage.binary_erosion(clear, np.ones((BROOM_CELLS, BROOM_CELLS)))

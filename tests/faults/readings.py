@@ -23,7 +23,7 @@ Change = Callable[[np.ndarray, np.ndarray, random.Random], Readings]
 
 
 def list_tests() -> list[Test]:
-    """Every change of the readings once, each drawn anew, and constants of the odometry."""
+    """Every change of the readings once, each drawn at random, and constants of the odometry."""
     return [
         Test("readings", "impossible readings, checksums corrected", 24, _attack, of=len(CHANGES)),
         Test("readings", "impossible odometry in the manifest", 4, _attack_odometry, of=len(ODOMETRY)),
@@ -171,7 +171,7 @@ CHANGES: Mapping[str, Change] = {
     "readings shuffled": _rows(_shuffled),
     "ticks shuffled": _ticks(_shuffled),
     "all ticks zero": _ticks(lambda ticks, rng: np.zeros_like(ticks)),
-    "one wheel stands": _ticks(lambda ticks, rng: ticks * np.array([1, 0])),
+    "one wheel does not turn": _ticks(lambda ticks, rng: ticks * np.array([1, 0])),
     "ticks times 1,000": _ticks(lambda ticks, rng: ticks * 1000),
     "readings doubled": _rows(lambda reading, rng: np.repeat(reading, 2, axis=0)),
     "half of the readings": _rows(lambda reading, rng: reading[: len(reading) // 2]),
@@ -194,7 +194,7 @@ CHANGES: Mapping[str, Change] = {
     "time shuffled": _times(_shuffled),
     "time not a number": _times(_some_nan),
     "all time not a number": _times(lambda times, rng: times * np.nan),
-    "time stands": _times(lambda times, rng: times * 0),
+    "time does not advance": _times(lambda times, rng: times * 0),
     "one time too many": _times(lambda times, rng: np.append(times, times[-1] + 1)),
     "half of the times": _times(lambda times, rng: times[: len(times) // 2]),
     "times of 1e300": _times(lambda times, rng: times + 1e300),

@@ -29,7 +29,7 @@ def find_shown(path: Path) -> Iterator[str]:
 
 
 def read_layout(path: Path, component: str) -> Iterator[tuple[str, list]]:
-    """A component of the layout wherever it stands."""
+    """A component of the layout anywhere in it."""
     reader = RrdReader(path)
     for layout in reader.blueprints():
         for chunk in reader.stream(store=layout):

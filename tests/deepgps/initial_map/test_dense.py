@@ -44,15 +44,15 @@ def test_of_several_maps_the_cheapest_is_kept(toy, monkeypatch: pytest.MonkeyPat
     assert found is made[1] and len(made) == len(dense.NEIGHBOURS)
 
 
-def test_what_swings_on_a_hinge_is_tried_last(toy, monkeypatch: pytest.MonkeyPatch):
+def test_weakly_connected_parts_are_mirrored_last(toy, monkeypatch: pytest.MonkeyPatch):
     features, segments, _ = toy
     monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places + 1.0)
-    swung = find_initial_map(features, segments, torch.Generator().manual_seed(0))
+    mirrored = find_initial_map(features, segments, torch.Generator().manual_seed(0))
     monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places)
-    assert np.array_equal(swung, find_initial_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
+    assert np.array_equal(mirrored, find_initial_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
 
 
-def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
+def mirror_corner(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
     """Mirror the observations in a corner about the line that cuts it off."""
     bent = place.copy()
     out = (place - corner) @ [0.6, 0.8]
@@ -61,10 +61,10 @@ def turn_over(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
     return bent
 
 
-def test_a_nook_turned_over_is_taken_from_another_map_in_any_frame(toy):
+def test_a_mirrored_region_is_replaced_from_another_map_in_any_frame(toy):
     features, segments, place = toy
     closures = find_loop_closures(features, segments, (3,))[0]
-    bent = turn_over(place, np.quantile(place, 0.8, axis=0))
+    bent = mirror_corner(place, np.quantile(place, 0.8, axis=0))
     wrong = np.linalg.norm(bent - place, axis=1) > 0.05
     other = place[:, ::-1] @ np.array([[0.6, -0.8], [0.8, 0.6]]) + [4.0, -1.0]
     laid = lay_over(other, bent)
@@ -83,7 +83,7 @@ def test_nothing_is_taken_from_an_equal_map_nor_from_a_worse_one(toy):
     closures = find_loop_closures(features, segments, (3,))[0]
     right, cost = relax(place, segments, closures)
     assert not find_regions(right, lay_over(right, right), segments, closures)
-    kept, same = adopt_regions(right, cost, turn_over(place, np.quantile(place, 0.8, axis=0)), segments, closures)
+    kept, same = adopt_regions(right, cost, mirror_corner(place, np.quantile(place, 0.8, axis=0)), segments, closures)
     assert same <= cost and np.sqrt(np.mean(error(kept, place) ** 2)) < 0.01
 
 

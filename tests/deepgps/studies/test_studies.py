@@ -301,7 +301,7 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'rooms'"),
         ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
         ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
-        ({"axes": {"learn.seed": [1]}}, "learn.seed stands both in cases and in axes"),
+        ({"axes": {"learn.seed": [1]}}, "learn.seed is both in cases and in axes"),
         ({"axes": {"room.seed": []}}, "axes.room.seed has no values"),
         ({"target": {"rms": 1}}, "rms is no figure of the report seeds, which has unfolded, found, false_alarms"),
         ({"tiny": {"casez": []}}, "tiny.casez: there is no such setting, did you mean cases?"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim.errors import WorkError
-from sim.robot.drive import DOUBT_M, TOUCHED, DriveMode, Segment, _go_straight, drive, next_segment
+from sim.robot.drive import TOUCHED, UNCERTAIN_M, DriveMode, Segment, _go_straight, drive, next_segment
 from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
@@ -29,7 +29,7 @@ def take(world, count: int, seed: int = SEED) -> list[Segment]:
     return list(itertools.islice(drive(world, settings, np.random.default_rng(seed)), count))
 
 
-def ways(segment: Segment) -> np.ndarray:
+def distances(segment: Segment) -> np.ndarray:
     return (segment.wheel_angle - segment.wheel_angle[0]).mean(axis=1) * WHEEL_RADIUS_M
 
 
@@ -83,24 +83,24 @@ def test_samples_are_spaced_as_asked(spacing_m, speed_mps):
     segments = take(make_world(walls(), spacing_m=spacing_m, speed_mps=speed_mps), 5)
     period_m = speed_mps * CONTROL_PERIOD_S + 1e-4
     for segment in segments:
-        way = ways(segment)
-        late = way[1:-1] - spacing_m * np.arange(1, len(way) - 1)
+        distance = distances(segment)
+        late = distance[1:-1] - spacing_m * np.arange(1, len(distance) - 1)
         assert ((late >= 0) & (late < period_m)).all()
-        assert spacing_m / 2 <= way[-1] - way[-2] < 1.5 * spacing_m + period_m
-        assert np.allclose(np.hypot(*(segment.pose - segment.pose[0])[:, :2].T), way, atol=2e-3)
+        assert spacing_m / 2 <= distance[-1] - distance[-2] < 1.5 * spacing_m + period_m
+        assert np.allclose(np.hypot(*(segment.pose - segment.pose[0])[:, :2].T), distance, atol=2e-3)
 
 
 def test_longest_length_ends_a_segment():
     segments = take(make_world(walls(), longest_m=0.5), 4)
     length = [segment for segment in segments if segment.ended == "length"]
     assert length
-    assert all(ways(segment)[-1] == pytest.approx(0.5, abs=0.006) for segment in length)
+    assert all(distances(segment)[-1] == pytest.approx(0.5, abs=0.006) for segment in length)
 
 
 def test_endpoint_strategy_takes_start_and_end():
     segments = take(make_world(walls(), strategy="endpoint"), 5)
     assert all(len(segment.time) == 2 for segment in segments)
-    assert max(ways(segment)[-1] for segment in segments) > 1.0
+    assert max(distances(segment)[-1] for segment in segments) > 1.0
 
 
 @pytest.mark.parametrize("stop_distance_m", [0.0, 0.04, 0.2])
@@ -151,26 +151,26 @@ def test_contact_ends_a_segment_and_drops_its_last_samples():
 
 
 class Toy:
-    """A robot on paper before a wall, whose wheels can be blocked or slip from some way on."""
+    """A robot on paper before a wall, whose wheels can be blocked or slip from some distance on."""
 
     def __init__(self, fault: str, free_m: float) -> None:
         self.fault, self.free_m = fault, free_m
-        self.angle, self.way_m, self.now, self.period = np.zeros(2), 0.0, 0.0, 0.02
+        self.angle, self.travelled_m, self.now, self.period = np.zeros(2), 0.0, 0.0, 0.02
 
     def step(self, wheel_speed):
         speed_mps = WHEEL_RADIUS_M * np.mean(wheel_speed)
-        forward, held = speed_mps > 0, self.way_m >= self.free_m
+        forward, held = speed_mps > 0, self.travelled_m >= self.free_m
         if not (self.fault == "blocked" and forward and held):
             self.angle = self.angle + np.asarray(wheel_speed) * self.period
         if not (forward and held):
-            self.way_m += speed_mps * self.period
+            self.travelled_m += speed_mps * self.period
         self.now += self.period
 
     def wheel_angle(self):
         return self.angle.copy()
 
     def ranges(self, reach_m, turned_rad=0.0):
-        wall = (1.0 - self.way_m) / np.maximum(np.cos(ANGLE), 1e-6)
+        wall = (1.0 - self.travelled_m) / np.maximum(np.cos(ANGLE), 1e-6)
         return np.minimum(wall, reach_m)
 
     def bumped(self):
@@ -183,7 +183,7 @@ class Toy:
         raise AssertionError("nothing wedges it")
 
     def snapshot(self):
-        return np.array([self.way_m])
+        return np.array([self.travelled_m])
 
 
 @pytest.mark.parametrize("fault", ["blocked", "slipping"])
@@ -192,14 +192,14 @@ def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
     assert segment.ended == "stall"
     assert segment.dropped >= 1
     assert segment.state[-1, 0] < 0.7
-    assert ways(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
-    assert ways(segment)[-1] > 0.7 - 2 * DOUBT_M
+    assert distances(segment)[-1] == pytest.approx(segment.state[-1, 0], abs=1e-6)
+    assert distances(segment)[-1] > 0.7 - 2 * UNCERTAIN_M
 
 
 def test_toy_without_fault_stops_before_the_wall():
     segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "range"
-    assert ways(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
+    assert distances(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
 
 
 def test_robot_walled_in_is_stuck():
@@ -305,14 +305,14 @@ def test_without_chance_to_enter_or_search_it_never_stops_at_openings():
 
 @pytest.mark.slow
 def test_enters_a_region_that_random_headings_seldom_find():
-    """A mouth of 0.36 m in a wall of a bare room: in five minutes, from more seeds than chance alone."""
-    entered = [find_nook(seed, 0.36) < 300.0 for seed in range(6)]
-    by_chance = [find_nook(seed, 0.36, enter=0.0, search=0.0) < 300.0 for seed in range(6)]
-    assert sum(entered) > sum(by_chance) + 1
+    """A mouth of 0.36 m in a wall of a bare room: in five minutes, from more seeds than by random headings alone."""
+    entered = [seconds_to_enter(seed, 0.36) < 300.0 for seed in range(6)]
+    at_random = [seconds_to_enter(seed, 0.36, enter=0.0, search=0.0) < 300.0 for seed in range(6)]
+    assert sum(entered) > sum(at_random) + 1
 
 
-def find_nook(seed: int, mouth_m: float, **drive_settings) -> float:
-    """Seconds until the robot stands in the cupboard; at most five minutes."""
+def seconds_to_enter(seed: int, mouth_m: float, **drive_settings) -> float:
+    """Seconds until the robot is inside the cupboard; at most five minutes."""
     world = make_world(cupboard(mouth_m), (0.0, -0.8, 0.0), **drive_settings)
     for segment in drive(world, world.settings.drive, np.random.default_rng(seed)):
         x, y = segment.pose[-1, :2]

@@ -90,9 +90,9 @@ def test_dead_reckoning_follows_an_arc():
 
     world.step = noted_step
     run(world, 0.2, 0.7, 10.0)
-    way = np.diff(np.array(angles) * WHEEL_RADIUS_M, axis=0)
-    yaw = np.cumsum((way[:, 1] - way[:, 0]) / TRACK_M)
-    place = way.mean(axis=1) @ np.stack([np.cos(yaw), np.sin(yaw)], axis=1)  # each step along its heading at the end
+    distance = np.diff(np.array(angles) * WHEEL_RADIUS_M, axis=0)
+    yaw = np.cumsum((distance[:, 1] - distance[:, 0]) / TRACK_M)
+    place = distance.mean(axis=1) @ np.stack([np.cos(yaw), np.sin(yaw)], axis=1)  # along the heading at each step's end
     x, y, turned = world.pose()
     assert np.allclose(place, (x, y), atol=0.01)
     assert np.exp(1j * yaw[-1]) == pytest.approx(np.exp(1j * turned), abs=0.01)
@@ -123,8 +123,8 @@ def test_larger_left_wheel_curves_the_robot(error):
     world = make_world(robot=RobotSettings(wheel_radius_error=error))
     yaw = np.unwrap(run(world, SPEED_MPS, 0.0, 5.0))
     # Both wheels turn by the same angle a: the left one goes (1 + e) R a, the right one R a.
-    way = world.wheel_angle() * WHEEL_RADIUS_M
-    assert yaw[-1] == pytest.approx((way[1] - (1 + error) * way[0]) / TRACK_M, rel=0.01)
+    distance = world.wheel_angle() * WHEEL_RADIUS_M
+    assert yaw[-1] == pytest.approx((distance[1] - (1 + error) * distance[0]) / TRACK_M, rel=0.01)
     assert abs(yaw[-1]) > 0.2
 
 
