@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.bench.from_studies import read_studies
 from deepgps.bench.memory import measure_memory
 from deepgps.bench.paper import measure_paper
 from deepgps.bench.rows import KEPT, Row, write_bench
@@ -138,7 +137,6 @@ def measure(
             load_scenario("paper", size.settings), demo, size.paper_steps, folder / "paper", progress
         ),
         lambda: measure_memory(demo / "recording", scenario.learn, size.long, size.steps, min(size.repeats, 3), folder),
-        read_studies,
     ]
     rows = []
     for number, part in enumerate(parts):

@@ -11,6 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from deepgps.figures.targets import judge
 from sim.errors import InputError
 from sim.files import read_json, write_json
 
@@ -44,20 +45,15 @@ class Row:
 
     @property
     def verdict(self) -> str:
-        """The verdict on the target: met, missed, not measured yet, or empty without a target."""
-        if self.value is None:
-            return "not measured yet"
-        if self.target is None:
-            return ""
-        met = self.value >= self.target if self.at_least else self.value <= self.target
-        return "met" if met else "missed"
+        """The verdict on the target: met, missed, not measured, or empty without a target."""
+        return judge(self.value, self.target, self.at_least)
 
 
 def tabulate(rows: Sequence[Row], before: dict[str, float | None] | None = None) -> Table:
     """A table for the terminal, with the figures of an earlier bench by name if there is one."""
     table = Table(box=box.SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0))
     table.add_column("figure")
-    for heading in ("measured", "target", "verdict", "naive way", *(["before"] if before is not None else [])):
+    for heading in ("measured", "target", "verdict", "naive", *(["before"] if before is not None else [])):
         table.add_column(heading, justify="left" if heading == "verdict" else "right", no_wrap=True)
     for row in rows:
         sign = ">= " if row.at_least else "<= "

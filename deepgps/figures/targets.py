@@ -47,20 +47,20 @@ def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float],
                 write(figure.value, figure.unit),
                 write(figure.worst, figure.unit),
                 "-" if wanted is None else sign + write(wanted, figure.unit),
-                judge(figure, wanted),
+                judge(figure.value, wanted, figure.at_least) or "-",
                 write(paper.get(name), figure.unit),
             ]
         )
     return tabulate(["figure", "measured", "worst", "target", "verdict", "paper"], rows)
 
 
-def judge(figure: Figure, target: float | None) -> str:
-    """The verdict on a target: met, missed, not measured, or a dash without a target."""
+def judge(value: float | None, target: float | None, at_least: bool = False) -> str:
+    """The verdict on a target: met, missed, not measured, or empty without a target."""
     if target is None:
-        return "-"
-    if figure.value is None:
+        return ""
+    if value is None:
         return "not measured"
-    met = figure.value >= target if figure.at_least else figure.value <= target
+    met = value >= target if at_least else value <= target
     return "met" if met else "missed"
 
 

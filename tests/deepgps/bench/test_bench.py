@@ -13,7 +13,6 @@ import torch
 from rich.console import Console
 
 from deepgps.bench import bench as benching
-from deepgps.bench import from_studies
 from deepgps.bench import rows as bench_rows
 from deepgps.bench.memory import Training, measure_peak, read_anonymous, repeat_recording
 from deepgps.bench.rows import Row, find_before, list_notes, read_bench, tabulate, write_bench, write_value
@@ -33,7 +32,7 @@ ROWS = [
     Row("a", "lower is better", 1.0, "ms", 2.0, naive=8.0, note="naive: slow"),
     Row("b", "higher is better", 1.0, "/s", 2.0, True, note="naive: slow"),
     Row("c", "only shown", 1234.5, ""),
-    Row("d", "later", None, "s", note="deepgps study precision"),
+    Row("d", "later", None, "s", 1.0, note="on a GPU"),
 ]
 
 
@@ -68,7 +67,6 @@ def test_a_small_bench_measures_everything(tmp_path: Path):
     }
     assert all(rows[name]["value"] > 0 for name in measured)
     assert all(row["verdict"] == "" for name, row in rows.items() if name in measured)
-    assert rows["precision.rms_m"]["value"] > 0, "the table of the study is committed"
     assert written["git"] and written["cpu"] and written["date"]
     assert list((tmp_path / "runs" / "bench").iterdir()) == [], "a small bench is not kept, nor what it worked with"
 
@@ -85,14 +83,6 @@ def test_the_load_that_is_kept_is_that_before_the_bench(tmp_path: Path, monkeypa
     monkeypatch.setattr(benching, "measure", measure)
     benching.run_bench(benching.TINY, tmp_path / "bench.json", False, draw_poses, measure_rendering, ignore)
     assert json.loads((tmp_path / "bench.json").read_text())["load"] == 0.5
-
-
-def test_a_study_that_was_never_made_is_not_measured_yet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(from_studies, "LATEST", tmp_path)
-    monkeypatch.setattr(from_studies, "COMMITTED", tmp_path)
-    rows = from_studies.read_studies()
-    assert {row.name for row in rows} > {"precision.rms_m", "seeds.found"}
-    assert all(row.value is None and row.verdict == "not measured yet" for row in rows)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +104,7 @@ def test_wrong_words_give_one_clear_line(words: list[str], message: str, tmp_pat
 
 
 def test_targets_are_met_or_missed():
-    assert [row.verdict for row in ROWS] == ["met", "missed", "", "not measured yet"]
+    assert [row.verdict for row in ROWS] == ["met", "missed", "", "not measured"]
 
 
 def test_values_are_written_to_three_digits():
@@ -141,7 +131,7 @@ def test_the_table_shows_figures_beside_targets_and_earlier_ones():
         "3.00",
         "ms",
     ]
-    assert list_notes(ROWS) == ["lower is better, higher is better: naive: slow", "later: deepgps study precision"]
+    assert list_notes(ROWS) == ["lower is better, higher is better: naive: slow", "later: on a GPU"]
 
 
 def test_a_bench_is_compared_with_the_last_one_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -215,33 +205,3 @@ def test_a_training_that_fails_is_an_error(tmp_path: Path, capfd: pytest.Capture
     with pytest.raises(WorkError, match=r"the training on .*nowhere failed with code 1"):
         measure_peak(Training(tmp_path / "nowhere", tmp_path / "run", LearnSettings()))
     capfd.readouterr()
-
-
-def test_a_target_in_any_unit_has_a_row(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(from_studies, "LATEST", Path("none"))
-    monkeypatch.setattr(from_studies, "STUDIES", ("landmarks", "mds", "lidar", "precision"))
-    rows = {row.name: row for row in from_studies.read_studies()}
-    assert {"mm", "cm", "s", "%", ""} == {row.unit for row in rows.values()}
-    found = rows["landmarks.deepgps_complete"]
-    assert (f"{found.value:.2f}", found.target, found.verdict) == ("0.59", 0.8, "met")
-
-
-def test_rows_of_studies_say_where_they_come_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    monkeypatch.setattr(from_studies, "LATEST", tmp_path)
-    monkeypatch.setattr(from_studies, "COMMITTED", tmp_path / "none")
-    missing = from_studies.read_studies()
-    assert {row.verdict for row in missing} == {"not measured yet"}
-    assert {row.note for row in missing} == {"deepgps study precision", "deepgps study seeds"}
-    row = {"run": "x", "failure": None, "learn.start": "auto", "flipped": 0.02, "fold_found": False}
-    (tmp_path / "seeds" / "runs" / "x").mkdir(parents=True)
-    pq.write_table(
-        pa.Table.from_pylist([row, {**row, "flipped": 0.3, "fold_found": True}]), tmp_path / "seeds/table.parquet"
-    )
-    (tmp_path / "seeds" / "runs" / "x" / "metrics.json").write_text('{"environment": {"git": "abc1234"}}')
-    seeds = {row.name: row for row in from_studies.read_studies() if row.name.startswith("seeds")}
-    assert (seeds["seeds.unfolded"].value, seeds["seeds.unfolded"].verdict) == (50.0, "missed")
-    assert (seeds["seeds.found"].value, seeds["seeds.found"].verdict) == (100.0, "met")
-    assert "2 trainings" in seeds["seeds.found"].note and "commit abc1234" in seeds["seeds.found"].note

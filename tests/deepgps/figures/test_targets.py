@@ -26,18 +26,20 @@ def test_written_value_has_its_unit_and_is_never_nothing_where_something_was(
 
 
 @pytest.mark.parametrize(
-    ("figure", "target", "verdict"),
+    ("value", "at_least", "target", "verdict"),
     [
-        (Figure("RMS", 0.02, "cm"), 0.02, "met"),
-        (Figure("RMS", 0.021, "cm"), 0.02, "missed"),
-        (Figure("wins", 0.5, "%", at_least=True), 0.6, "missed"),
-        (Figure("wins", 0.7, "%", at_least=True), 0.6, "met"),
-        (Figure("RMS", None, "cm"), 0.02, "not measured"),
-        (Figure("RMS", 0.02, "cm"), None, "-"),
+        (0.02, False, 0.02, "met"),
+        (0.021, False, 0.02, "missed"),
+        (0.5, True, 0.6, "missed"),
+        (0.7, True, 0.6, "met"),
+        (None, False, 0.02, "not measured"),
+        (0.02, False, None, ""),
     ],
 )
-def test_target_is_met_at_most_or_at_least(figure: Figure, target: float | None, verdict: str) -> None:
-    assert judge(figure, target) == verdict
+def test_target_is_met_at_most_or_at_least(
+    value: float | None, at_least: bool, target: float | None, verdict: str
+) -> None:
+    assert judge(value, target, at_least) == verdict
 
 
 def test_table_sets_each_figure_beside_the_target_and_the_paper_of_its_name() -> None:
