@@ -2,10 +2,13 @@
 BIN := .venv/bin
 export PYTHON TORCH_INDEX
 
-.PHONY: setup demo tiny test faults check format clean
+.PHONY: setup setup-dev demo tiny test faults check format dist clean
 
-setup:  ## .venv with the packages of requirements.lock and this project; system packages where something is missing
+setup:  ## .venv with this project and what running needs; system packages where something is missing
 	@.ci/setup
+
+setup-dev:  ## the same, and what tests, checks and the extras need
+	@.ci/setup dev
 
 demo: setup  ## the whole chain on a living room: drive, see, learn, position, show
 	$(BIN)/deepgps run living_room
@@ -13,21 +16,24 @@ demo: setup  ## the whole chain on a living room: drive, see, learn, position, s
 tiny: setup  ## the same, small: under a minute
 	$(BIN)/deepgps run tiny
 
-test: setup
+test: setup-dev
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder  # one worker a file: what its tests share is made once
 
-faults: setup  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
+faults: setup-dev  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
 	$(BIN)/python -m tests.faults --out docs/faults.md
 
-check: setup  ## style, types and who may import whom
+check: setup-dev  ## style, types and who may import whom
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/pytest tests/test_imports.py
 
-format: setup
+format: setup-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+dist: setup  ## a wheel and a source archive in dist/
+	$(BIN)/hatchling build
 
 clean:  ## what setup and the checks made; runs/ stays
 	rm -rf .venv build dist .pytest_cache .ruff_cache .hypothesis
