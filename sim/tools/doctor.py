@@ -7,7 +7,7 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, requires, version
+from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 
 from packaging.requirements import Requirement
@@ -51,6 +51,7 @@ def diagnose(runs: Path = Path("runs")) -> list[Finding]:
     return [
         check_python(),
         *check_packages(),
+        *check_extras(),
         check_renderer(),
         check_machine(),
         check_folder(runs),
@@ -68,23 +69,56 @@ def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Finding:
 def check_packages(distribution: str = "deepgps") -> list[Finding]:
     """Report the versions of what ``distribution`` requires, and one finding for each missing or unfit package."""
     try:
-        wanted = [Requirement(line) for line in requires(distribution) or []]
+        wanted = _list_requirements(distribution)
     except PackageNotFoundError:
         return [Finding("packages", False, f"{distribution} itself is not installed", "make setup")]
-    found, faults = [], []
-    for one in wanted:
-        if one.marker and not one.marker.evaluate({"extra": ""}):
-            continue
-        cure = f'pip install "{one.name}{one.specifier}"'
-        try:
-            have = version(one.name)
-        except PackageNotFoundError:
-            faults.append(Finding("packages", False, f"{one.name} is missing", cure))
-            continue
-        if not one.specifier.contains(have, prereleases=True):
-            faults.append(Finding("packages", False, f"{one.name} {have} does not fit", cure))
-        found.append(f"{one.name} {have}")
+    found = [f"{one.name} {version(one.name)}" for one in wanted if _is_installed(one)]
+    faults = [
+        Finding("packages", False, fault, f'pip install "{one.name}{one.specifier}"')
+        for one in wanted
+        if (fault := _find_fault(one))
+    ]
     return [Finding("packages", True, ", ".join(found)), *faults]
+
+
+def check_extras(distribution: str = "deepgps") -> list[Finding]:
+    """Report each optional group of packages; a group that is not installed is no lack, since a run needs none."""
+    try:
+        extras = metadata(distribution).get_all("Provides-Extra") or []
+    except PackageNotFoundError:
+        return []
+    findings = []
+    for extra in extras:
+        faults = [fault for one in _list_requirements(distribution, extra) if (fault := _find_fault(one))]
+        cure = f"if you need it: pip install '{distribution}[{extra}]' (in a checkout: make setup-dev)"
+        text = f"{', '.join(faults)}; {cure}" if faults else "installed"
+        findings.append(Finding("extras", True, f"{extra}: {text}"))
+    return findings
+
+
+def _list_requirements(distribution: str, extra: str = "") -> list[Requirement]:
+    """Return what a distribution requires here: always, or because of an extra alone."""
+    wanted = [Requirement(line) for line in requires(distribution) or []]
+    always = [one for one in wanted if not one.marker or one.marker.evaluate({"extra": ""})]
+    if not extra:
+        return always
+    return [one for one in wanted if one not in always and one.marker and one.marker.evaluate({"extra": extra})]
+
+
+def _is_installed(wanted: Requirement) -> bool:
+    try:
+        version(wanted.name)
+    except PackageNotFoundError:
+        return False
+    return True
+
+
+def _find_fault(wanted: Requirement) -> str:
+    """Return what is wrong with an installed package, or an empty text."""
+    if not _is_installed(wanted):
+        return f"{wanted.name} is missing"
+    have = version(wanted.name)
+    return "" if wanted.specifier.contains(have, prereleases=True) else f"{wanted.name} {have} does not fit"
 
 
 def check_renderer() -> Finding:

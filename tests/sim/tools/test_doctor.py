@@ -12,6 +12,7 @@ from sim.tools import doctor
 from sim.tools.doctor import (
     Finding,
     check_disk,
+    check_extras,
     check_folder,
     check_packages,
     check_python,
@@ -43,13 +44,14 @@ def mask(monkeypatch, tmp_path):
 
 @pytest.fixture
 def site(monkeypatch, tmp_path):
-    """Installed distributions of a test's own making: name, version, requirements."""
+    """Installed distributions of a test's own making: name, version, requirements, extras."""
 
-    def install(name: str, number: str, *needs: str) -> None:
+    def install(name: str, number: str, *needs: str, extras: tuple[str, ...] = ()) -> None:
         folder = tmp_path / f"{name}-{number}.dist-info"
         folder.mkdir()
         lines = ["Metadata-Version: 2.1", f"Name: {name}", f"Version: {number}"]
-        (folder / "METADATA").write_text("\n".join(lines + [f"Requires-Dist: {need}" for need in needs]) + "\n")
+        lines += [f"Requires-Dist: {need}" for need in needs] + [f"Provides-Extra: {extra}" for extra in extras]
+        (folder / "METADATA").write_text("\n".join(lines) + "\n")
 
     monkeypatch.syspath_prepend(tmp_path)
     return install
@@ -62,7 +64,9 @@ def lacks(findings: list[Finding]) -> list[tuple[str, str]]:
 def test_all_is_well_where_the_tests_run(tmp_path):
     findings = doctor.diagnose(tmp_path)
     assert lacks(findings) == []
-    assert {finding.name for finding in findings} == {"python", "packages", "renderer", "machine", "folder", "disk"}
+    assert {finding.name for finding in findings} == {
+        *("python", "packages", "extras", "renderer", "machine", "folder", "disk"),
+    }
     assert all("\n" not in finding.text for finding in findings)
 
 
@@ -80,6 +84,20 @@ def test_missing_and_unfit_packages_are_named_with_their_cure(site):
     assert lacks(findings) == [
         ("oldpart 1.9 does not fit", 'pip install "oldpart<3,>=2"'),
         ("nopart is missing", 'pip install "nopart>=1.5"'),
+    ]
+
+
+def test_extras_that_are_not_installed_name_their_cure_and_are_no_lack(site):
+    needs = ("nopart>=1", "newpart; extra == 'full'", "oldpart>=2; extra == 'paint'", "nopaint; extra == 'paint'")
+    site("wheelbarrow", "1.0", *needs, extras=("full", "paint"))
+    site("oldpart", "1.9")
+    site("newpart", "1.0")
+    findings = check_extras("wheelbarrow")
+    assert lacks(findings) == []
+    assert [finding.text for finding in findings] == [
+        "full: installed",
+        "paint: oldpart 1.9 does not fit, nopaint is missing; "
+        "if you need it: pip install 'wheelbarrow[paint]' (in a checkout: make setup-dev)",
     ]
 
 
