@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from deepgps.cli import doctor_command
+from sim.errors import WorkError
 from sim.tools import doctor
 from sim.tools.doctor import (
     Finding,
@@ -200,6 +202,15 @@ def test_command_names_the_device(tmp_path):
     done = run_doctor(tmp_path, MUJOCO_GL="egl")
     assert done.returncode == 0, done.stdout + done.stderr
     assert "device" in done.stdout and "mujoco" in done.stdout
+
+
+def test_command_prints_cures_with_their_brackets(monkeypatch, capsys):
+    cure = "pip install 'deepgps[ray]'"
+    findings = [Finding("extras", True, f"ray: {cure}"), Finding("packages", False, "part is missing", cure)]
+    monkeypatch.setattr(doctor, "diagnose", lambda: findings)
+    with pytest.raises(WorkError):
+        doctor_command(())
+    assert capsys.readouterr().out.count(cure) == 2
 
 
 def run_doctor(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
