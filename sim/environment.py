@@ -24,8 +24,8 @@ try:
     from dm_env import specs
 except ModuleNotFoundError:
     raise WorkError(
-        "sim.environment needs dm-control, which is not installed: "
-        "pip install 'deepgps[environment]' with Python 3.11 or 3.12 (in a checkout: make setup-dev)"
+        "sim.environment needs dm-control, which has no wheels for this Python: use Python 3.11 or 3.12 "
+        "and pip install dm-control"
     ) from None
 
 _DRAWN_FAULTS = ("slip_per_m", "step_noise", "dropout", "stuck_fraction")
