@@ -33,6 +33,7 @@ from deepgps.scenario import Scenario, names_in
 from sim.errors import InputError, WorkError
 from sim.files import check_overwrite
 from sim.paths import STUDIES
+from sim.sensors.catalog import SENSORS, list_carried
 
 if IS_WORKER:
     warn_plainly()  # a worker has no progress bars
@@ -282,7 +283,7 @@ def _watch(
 def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
     """Choose the renderer by the sensors of these scenarios, which are still to be driven."""
     rooms = [scenario for scenario in scenarios if scenario.world == "room"]
-    if any(scenario.sensor == "fisheye" or scenario.tag_camera.mounted for scenario in rooms):
+    if any(SENSORS[name].renders for scenario in rooms for name in list_carried(scenario)):
         _choose_renderer()
     elif rooms:
         os.environ["MUJOCO_GL"] = "off"  # MuJoCo reads this when it is imported: a lidar needs no OpenGL

@@ -19,6 +19,7 @@ MODULES = {
 
 ORDER = (
     ("sim",),
+    ("sim.sensors.catalog",),
     ("sim.furniture", "sim.apriltag"),
     ("sim.rooms",),
     ("sim.robot", "sim.sensors"),
@@ -61,7 +62,13 @@ WITHOUT_MUJOCO = {
         "sim.recording.derive",
         "sim.renamed",
     ),
-    *("sim.sensors.lens", "sim.sensors.encoder", "sim.sensors.encoder_faults", "sim.sensors.camera_faults"),
+    *(
+        "sim.sensors.catalog",
+        "sim.sensors.lens",
+        "sim.sensors.encoder",
+        "sim.sensors.encoder_faults",
+        "sim.sensors.camera_faults",
+    ),
 }
 ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl")

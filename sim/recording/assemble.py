@@ -2,7 +2,7 @@
 
 import logging
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,22 +11,17 @@ import numpy as np
 from sim.apriltag.detector import Detections
 from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
-from sim.files import link_file, read_arrays, write_array, write_blocks
+from sim.files import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
 from sim.recording.format import grid_file, observation_file, stamp, time_file
-from sim.recording.manifest import name_sensors
-from sim.recording.sensing import DETECTIONS, DIFFERED, IMAGE, RENDERER, TAG_CAMERA, TWICE
-from sim.rng import stream
+from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.robot.model import WHEEL_RADIUS_M
-from sim.sensors.camera_faults import make_develop, spawn_streams
+from sim.sensors.catalog import SENSORS, Measure, list_kept, load
 from sim.sensors.encoder import read_encoders, ticks_to_distance
-from sim.sensors.lidar_scan import measure
-from sim.sensors.tag_camera import camera_matrix, mounting
+from sim.sensors.tag_camera import NAME, camera_matrix, mounting
 from sim.settings import SimSettings
 
 JOINED = ("state", "segment", "observation", "wheel_angle", "time")
-Sense = Callable[[np.ndarray], np.ndarray]
-"""Turns ideal images or scans into those that the sensor reports."""
 log = logging.getLogger(__name__)
 
 
@@ -41,22 +36,7 @@ class Drive(NamedTuple):
     images: list[Path]
 
 
-def make_senses(settings: SimSettings, seed: int) -> tuple[Sense | None, Sense | None]:
-    """Return the sensor's transformations of ideal data: for the drive and for the tests."""
-    if settings.sensor == "lidar":
-        noise = stream(seed, "lidar")
-
-        def scan(scans: np.ndarray) -> np.ndarray:
-            return measure(scans, settings.lidar, noise)
-
-        return scan, scan
-    chance = spawn_streams(seed)
-    return make_develop(settings.image_faults, chance.noise), make_develop(settings.image_faults, chance.test_noise)
-
-
-def write_drive(
-    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, sense: Sense | None = None
-) -> dict[str, float]:
+def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator) -> dict[str, float]:
     """Write the drive, cut to the number of samples wanted, and return its entries for the manifest."""
     samples = settings.drive.samples
     joined = {
@@ -67,9 +47,8 @@ def write_drive(
     ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
-    sensor, *_ = name_sensors(settings)
-    write_images(folder / observation_file(sensor), drive.images, (samples,), sense=sense)
-    write_array(folder / time_file(sensor), stamp(reading[:, 1], joined["time"][kept], samples))
+    for sensor in list_kept(settings):  # all observe at the same time
+        write_array(folder / time_file(sensor), stamp(reading[:, 1], joined["time"][kept], samples))
     write_array(folder / "reading.npy", reading[arrived])
     write_array(folder / "time.npy", joined["time"][kept][arrived])
     write_array(folder / "truth" / "reading.npy", reading[:, :2])
@@ -96,29 +75,49 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
     return planar_pose(state)[:, None]
 
 
-def write_tag_camera(
+def write_observations(
+    folder: Path,
+    settings: SimSettings,
+    seed: int,
+    images: Sequence[Path],
+    tests: Sequence[Path],
+    shape: tuple[int, ...],
+) -> None:
+    """Write the observations of all sensors that are kept, as each measures them, from the files of the parts.
+
+    Args:
+        folder: The recording's folder.
+        settings: The sensors, the number of samples and of held-out tests.
+        seed: Seed of the sensors' RNG streams.
+        images: The drive's parts.
+        tests: Parts of the test positions; those of the drive if test samples are held out.
+        shape: Leading shape of the test observations (C, H).
+    """
+    samples = settings.drive.samples
+    first = samples if settings.grid.held_out else 0
+    for name in list_kept(settings):
+        make_measures = SENSORS[name].make_measures
+        measure, measure_test = load(make_measures)(settings, seed) if make_measures else (None, None)
+        seen, seen_test = ([part_files(settings, path)[name] for path in parts] for parts in (images, tests))
+        write_images(folder / observation_file(name), seen, (samples,), measure=measure)
+        write_images(folder / grid_file(name), seen_test, shape, first, measure_test)
+
+
+def write_tag_labels(
     folder: Path, settings: SimSettings, images: Sequence[Path], tests: Sequence[Path], test_shape: tuple[int, ...]
 ) -> dict[str, int]:
-    """Write labels from the tag camera's detections and, if kept, its images; returns their manifest entries.
-
-    ``sense_part`` has left both next to ``images`` and ``tests``.
-    """
+    """Write labels from the tags that ``sense_part`` found in images; returns their manifest entries."""
     samples, held_out = settings.drive.samples, settings.grid.held_out
-    seen, test_seen = (_join_detections(parts) for parts in (images, tests))
+    seen, test_seen = (_join_detections(settings, parts) for parts in (images, tests))
     seen, first = seen.of(seen.view < samples), samples if held_out else 0
     test_seen = Detections(test_seen.view - first, test_seen.tag, test_seen.corner)
     inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
     camera, mount = camera_matrix(settings.tag_camera), mounting(settings.tag_camera)
-    if settings.tag_camera.kept:
-        ahead = [[path.with_suffix(TAG_CAMERA) for path in parts] for parts in (images, tests)]
-        write_images(folder / observation_file("tag_camera"), ahead[0], (samples,))
-        link_file(folder / time_file("fisheye"), folder / time_file("tag_camera"))  # both expose at the same time
-        write_images(folder / grid_file("tag_camera"), ahead[1], test_shape, first)
     return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
 
 
 def write_images(
-    path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, sense: Sense | None = None
+    path: Path, parts: Sequence[Path], shape: tuple[int, ...], first: int = 0, measure: Measure | None = None
 ) -> None:
     """Join image files, from image ``first`` on, into one array of this leading shape; drop the rest."""
 
@@ -131,21 +130,19 @@ def write_images(
             images = read_part(part)[IMAGE]
             kept = images[skipped:][: count - written]
             written, skipped = written + len(kept), max(skipped - len(images), 0)
-            yield sense(kept) if sense else kept
+            yield measure(kept) if measure else kept
 
     write_blocks(path, (*shape, *some.shape[1:]), some.dtype, take())
 
 
-def count_drawn(parts: Sequence[Path]) -> dict[str, Any]:
+def count_drawn(settings: SimSettings, parts: Sequence[Path]) -> dict[str, Any]:
     """Manifest entries on the renderer: its name, how many images it drew twice and how many differed."""
     counts = {"gl_renderer": "none", "images_drawn_twice": 0, "images_that_differed": 0}
     for path in parts:
-        part = read_part(path)
-        counts["gl_renderer"] = part[RENDERER].item()
-        beside = path.with_suffix(DETECTIONS)
-        for stored in [part, read_part(beside)] if beside.is_file() else [part]:
-            counts["images_drawn_twice"] += int(stored[TWICE])
-            counts["images_that_differed"] += int(stored[DIFFERED])
+        stored = [read_part(file) for file in part_files(settings, path).values()]
+        counts["gl_renderer"] = stored[0][RENDERER].item()  # of the sensor from which methods learn
+        counts["images_drawn_twice"] += sum(int(one[TWICE]) for one in stored)
+        counts["images_that_differed"] += sum(int(one[DIFFERED]) for one in stored)
     return counts
 
 
@@ -161,11 +158,11 @@ def read_part(path: Path) -> dict[str, np.ndarray]:
         raise
 
 
-def _join_detections(parts: Sequence[Path]) -> Detections:
+def _join_detections(settings: SimSettings, parts: Sequence[Path]) -> Detections:
     """Join the detections of image files, with views numbered over all files."""
     found, before = [], 0
     for path in parts:
-        stored = read_part(path.with_suffix(DETECTIONS))
+        stored = read_part(part_files(settings, path)[NAME])
         found.append((stored["view"] + before, stored["tag"], stored["corner"]))
         before += len(read_part(path)[IMAGE])
     return Detections(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))

@@ -23,23 +23,23 @@ from sim.processes import usable_cores
 from sim.recording.assemble import (
     Drive,
     count_drawn,
-    make_senses,
     read_part,
     take_held_out,
     write_drive,
-    write_images,
-    write_tag_camera,
+    write_observations,
+    write_tag_labels,
 )
-from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, grid_file, work_folder
+from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, work_folder
 from sim.recording.manifest import name_sensors
 from sim.recording.renderers import Part, Renderers
-from sim.recording.sensing import sense_part, side_files
+from sim.recording.sensing import part_files, sense_part
 from sim.rng import stream
 from sim.robot.drive import DriveMode, Segment, next_segment
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.sensors.camera_faults import spawn_streams
 from sim.sensors.camera_mount import draw_leans
+from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings
 
@@ -113,9 +113,7 @@ def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> in
     ``tests`` is the number of test images, unless these are held out.
     """
     images = settings.drive.samples + settings.grid.held_out + tests
-    lidar, camera, ahead = settings.lidar, settings.camera, settings.tag_camera
-    seen = 4 * lidar.headings * lidar.rays if settings.sensor == "lidar" else 3 * camera.rings * camera.sectors
-    seen += ahead.height_px * ahead.width_px * (ahead.mounted and ahead.kept)
+    seen = sum(SENSORS[name].size(settings) for name in list_kept(settings))
     there = sum(path.stat().st_size for path in list_files(work, COLLECTING))
     # Each image is first in a part and then in the recording, and so is the state of each sample.
     parts = images * seen + 8 * nq * settings.drive.samples
@@ -272,7 +270,7 @@ def _lay_out_tests(
 
 def _is_drawn(part: Part) -> bool:
     """Whether all files of a part are intact; damaged ones are removed."""
-    return all([_read_if_whole(path) for path in (part.path, *side_files(part.settings, part.path))])
+    return all([_read_if_whole(path) for path in part_files(part.settings, part.path).values()])
 
 
 def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
@@ -286,16 +284,13 @@ def _assemble(
     folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
 ) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
-    sense, sense_test = make_senses(settings, seed)
-    drawn = count_drawn([*drive.images, *tests])
-    counts = write_drive(folder, settings, drive, stream(seed, "encoder"), sense)
-    first = 0
+    drawn = count_drawn(settings, [*drive.images, *tests])
+    counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
     if settings.grid.held_out:
-        test_pose, tests, first = take_held_out(settings, drive), drive.images, settings.drive.samples
-    sensor, *_ = name_sensors(settings)
-    write_images(folder / grid_file(sensor), tests, test_pose.shape[:2], first, sense_test)
+        test_pose, tests = take_held_out(settings, drive), drive.images
+    write_observations(folder, settings, seed, drive.images, tests, test_pose.shape[:2])
     if settings.tag_camera.mounted:
-        counts |= write_tag_camera(folder, settings, drive.images, tests, test_pose.shape[:2])
+        counts |= write_tag_labels(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     return counts | drawn
 

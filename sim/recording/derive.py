@@ -25,7 +25,8 @@ from sim.recording.format import (
 )
 from sim.recording.manifest import SCHEMA
 from sim.rng import stream
-from sim.sensors.camera_faults import Develop, make_develop, spawn_streams
+from sim.sensors.camera_faults import make_measures
+from sim.sensors.catalog import Measure
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings, ImageFaultSettings, SimSettings
 
@@ -77,11 +78,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
-    chance = spawn_streams(seed)
-    faults = {
-        observation_file("fisheye"): make_develop(settings.image_faults, chance.noise),
-        grid_file("fisheye"): make_develop(settings.image_faults, chance.test_noise),
-    }
+    images = (observation_file("fisheye"), grid_file("fisheye"))
+    faults = dict(zip(images, make_measures(settings, seed), strict=True))
     for name in recording.manifest.sha256:
         per_sample = name in PER_SAMPLE or name.startswith(OBSERVATIONS)
         if fault := faults.get(name):
@@ -140,7 +138,7 @@ def _check(base: Recording, settings: SimSettings, seed: int) -> None:
         raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
 
 
-def _develop_again(source: Path, target: Path, fault: Develop, count: int | None) -> None:
+def _develop_again(source: Path, target: Path, fault: Measure, count: int | None) -> None:
     """Write the images of a file, or the first ``count``, with faults, in blocks."""
     images = np.load(source, mmap_mode="r", allow_pickle=False)[:count]
     flat = images.reshape(-1, *images.shape[-3:])

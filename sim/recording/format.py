@@ -36,7 +36,7 @@ RECORDING = re.compile(
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
 """Paths of all files that a recording's folder holds."""
-COLLECTING = re.compile(r"drive-\d+\.npz|(image|test)-\d+(\.tags|\.tag_camera|\.horizontal)?\.np[yz]")
+COLLECTING = re.compile(rf"drive-\d+\.npz|(image|test)-\d+(\.{SENSOR})?\.np[yz]")
 """Names of all files in the folder of an unfinished recording."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 

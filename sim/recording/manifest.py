@@ -1,19 +1,17 @@
 """The manifest: a recording's metadata, checked once when it is opened."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from sim import renamed
+from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import SimSettings
 
 SCHEMA = 2
 READ = (1, 2)
 """Schemas that can be read; schema 1 had other names, and one sensor without a name."""
-ObservationKind = Literal["polar_image", "scan", "vector", "image"]
-"""polar_image: fisheye images around the zenith; scan: a lidar's distances; vector: distances to landmarks;
-image: any other picture, which no method learns from."""
 SENSOR = r"[a-z][a-z0-9_]{0,40}"
 """Pattern of a sensor's name, which is part of the names of its files."""
 DIMENSIONS: dict[ObservationKind, int] = {"polar_image": 4, "scan": 3, "vector": 2, "image": 3}
@@ -61,10 +59,7 @@ class Manifest(BaseModel):
             return values  # which the fields' own checks refuse
         settings = renamed.translate(parts["settings"])
         odometry = renamed.translate({"encoder": parts["odometry"]}).get("encoder", {})
-        tag_camera = settings.get("tag_camera")
-        kept = isinstance(tag_camera, Mapping) and _keeps_images(tag_camera.get("mounted"), tag_camera.get("kept"))
-        sensors = _name_sensors(settings.get("world"), settings.get("sensor"), kept)
-        return {**values, "settings": settings, "odometry": odometry, "sensors": sensors}
+        return {**values, "settings": settings, "odometry": odometry, "sensors": _name_sensors_of_schema_1(settings)}
 
     @property
     def sensor(self) -> str:
@@ -79,18 +74,16 @@ class Manifest(BaseModel):
 
 def name_sensors(settings: SimSettings) -> dict[str, ObservationKind]:
     """Sensors and their kinds for a simulation, as in a manifest."""
-    kept = _keeps_images(settings.tag_camera.mounted, settings.tag_camera.kept)
-    return _name_sensors(settings.world, settings.sensor, kept)
+    return {name: SENSORS[name].kind for name in list_kept(settings)}
 
 
-def _keeps_images(mounted: object, kept: object) -> bool:
-    return bool(mounted and kept)
-
-
-def _name_sensors(world: object, sensor: object, tag_images: bool) -> dict[str, ObservationKind]:
-    others: dict[str, ObservationKind] = {"tag_camera": "image"} if tag_images else {}
-    if world == "landmarks":
+def _name_sensors_of_schema_1(settings: Mapping[str, Any]) -> dict[str, ObservationKind]:
+    """The sensors by the settings of a recording of schema 1, which may be anything."""
+    tags = settings.get("tag_camera")
+    kept = isinstance(tags, Mapping) and tags.get("mounted") and tags.get("kept")
+    others: dict[str, ObservationKind] = {"tag_camera": "image"} if kept else {}
+    if settings.get("world") == "landmarks":
         return {"landmarks": "vector", **others}
-    if world == "obstacles" or sensor == "lidar":
+    if settings.get("world") == "obstacles" or settings.get("sensor") == "lidar":
         return {"lidar": "scan", **others}
     return {"fisheye": "polar_image", **others}

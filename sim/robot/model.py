@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from sim.paths import ROBOT
-from sim.settings import CameraSettings, RobotSettings, TagCameraSettings
+from sim.settings import CameraSettings, RobotSettings
 
 BASE = "base"
 WHEELS = ("left_wheel", "right_wheel")
@@ -13,7 +13,6 @@ CAMERA_SITE = "camera"
 CAMERA = "fisheye"
 TIMESTEP_S, CONTROL_PERIOD_S = 0.005, 0.04
 """Time step of the physics, and period of the controller, an integer multiple of the time step [s]."""
-TAG_CAMERA_SITE = "tag_camera"
 
 RADIUS_M = 0.105
 """Radius of the round body around the middle of the wheel axle [m] (OpenCR turtlebot3_burger.h: ROBOT_RADIUS)."""
@@ -36,24 +35,6 @@ def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
     if camera.height_m != _LENS_M:
         _raise_lens(spec, camera.height_m)
     return spec
-
-
-def mount_tag_camera(robot: mujoco.MjSpec, settings: TagCameraSettings) -> None:
-    """Put the tag camera on the robot: a small massless box, and a site whose x axis points outwards and z axis up."""
-    base, place, half = robot.body(BASE), (settings.ahead_m, 0.0, settings.height_m), np.radians(settings.yaw_deg) / 2
-    turned = (np.cos(half), 0.0, 0.0, np.sin(half))
-    base.add_site(name=TAG_CAMERA_SITE, pos=place, quat=turned, size=[0.004] * 3, group=4)
-    base.add_geom(
-        name=TAG_CAMERA_SITE,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        pos=place,
-        size=(0.012, 0.02, 0.012),
-        material="shell",
-        mass=0.0,
-        contype=0,
-        conaffinity=0,
-        group=2,
-    )
 
 
 def robot_height(camera: CameraSettings) -> float:

@@ -3,9 +3,10 @@
 import mujoco
 
 from sim.errors import InputError, one_line
-from sim.robot.model import TIMESTEP_S, load_robot, mount_tag_camera
+from sim.robot.model import TIMESTEP_S, load_robot
 from sim.rooms.deployment import dim
 from sim.rooms.spec import PREFIX, freeze
+from sim.sensors.catalog import SENSORS, list_carried, load
 from sim.settings import DeploymentSettings, SimSettings
 
 AMBIENT = 0.4
@@ -24,7 +25,7 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
 
     Args:
         room: The room, without moving parts; not modified.
-        settings: Wheel error, camera height and the light in use are used.
+        settings: Wheel error, camera height, sensors to mount and the light in use are used.
 
     Raises:
         InputError: The room and the robot do not fit together, for instance because both have parts of the same name.
@@ -35,8 +36,9 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     if settings.deployment != DeploymentSettings():
         dim(spec, settings.deployment)
     robot = load_robot(settings.robot, settings.camera)
-    if settings.tag_camera.mounted:
-        mount_tag_camera(robot, settings.tag_camera)
+    for name in list_carried(settings):
+        if mount := SENSORS[name].mount:
+            load(mount)(robot, settings)
     robot.option = spec.option
     try:
         spec.attach(robot, prefix=PREFIX, frame=spec.worldbody.add_frame())

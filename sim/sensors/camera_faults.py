@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.rng import stream
-from sim.settings import ImageFaultSettings
+from sim.sensors.catalog import Measure
+from sim.settings import ImageFaultSettings, SimSettings
 
-Develop = Callable[[np.ndarray], np.ndarray]
-"""Images (n, rings, sectors, 3) uint8 without faults -> the same images with faults, in the order taken."""
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
@@ -33,7 +32,13 @@ def spawn_streams(seed: int) -> CameraStreams:
     return CameraStreams(*stream(seed, "camera").spawn(4))
 
 
-def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Develop | None:
+def make_measures(settings: SimSettings, seed: int) -> tuple[Measure | None, Measure | None]:
+    """Return the functions that apply the faults to images of the drive and of the tests."""
+    faults, chance = settings.image_faults, spawn_streams(seed)
+    return make_develop(faults, chance.noise), make_develop(faults, chance.test_noise)
+
+
+def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Measure | None:
     """Return the function that applies the faults of these settings to images; None if all faults are off.
 
     One number is drawn from ``rng`` for each value, in order: a shorter drive has the first images of a longer one.

@@ -5,6 +5,7 @@ reach into it. An image must not depend on the face in which something is drawn:
 turns with the view.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Self
 
@@ -12,11 +13,13 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.sensors.camera_mount import tilt
+from sim.sensors.camera_faults import decode, encode
+from sim.sensors.camera_mount import drive_on, tilt
+from sim.sensors.catalog import Opened
 from sim.sensors.cube_faces import Face, edge_planes, make_faces, map_rays
 from sim.sensors.lens import make_lens, polar_rays, round_rays
 from sim.sensors.offscreen import Offscreen
-from sim.settings import CameraSettings
+from sim.settings import CameraSettings, SimSettings
 
 ROBOT = "robot/"
 CAMERA_SITE = "robot/camera"
@@ -138,6 +141,22 @@ class Fisheye:
         reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
         inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
         return inside & ~self._robot[geoms]
+
+
+def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
+    """Open the camera in the scene; if the robot drives during the exposure, an image is the mean light of several."""
+    model, driven_m = scene(), settings.camera_mount.driven_m
+    camera, data = Fisheye(model, settings.camera), mujoco.MjData(model)
+
+    def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
+        light = []
+        for place in drive_on(state, driven_m) if driven_m else [state]:
+            data.qpos[:] = place
+            mujoco.mj_kinematics(model, data)
+            light.append(camera.polar(data, lean))
+        return encode(decode(np.array(light)).mean(axis=0)) if driven_m else light[0]
+
+    return Opened(sense, camera.renderer_string)
 
 
 def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:

@@ -3,12 +3,16 @@
 The lidar's model is the room without the robot, so it cannot see the robot itself. Rays hit geoms that can collide.
 """
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
+from sim.rooms.build import build_room
 from sim.rooms.spec import compile_solid
+from sim.sensors.catalog import Opened
 from sim.sensors.lidar_scan import arrange, ray_angles
-from sim.settings import LidarSettings
+from sim.settings import LidarSettings, SimSettings
 
 
 class Lidar:
@@ -38,3 +42,9 @@ class Lidar:
         # MuJoCo returns -1 if a ray hits nothing, and may return distances beyond the reach.
         missed = (distance < 0) | (distance > reach_m)
         return arrange(np.where(missed, reach_m, distance), self._lidar)
+
+
+def open_lidar(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
+    """Open the lidar in the settings' room; it does not need the scene with the robot."""
+    lidar = Lidar(build_room(settings.room), settings.lidar)
+    return Opened(lambda state, lean: lidar.scan(state))

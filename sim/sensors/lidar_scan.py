@@ -7,7 +7,9 @@ between two rays. A turn by a full ray shifts each row circularly, so these rows
 
 import numpy as np
 
-from sim.settings import LidarSettings
+from sim.rng import stream
+from sim.sensors.catalog import Measure
+from sim.settings import LidarSettings, SimSettings
 
 
 def ray_angles(lidar: LidarSettings) -> np.ndarray:
@@ -27,3 +29,13 @@ def measure(distance: np.ndarray, lidar: LidarSettings, rng: np.random.Generator
     if lidar.noise_m > 0.0:
         distance = distance + lidar.noise_m * rng.standard_normal(distance.shape, np.float32)
     return np.clip(distance, 0.0, lidar.reach_m, dtype=np.float32)
+
+
+def make_measures(settings: SimSettings, seed: int) -> tuple[Measure, Measure]:
+    """Return what adds the noise to scans of the drive and then to those of the tests, from one stream."""
+    noise = stream(seed, "lidar")
+
+    def scan(scans: np.ndarray) -> np.ndarray:
+        return measure(scans, settings.lidar, noise)
+
+    return scan, scan

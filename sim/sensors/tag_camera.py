@@ -3,18 +3,20 @@
 Its frame is OpenCV's: x to the right, y down, z ahead. The principal point is the image centre; there is no distortion.
 """
 
+from collections.abc import Callable
 from typing import Self
 
 import cv2
 import mujoco
 import numpy as np
 
+from sim.sensors.catalog import Opened
 from sim.sensors.cube_faces import Face
 from sim.sensors.fisheye import ROBOT, UNSEEN, aim, dim_headlight, make_scene
 from sim.sensors.offscreen import Offscreen
-from sim.settings import TagCameraSettings
+from sim.settings import SimSettings, TagCameraSettings
 
-SITE = "robot/tag_camera"
+NAME = "tag_camera"
 TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
 
@@ -33,7 +35,7 @@ class TagCamera:
     """
 
     def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings) -> None:
-        self._model, self._site = model, model.site(SITE).id
+        self._model, self._site = model, model.site(ROBOT + NAME).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
         across = np.tan(np.radians(settings.field_of_view_deg) / 2)
@@ -41,6 +43,7 @@ class TagCamera:
         window = np.array([-across, across, -up, up])
         self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
         self._screen = Offscreen(model, settings.width_px, settings.height_px)
+        self.renderer_string = self._screen.renderer_string
 
     def look(self, data: mujoco.MjData) -> np.ndarray:
         """The image of the state ``data``: (height_px, width_px) uint8, grey."""
@@ -64,6 +67,37 @@ class TagCamera:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def open_tag_camera(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
+    """Open the tag camera in the scene."""
+    model = scene()
+    camera, data = TagCamera(model, settings.tag_camera), mujoco.MjData(model)
+
+    def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        return camera.look(data)
+
+    return Opened(sense, camera.renderer_string)
+
+
+def mount(robot: mujoco.MjSpec, settings: SimSettings) -> None:
+    """Put the tag camera on the robot: a small massless box, and a site whose x axis points outwards and z axis up."""
+    camera, base = settings.tag_camera, robot.body("base")
+    place, half = (camera.ahead_m, 0.0, camera.height_m), np.radians(camera.yaw_deg) / 2
+    base.add_site(name=NAME, pos=place, quat=(np.cos(half), 0.0, 0.0, np.sin(half)), size=[0.004] * 3, group=4)
+    base.add_geom(
+        name=NAME,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=place,
+        size=(0.012, 0.02, 0.012),
+        material="shell",
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
 
 
 def camera_matrix(settings: TagCameraSettings) -> np.ndarray:

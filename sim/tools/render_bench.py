@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.processes import WORKERS
-from sim.recording.sensing import draw_states, open_camera
+from sim.recording.sensing import observe
 from sim.robot.world import RoomWorld
 from sim.sensors.fisheye import CAMERA_SITE, Fisheye
 from sim.settings import SimSettings
@@ -69,10 +69,11 @@ def draw_poses(settings: SimSettings, poses: np.ndarray, processes: int = 2) -> 
     """
     ready = WORKERS.Barrier(processes + 1)
     # at least as many parts as processes: each part starts a process, and the processes wait for one another
-    parts = np.array_split(poses, max(processes, len(poses) // CHUNK))
-    with ProcessPoolExecutor(processes, WORKERS, _get_ready, (settings, ready)) as pool:
+    states = RoomWorld(settings, drawn=False).rest_states(poses)
+    parts = np.array_split(states, max(processes, len(states) // CHUNK))
+    with ProcessPoolExecutor(processes, WORKERS, _get_ready, (settings, states[:1], ready)) as pool:
         try:
-            jobs = [pool.submit(_draw, settings, part) for part in parts]
+            jobs = [pool.submit(observe, "fisheye", settings, part) for part in parts]
             ready.wait(START_S)
             start = time.perf_counter()
             images = np.concatenate([job.result() for job in jobs])
@@ -114,15 +115,10 @@ def _stand(world: RoomWorld, state: np.ndarray) -> None:
     mujoco.mj_kinematics(world.model, world.data)
 
 
-def _get_ready(settings: SimSettings, ready: Barrier) -> None:
+def _get_ready(settings: SimSettings, states: np.ndarray, ready: Barrier) -> None:
     try:
-        _draw(settings, np.zeros((1, 3)))
+        observe("fisheye", settings, states)
     except Exception:
         ready.abort()  # otherwise the others would wait for this one
         raise
     ready.wait(START_S)
-
-
-def _draw(settings: SimSettings, poses: np.ndarray) -> np.ndarray:
-    world, _ = open_camera(settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
-    return draw_states(settings, world.rest_states(poses))

@@ -176,9 +176,9 @@ def test_a_disk_that_damages_all_it_is_given_is_one_clear_line(parts, small_sett
     shutil.copytree(parts, tmp_path, dirs_exist_ok=True)
     count = collecting.count_drawn
 
-    def flip_always(paths):
+    def flip_always(settings, paths):
         flip(paths[0])
-        return count(paths)
+        return count(settings, paths)
 
     monkeypatch.setattr(collecting, "count_drawn", flip_always)
     with pytest.raises(WorkError, match=r"image-000000\.npz is damaged: .*, 3 times: what is written here"):
@@ -236,17 +236,17 @@ def hang_first(part: Part, beat: Callable[[], None]) -> None:
 def err_first(part: Part, beat: Callable[[], None]) -> None:
     """Draw as a renderer that changes one image in one process."""
     once = part.path.with_name("erred")
-    draw = sensing.draw_states
+    draw = sensing.observe
     if part.path.name == "image-000001.npz" and not once.exists():
         once.touch()
 
-        def draw_wrong(settings: SimSettings, states: np.ndarray, *others: Any) -> np.ndarray:
-            images = draw(settings, states, *others)
+        def draw_wrong(name: str, settings: SimSettings, states: np.ndarray, *others: Any) -> np.ndarray:
+            images = draw(name, settings, states, *others)
             if len(states) > 1:
                 images ^= 1
             return images
 
-        sensing.draw_states = draw_wrong
+        sensing.observe = draw_wrong
     sense_part(part, beat)
 
 
