@@ -6,7 +6,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
-from deepgps.viewer.run.layout import CAMERAS, aim_eye
+from deepgps.viewer.run.drive import POLAR_PICTURES
+from deepgps.viewer.run.layout import aim_eye
 from sim.occupancy import FreeSpace
 
 RUN_TIME = "run_time"
@@ -54,7 +55,7 @@ def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
         line_grid=space is None,
         overrides={"world/drive/path": rrb.VisibleTimeRanges([until_now])},
     )
-    cameras = [rrb.Spatial2DView(name=CAMERAS[name], origin=f"drive/{name}") for name in ("fisheye", "polar")]
+    cameras = [rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in POLAR_PICTURES.items()]
     return rrb.Horizontal(
         room,
         rrb.Vertical(*(cameras if pictures else []), _steps(), row_shares=[3, 1, 2] if pictures else [1]),

@@ -103,7 +103,7 @@ class LiveView:
     def _arrange(self) -> None:
         """Send a new layout if there is something new to show."""
         trained = list(self._training.trained) if self._training else []
-        pictures = self._scenario.world == "room" and self._scenario.sensor == "fisheye"
+        pictures = self._scenario.observation == "polar_image"
         shown = (self._space is not None, trained, self._measured)
         if shown != self._shown:
             self._shown = shown

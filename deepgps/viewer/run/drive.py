@@ -1,5 +1,7 @@
 """The drive along its timeline: the robot and its path below ``world``, sensor data below ``drive``."""
 
+from collections.abc import Iterable
+
 import numpy as np
 import rerun as rr
 
@@ -9,6 +11,7 @@ from deepgps.viewer import playback
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import drive_index, send_series
 from sim.recording.format import Recording, Truth
+from sim.sensors.catalog import SENSORS
 from sim.settings import CameraSettings
 
 ROBOT = "world/drive/robot"
@@ -17,6 +20,8 @@ TRUE: Colour = (90, 160, 255)
 LEG: Colour = (255, 196, 60)
 IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
 ROUND_PX = 144
+POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top"}
+"""Pictures of a polar image by name, with their titles."""
 
 
 def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
@@ -31,9 +36,8 @@ def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) ->
     )
     log_path(stream, "world/drive", truth.pose[observation, :2], (TRUE, LEG), recording)
     _log_distances(stream, recording, truth)
-    if recording.kind == "polar_image":
-        log_images(stream, recording, seen, recording.time[first])
-    elif recording.kind == "scan":
+    log_images(stream, recording, seen, recording.time[first])
+    if recording.kind == "scan":
         _log_scans(stream, recording, seen, recording.time[first])
 
 
@@ -66,10 +70,10 @@ def log_path(
     )
 
 
-def find_cameras(recording: Recording) -> list[str]:
-    """Names of the cameras whose pictures a recording has; scans and distances to landmarks are no pictures."""
-    images = ["fisheye", "polar"] if recording.kind == "polar_image" else []
-    return [*images, *(["tag_camera"] if "tag_camera" in recording.others else [])]
+def find_pictures(recording: Recording) -> dict[str, str]:
+    """Titles of the pictures that a recording has, by name; scans and distances to landmarks are no pictures."""
+    polar = POLAR_PICTURES if recording.kind == "polar_image" else {}
+    return polar | {name: SENSORS[name].title if name in SENSORS else name for name in _find_images(recording)}
 
 
 def _log_robot(stream: rr.RecordingStream, track_m: float, height_m: float) -> None:
@@ -110,22 +114,31 @@ def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
 
 
 def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
-    """Log the pictures of the observations ``seen`` (n,), taken at ``time`` (n,) [s]."""
+    """Log all sensors' pictures of the observations ``seen`` (n,), taken at ``time`` (n,) [s]."""
     step = -(-len(seen) // IMAGES_AT_MOST)
     seen, indexes = seen[::step], drive_index(time[::step], recording)
-    _, rings, sectors, _ = recording.observation.shape
-    warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
-    polar = (np.asarray(recording.observation[observation]) for observation in seen)
-    pairs = [(playback.encode_jpeg(image), playback.encode_jpeg(playback.warp_round(image, warp))) for image in polar]
-    pictures: dict[str, tuple[bytes, ...]] = dict(
-        zip(("drive/polar", "drive/fisheye"), zip(*pairs, strict=True), strict=True)
-    )
-    if "tag_camera" in recording.others:
-        grey = (np.repeat(recording.others["tag_camera"][observation][..., None], 3, axis=2) for observation in seen)
-        pictures["drive/tag_camera"] = tuple(playback.encode_jpeg(image) for image in grey)
-    for path, blobs in pictures.items():
-        stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
-        stream.send_columns(path, indexes, rr.EncodedImage.columns(blob=list(blobs)))
+    if recording.kind == "polar_image":
+        polar = recording.observation
+        warp = playback.make_warp(_camera(recording), *polar.shape[1:3], ROUND_PX)
+        _log_pictures(stream, "polar", (np.asarray(polar[number]) for number in seen), indexes)
+        rounds = (playback.warp_round(np.asarray(polar[number]), warp) for number in seen)
+        _log_pictures(stream, "fisheye", rounds, indexes)
+    for name in _find_images(recording):
+        grey = recording.others[name]
+        _log_pictures(stream, name, (np.repeat(grey[number][..., None], 3, axis=2) for number in seen), indexes)
+
+
+def _find_images(recording: Recording) -> list[str]:
+    """Names of the sensors, except the first, that take pictures."""
+    return [name for name in recording.others if recording.manifest.sensors[name] == "image"]
+
+
+def _log_pictures(
+    stream: rr.RecordingStream, name: str, images: Iterable[np.ndarray], indexes: list[rr.TimeColumn]
+) -> None:
+    blobs = [playback.encode_jpeg(image) for image in images]
+    stream.log(f"drive/{name}", rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
+    stream.send_columns(f"drive/{name}", indexes, rr.EncodedImage.columns(blob=blobs))
 
 
 def _log_scans(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:

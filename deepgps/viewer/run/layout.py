@@ -1,6 +1,6 @@
 """The viewer's layout for a run: its tabs and their contents."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import rerun as rr
@@ -11,11 +11,6 @@ from deepgps.methods.catalog import title_of
 from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END
 from sim.occupancy import FreeSpace
 
-CAMERAS = {
-    "fisheye": "Fisheye",
-    "polar": "Polar image, zenith at the top",
-    "tag_camera": "Tag camera",
-}
 RECENT_S, TRAIL_S = 60.0, 120.0
 
 
@@ -23,7 +18,7 @@ def make_blueprint(
     space: FreeSpace,
     methods: Sequence[str],
     trained: Sequence[str],
-    cameras: Sequence[str],
+    pictures: Mapping[str, str],
     drive_s: float,
 ) -> rrb.Blueprint:
     """The viewer's layout for a run, which opens with what matters most.
@@ -32,13 +27,13 @@ def make_blueprint(
         space: The room's floor.
         methods: Measured methods.
         trained: Methods with a training history.
-        cameras: Cameras with pictures.
+        pictures: Titles of the sensors' pictures, by name.
         drive_s: Duration of the drive [s].
     """
     return rrb.Blueprint(
         rrb.Tabs(
             _error_fields(space, methods),
-            _drive(space, cameras, drive_s),
+            _drive(space, pictures, drive_s),
             *([_training(space, trained)] if trained else []),
             _encoders(space, drive_s),
             _report(trained),
@@ -80,7 +75,7 @@ def _error_fields(space: FreeSpace, methods: Sequence[str]) -> rrb.Horizontal | 
     return rrb.Vertical(above, rrb.Horizontal(*plans), row_shares=[5, 3], name="Error field")
 
 
-def _drive(space: FreeSpace, cameras: Sequence[str], drive_s: float) -> rrb.Horizontal:
+def _drive(space: FreeSpace, pictures: Mapping[str, str], drive_s: float) -> rrb.Horizontal:
     room = rrb.Spatial3DView(
         name="Robot and path so far",
         origin="world",
@@ -89,17 +84,17 @@ def _drive(space: FreeSpace, cameras: Sequence[str], drive_s: float) -> rrb.Hori
         line_grid=False,
         overrides={"world/drive/path": rrb.VisibleTimeRanges(_until_now())},
     )
-    pictures = rrb.Horizontal(
-        *(rrb.Spatial2DView(name=CAMERAS[camera], origin=f"drive/{camera}") for camera in cameras),
-        column_shares=[1 if camera == "fisheye" else 2 for camera in cameras],
+    cameras = rrb.Horizontal(
+        *(rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()),
+        column_shares=[1 if name == "fisheye" else 2 for name in pictures],
     )
     return rrb.Horizontal(
         room,
         rrb.Vertical(
-            *([pictures] if cameras else []),
+            *([cameras] if pictures else []),
             _distances(drive_s),
             _ticks(drive_s),
-            row_shares=[1] * (3 if cameras else 2),
+            row_shares=[1] * (3 if pictures else 2),
         ),
         column_shares=[5, 4],
         name="Drive",

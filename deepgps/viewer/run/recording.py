@@ -16,7 +16,7 @@ from deepgps.evaluation.error_field import WorstField
 from deepgps.figures import field_plot, run_figures, style
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run.drive import find_cameras, log_drive
+from deepgps.viewer.run.drive import find_pictures, log_drive
 from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
 from deepgps.viewer.run.training import Data, log_training
@@ -40,7 +40,7 @@ def write_recording(run: Path) -> Path:
     metrics, fields, histories = read_metrics(run), field_plot.read_fields(run), run_figures.read_histories(run)
     recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     drive_s = float(recording.time[-1] - recording.time[0])
-    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_cameras(recording), drive_s)
+    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_pictures(recording), drive_s)
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", truth.free_space)

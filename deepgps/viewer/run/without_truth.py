@@ -14,7 +14,7 @@ from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
-from deepgps.viewer.run.drive import LEG, find_cameras, log_images, log_path, log_ticks
+from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
 from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
 from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.timeline import drive_index, send_series
@@ -42,7 +42,7 @@ def write_without_truth(run: Path, path: Path) -> Path:
             _log_map(stream, name, history)
         stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
 
-    blueprint = _make_blueprint(list(histories), find_cameras(recording))
+    blueprint = _make_blueprint(list(histories), find_pictures(recording))
     identity = hash_files(run, [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz"))])
     save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
     return path
@@ -55,8 +55,7 @@ def _log_drive(stream: rr.RecordingStream, recording: Recording) -> None:
     indexes = drive_index(recording.time, recording)
     send_series(stream, "drive/distance/encoder", indexes, distance, "by encoder", RECKONED)
     log_ticks(stream, recording)
-    if recording.kind == "polar_image":
-        log_images(stream, recording, seen, recording.time[first])
+    log_images(stream, recording, seen, recording.time[first])
 
 
 def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
@@ -66,8 +65,8 @@ def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
     log_snapshots(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_index(history))
 
 
-def _make_blueprint(methods: Sequence[str], cameras: Sequence[str]) -> rrb.Blueprint:
-    pictures = [rrb.Spatial2DView(name=name, origin=f"drive/{name}") for name in cameras]
+def _make_blueprint(methods: Sequence[str], pictures: Mapping[str, str]) -> rrb.Blueprint:
+    cameras = [rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()]
     curves = [
         rrb.TimeSeriesView(name="Distance travelled [m]", origin="drive/distance"),
         rrb.TimeSeriesView(name="Ticks", origin="drive/ticks"),
@@ -77,7 +76,7 @@ def _make_blueprint(methods: Sequence[str], cameras: Sequence[str]) -> rrb.Bluep
     losses = [rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}") for name in methods]
     note = rrb.TextDocumentView(name="Without truth", origin="report")
     tabs: list[rrb.Horizontal | rrb.Vertical] = [
-        rrb.Horizontal(path, rrb.Vertical(*pictures, *curves, note), name="Drive", column_shares=[3, 2])
+        rrb.Horizontal(path, rrb.Vertical(*cameras, *curves, note), name="Drive", column_shares=[3, 2])
     ]
     if methods:
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
