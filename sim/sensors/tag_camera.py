@@ -29,13 +29,14 @@ class TagCamera:
     Args:
         model: A compiled room with a robot that has this camera.
         settings: Field of view and image size.
+        site: Site of the robot at which the camera is, its x axis pointing out and its z axis up.
 
     Raises:
         WorkError: No OpenGL context can be opened; the message names the fix.
     """
 
-    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings) -> None:
-        self._model, self._site = model, model.site(ROBOT + NAME).id
+    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings, site: str = NAME) -> None:
+        self._model, self._site = model, model.site(ROBOT + site).id
         self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
         across = np.tan(np.radians(settings.field_of_view_deg) / 2)
