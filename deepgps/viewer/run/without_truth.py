@@ -3,7 +3,7 @@
 Nothing here is an error: each map is in a frame of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
