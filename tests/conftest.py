@@ -1,4 +1,4 @@
-"""What many tests share: the renderer chosen before MuJoCo is imported, and a small recording."""
+"""What many tests share: the renderer chosen before MuJoCo is imported, a small recording, and a finished run."""
 
 import os
 from pathlib import Path
@@ -7,6 +7,7 @@ import pytest
 
 from sim.sensors.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
+from tests.helpers.made_once import make_once
 
 choose_backend()
 # Two workers of pytest share two cores: a library that starts threads of its own in each only makes both wait.
@@ -29,12 +30,27 @@ def small_settings() -> SimSettings:
 
 @pytest.fixture(scope="session")
 def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of a small room, driven and rendered for real by one worker."""
+    """A recording of a small room, driven and rendered for real."""
     from sim.recording.collect import collect
 
-    folder = tmp_path_factory.mktemp("small") / "recording"
-    collect(SMALL, 0, folder, lambda *_: None, workers=1)
-    return folder
+    def make(folder: Path) -> None:
+        collect(SMALL, 0, folder / "recording", lambda *_: None, workers=1)
+
+    return make_once(tmp_path_factory, "small", make) / "recording"
+
+
+@pytest.fixture(scope="session")
+def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the mini scenario, by the command in a process of its own; ``said.txt`` beside it is what it printed."""
+    from tests.helpers.command import MINI, deepgps
+
+    def make(folder: Path) -> None:
+        (folder / "mini.yaml").write_text(MINI)
+        done = deepgps("run", "mini.yaml", "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "said.txt").write_text(done.stdout)
+
+    return make_once(tmp_path_factory, "mini", make) / "run"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

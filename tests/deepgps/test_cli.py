@@ -1,11 +1,8 @@
 """Every command run small, as a user runs it, and its errors by their text."""
 
 import json
-import os
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,15 +10,8 @@ import pytest
 from deepgps.scenario import names_in
 from sim.paths import STUDIES
 from sim.recording.format import check_recording
-from tests.helpers.command import deepgps_here
+from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, wait_until
 
-MINI = """
-room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
-camera: {rings: 8, sectors: 32, face_px: 16}
-drive: {samples: 120}
-grid: {spacing_m: 0.5, headings: 2}
-learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
-"""
 ONE_LINE_ERRORS = [
     (["run", "living_room", "--encoder.ticks-per-rev", "abc"], "encoder.ticks_per_rev 'abc': must be a valid integer"),
     (["run", "living_room", "--encoder.tickz", "3"], "encoder.tickz: there is no such setting; there are"),
@@ -49,49 +39,6 @@ FILES = [
     ("rooom: {}", "rooom: there is no such setting, did you mean room?"),
     ("a: !!python/object/apply:os.system [ls]", "is not allowed; write a number or text as it is"),
 ]
-
-
-def deepgps(*words: str, cwd: Path, **environment: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "deepgps.cli", *words]
-    return subprocess.run(
-        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
-    )
-
-
-def drop_progress(said: str) -> list[str]:
-    """The lines on standard error but those of the progress."""
-    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
-
-
-def assert_one_clear_line(done: subprocess.CompletedProcess[str], code: int, message: str, folder: Path) -> None:
-    assert done.returncode == code, done.stderr
-    assert message in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
-    assert "Traceback" not in done.stderr + done.stdout
-    assert list(folder.rglob("*")) == [], "nothing half-written"
-
-
-def arrays(run: Path) -> dict[str, bytes]:
-    kinds = {".npy", ".npz", ".safetensors"}
-    return {
-        path.relative_to(run).as_posix(): path.read_bytes() for path in sorted(run.rglob("*")) if path.suffix in kinds
-    }
-
-
-@pytest.fixture(scope="module")
-def mini(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("scenario") / "mini.yaml"
-    path.write_text(MINI)
-    return path
-
-
-@pytest.fixture(scope="module")
-def finished(mini, tmp_path_factory) -> tuple[Path, str]:
-    """A finished run of the mini scenario and what it printed."""
-    folder = tmp_path_factory.mktemp("runs")
-    done = deepgps("run", str(mini), "--out", "one", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return folder / "one", done.stdout
 
 
 @pytest.mark.parametrize(("words", "message"), ONE_LINE_ERRORS)
@@ -126,7 +73,7 @@ def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_fac
     folder.mkdir()
     (folder.parent / "secret.xml").write_text("<mujoco/>")
     (folder / "room.xml").write_text('<mujoco><include file="../secret.xml"/></mujoco>')
-    done = deepgps("run", "tiny", "--room.mjcf", str(folder / "room.xml"), "--out", "new/deep", cwd=tmp_path)
+    done = deepgps_here("run", "tiny", "--room.mjcf", str(folder / "room.xml"), "--out", "new/deep", cwd=tmp_path)
     assert_one_clear_line(done, 2, "../secret.xml", tmp_path)
 
 
@@ -152,31 +99,23 @@ def test_help_lists_the_commands(tmp_path):
     assert all(name in done.stdout for name in ("run", "study", "view", "rooms", "doctor", "collect"))
 
 
-def test_doctor_finds_a_renderer(tmp_path):
-    done = deepgps("doctor", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "mujoco" in done.stdout
-    assert "device" in done.stdout
-
-
 @pytest.mark.slow
-def test_a_run_leaves_all_that_was_promised(finished):
-    run, said = finished
+def test_a_run_leaves_all_that_was_promised(finished_run):
     for name in ("scenario.yaml", "metrics.json", "error_field.npz", "run.rrd", "log.txt", "recording/scene.glb"):
-        assert (run / name).is_file(), name
-    assert list((run / "figures").glob("*.png"))
-    check_recording(run / "recording")
-    assert not list(run.rglob("*.part"))
+        assert (finished_run / name).is_file(), name
+    assert list((finished_run / "figures").glob("*.png"))
+    check_recording(finished_run / "recording")
+    assert not list(finished_run.rglob("*.part"))
+    said = (finished_run.parent / "said.txt").read_text()
     for word in ("DeepGPS", "PoseNet", "collect", "deepgps view"):
         assert word in said
 
 
 @pytest.mark.slow
-def test_every_figure_can_be_computed_again_from_the_error_field(finished):
-    run, _ = finished
-    metrics = json.loads((run / "metrics.json").read_text())
-    field = np.load(run / "error_field.npz")
-    assert set(metrics["methods"]) == {"deepgps", "posenet", "dead_reckoned_labels", "knn"}
+def test_every_figure_can_be_computed_again_from_the_error_field(finished_run):
+    metrics = json.loads((finished_run / "metrics.json").read_text())
+    field = np.load(finished_run / "error_field.npz")
+    assert set(metrics["methods"]) == {"deepgps", "posenet"}
     for name, values in metrics["methods"].items():
         worst = np.linalg.norm(field[name] - field["truth"][:, None], axis=-1).max(axis=1)
         assert values["rms_m"] == pytest.approx(np.sqrt((worst**2).mean()))
@@ -187,10 +126,9 @@ def test_every_figure_can_be_computed_again_from_the_error_field(finished):
 
 
 @pytest.mark.slow
-def test_done_work_is_not_done_again(finished, mini):
-    run, _ = finished
-    before = {path: path.stat().st_mtime_ns for path in run.rglob("*") if path.name != ".deepgps"}
-    done = deepgps("run", str(mini), "--out", str(run), cwd=run.parent)
+def test_done_work_is_not_done_again(finished_run):
+    before = {path: path.stat().st_mtime_ns for path in finished_run.rglob("*") if path.name != ".deepgps"}
+    done = deepgps_here("run", "mini.yaml", "--out", "run", cwd=finished_run.parent)
     assert done.returncode == 0
     assert "DeepGPS" in done.stdout
     changed = [path.name for path, time in before.items() if path.stat().st_mtime_ns != time]
@@ -198,29 +136,26 @@ def test_done_work_is_not_done_again(finished, mini):
 
 
 @pytest.mark.slow
-def test_a_folder_of_another_run_is_not_touched(finished, mini):
-    run, _ = finished
-    done = deepgps("run", str(mini), "--seed", "7", "--out", str(run), cwd=run.parent)
+def test_a_folder_of_another_run_is_not_touched(finished_run):
+    done = deepgps_here("run", "mini.yaml", "--seed", "7", "--out", "run", cwd=finished_run.parent)
     assert done.returncode == 2
     assert "holds a run of another scenario (a recording, trained" in done.stderr
 
 
+MOMENTS = ("recording.collecting/drive-*.npz", "deepgps/**/checkpoint.pt", "metrics.json")
+"""Files that show a run in the drive or rendering, in a training, and between measuring and the last figure."""
+
+
 @pytest.mark.slow
-def test_killed_again_and_again_it_ends_with_the_same_bytes(finished, mini, tmp_path):
-    """kill -9 after ever longer times, among them in the drive, in trainings and in between."""
-    run, _ = finished
-    rng = np.random.default_rng(0)
-    command = [sys.executable, "-m", "deepgps.cli", "run", str(mini), "--out", "two"]
-    kills = 0
-    for seconds in rng.uniform(2.0, 9.0, 4):
-        process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        try:
-            process.wait(seconds)
-        except subprocess.TimeoutExpired:
+def test_killed_again_and_again_it_ends_with_the_same_bytes(finished_run, tmp_path):
+    (tmp_path / "mini.yaml").write_text(MINI)
+    command = [sys.executable, "-m", "deepgps.cli", "run", "mini.yaml", "--out", "two"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "text": True}
+    for moment in MOMENTS:
+        with subprocess.Popen(command, cwd=tmp_path, **quiet) as process:
+            wait_until(lambda moment=moment: list(tmp_path.glob(f"two/{moment}")), process)
             process.kill()
-            process.wait()
-            kills += 1
-    assert kills
-    done = deepgps("run", str(mini), "--out", "two", cwd=tmp_path)
+    assert not (tmp_path / "two" / "run.rrd").exists()
+    done = deepgps("run", "mini.yaml", "--out", "two", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert arrays(tmp_path / "two") == arrays(run)
+    assert arrays(tmp_path / "two") == arrays(finished_run)

@@ -1,15 +1,40 @@
-"""The command line in this process, without the seconds that a process of its own takes to start."""
+"""The command line as a user runs it, and what tests ask of what it says and leaves."""
 
 import io
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 from subprocess import CompletedProcess
 
+import pytest
+
 from deepgps.cli import main
+
+MINI = """
+room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
+camera: {rings: 8, sectors: 32, face_px: 16}
+drive: {samples: 120}
+grid: {spacing_m: 0.5, headings: 2}
+methods: [deepgps, posenet]
+learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
+"""
+
+
+def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]:
+    """Run ``deepgps`` with these words in a folder, in a process of its own."""
+    command = [sys.executable, "-m", "deepgps.cli", *words]
+    return subprocess.run(
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
+    )
 
 
 def deepgps_here(*words: str, cwd: Path) -> CompletedProcess[str]:
-    """Run ``deepgps`` with these words in a folder."""
+    """The same in this process, without the seconds that a process of its own takes to start."""
     out, errors, code = io.StringIO(), io.StringIO(), 0
     with chdir(cwd), redirect_stdout(out), redirect_stderr(errors):
         try:
@@ -17,3 +42,36 @@ def deepgps_here(*words: str, cwd: Path) -> CompletedProcess[str]:
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 0
     return CompletedProcess(words, code, out.getvalue(), errors.getvalue())
+
+
+def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
+    """Wait for something that a running process brings about; it is ended where that takes too long."""
+    end = time.monotonic() + 120
+    while not condition():
+        assert process.poll() is None, process.communicate()
+        if time.monotonic() > end:
+            process.kill()
+            pytest.fail(f"waited in vain: {process.communicate()}")
+        time.sleep(0.02)
+
+
+def drop_progress(said: str) -> list[str]:
+    """The lines on standard error but those of the progress."""
+    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
+
+
+def assert_one_clear_line(done: CompletedProcess[str], code: int, message: str, folder: Path) -> None:
+    """Assert how a command failed, and that it left nothing in the folder."""
+    assert done.returncode == code, done.stderr
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert list(folder.rglob("*")) == [], "nothing half-written"
+
+
+def arrays(run: Path) -> dict[str, bytes]:
+    """Every array of a run, by its path."""
+    kinds = {".npy", ".npz", ".safetensors"}
+    return {
+        path.relative_to(run).as_posix(): path.read_bytes() for path in sorted(run.rglob("*")) if path.suffix in kinds
+    }

@@ -1,25 +1,35 @@
-"""A small study for tests, run for real by the command: its files, its process, and how to wait for it."""
+"""A small study for tests, run for real: its files, and how to do it, in a process of its own or in this one."""
 
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
 
-from deepgps.progress import Report
+from deepgps.progress import Report, ignore
+from deepgps.studies.engine.engine import RunAll, carry_out, claim_study
 from deepgps.studies.engine.worker import Failures, do_run
-from deepgps.studies.study import Plan
-from tests.deepgps.test_cli import drop_progress
+from deepgps.studies.reports.report import report_study
+from deepgps.studies.study import Plan, load_study, plan_runs
+from tests.helpers.command import drop_progress
 
-SCENARIO = """
-room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
-camera: {rings: 8, sectors: 32, face_px: 16}
-drive: {samples: 60}
-grid: {spacing_m: 0.5, headings: 2}
-learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}
+LEARN = "learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}"
+SCENARIO = f"""
+room: {{kind: bedroom, width_m: 3.2, depth_m: 2.8}}
+camera: {{rings: 8, sectors: 32, face_px: 16}}
+drive: {{samples: 60}}
+grid: {{spacing_m: 0.5, headings: 2}}
+{LEARN}
 """
+PLANE = f"""
+world: landmarks
+landmarks: {{count: 20, segments: 12}}
+drive: {{spacing_m: 0.05, samples: 60}}
+grid: {{spacing_m: 0.5, headings: 2}}
+{LEARN}
+"""
+"""A world that is recorded in no time, for what has nothing to do with rooms and renderers."""
 STUDY = {
     "scenario": "mini.yaml",
     "methods": ["deepgps"],
@@ -30,8 +40,9 @@ STUDY = {
 
 
 def write_study(folder: Path, **changes: object) -> Path:
-    """Write the scenario and the study beside it."""
+    """Write the scenarios, ``mini.yaml`` and ``plane.yaml``, and the study beside them."""
     (folder / "mini.yaml").write_text(SCENARIO)
+    (folder / "plane.yaml").write_text(PLANE)
     (folder / "mine.yaml").write_text(yaml.safe_dump({**STUDY, **changes}))
     return folder / "mine.yaml"
 
@@ -51,16 +62,17 @@ def finish(process: subprocess.Popen[str]) -> str:
     return said
 
 
-def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
-    """Wait for something that a running process brings about."""
-    end = time.monotonic() + 60
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.02)
-
-
 def run_all_here(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Do the runs of a study in this process, one after another, in place of an engine."""
     found = {plan.run: do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, progress) for plan in plans}
     return {run: failure for run, failure in found.items() if failure}
+
+
+def do_here(path: Path, out: Path, run_all: RunAll = run_all_here) -> Failures:
+    """Do a study as the command does, with an engine of the test's choice, and report it."""
+    study = load_study(str(path), tiny=False)
+    plans = plan_runs(study)
+    with claim_study(study, out, fresh=False) as place:
+        failures = carry_out(study, plans, place, run_all, ignore)
+        report_study(study, plans, failures, place)
+    return failures

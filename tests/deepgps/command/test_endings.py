@@ -13,7 +13,7 @@ import pytest
 from deepgps.command.failures import FAULT, Fault, explain, working_in
 from deepgps.command.signals import Stopped
 from sim.errors import InputError, WorkError
-from tests.deepgps.test_cli import MINI, deepgps, drop_progress
+from tests.helpers.command import MINI, deepgps, drop_progress, wait_until
 
 LINES = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 AGAIN = "; the same command continues where it stopped"
@@ -58,8 +58,10 @@ def wait_until_gone(session: int) -> bool:
     return not find_session(session)
 
 
-@pytest.mark.parametrize("number", LINES)
-@pytest.mark.parametrize("seconds", [0.25, 1.0, 3.0])
+@pytest.mark.parametrize(
+    ("number", "seconds"),
+    [(signal.SIGINT, 0.25), (signal.SIGINT, 1.0), (signal.SIGINT, 3.0), (signal.SIGTERM, 0.5), (signal.SIGHUP, 2.0)],
+)
 def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
     mini: Path, tmp_path: Path, number: signal.Signals, seconds: float
 ) -> None:
@@ -76,9 +78,7 @@ def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
 
 def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
     process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
-    while not list(tmp_path.glob("run/recording.collecting/*.npz")):
-        assert process.poll() is None
-        time.sleep(0.05)
+    wait_until(lambda: list(tmp_path.glob("run/recording.collecting/*.npz")), process)
     process.terminate()
     _, said = process.communicate(timeout=60)
     assert (process.returncode, drop_progress(said)) == (143, ["terminated" + AGAIN])

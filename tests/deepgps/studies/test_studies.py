@@ -2,26 +2,29 @@
 
 import os
 import signal
+from collections.abc import Sequence
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 import yaml
 
+from deepgps.progress import Report
 from deepgps.scenario import digest, digest_recording, load_scenario, names_in
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.engine.worker import Failures
 from deepgps.studies.reports.report import load, varied_names, write_report
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.run.recording import find_recording
 from sim.errors import InputError
 from sim.files import read_json, write_arrays, write_json
 from sim.paths import STUDIES
 from sim.recording.format import check_recording
-from tests.deepgps.test_cli import drop_progress
-from tests.helpers.small_study import STUDY, finish, start, wait_until, write_study
+from tests.helpers.command import deepgps_here, drop_progress, wait_until
+from tests.helpers.small_study import STUDY, do_here, run_all_here, start, write_study
 
 MORE = [{"learn.start": "auto", "learn.seed": 2}, {"learn.train.device": "cuda:99", "learn.seed": 3}]
 INTERRUPTED = "interrupted; the same command continues where it stopped"
@@ -195,39 +198,39 @@ def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
     assert set(list_seeds(fresh=True)) == {0, 5}
 
 
-@pytest.mark.slow
-def test_killed_among_derived_recordings_only_what_is_missing_is_made_and_a_seed_adds_only_itself(tmp_path):
+def test_cut_off_among_derived_recordings_only_what_is_missing_is_made_and_a_seed_adds_only_itself(tmp_path):
+    def do_one(plans: Sequence[Plan], place: Path, progress: Report) -> Failures:
+        run_all_here(plans[:1], place, progress)
+        raise KeyboardInterrupt
+
     axes = {"encoder.step_noise": [0.0, 0.1], "drive.samples": [40, 60]}
-    study, out = write_study(tmp_path, cases=[{}], axes=axes, target={}), tmp_path / "out"
-    process = start(study, out)
-    wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
-    os.killpg(process.pid, signal.SIGKILL)
-    process.communicate()
+    changes = {"scenario": "plane.yaml", "cases": [{}], "axes": axes, "target": {}}
+    study, out = write_study(tmp_path, **changes), tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        do_here(study, out, do_one)
     derived = [path for path in out.glob("recordings/*/manifest.json") if "derived_from" in read_json(path)]
     assert len(derived) == 3
-    done = {(path.parent / "recording").resolve() for path in out.glob("runs/*/metrics.json")}
-    needed = next(path for path in derived if path.parent.resolve() not in done)
+    (done,) = [(path.parent / "recording").resolve() for path in out.glob("runs/*/metrics.json")]
+    needed = next(path for path in derived if path.parent.resolve() != done)
     needed.unlink()  # as if it had been killed just then
     made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
-    assert 4 <= len(made) < 7
-    finish(start(study, out))
+    assert len(made) == 4
+    assert do_here(study, out) == {}
     assert {path: path.stat().st_mtime_ns for path in made} == made
     made = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/m*.json")}
     for path in out.glob("recordings/*"):
         check_recording(path)
-    finish(start(write_study(tmp_path, cases=[{}], axes=axes, target={}, seeds=[0, 1]), out))
+    assert do_here(write_study(tmp_path, **changes, seeds=[0, 1]), out) == {}
     assert {path: path.stat().st_mtime_ns for path in made} == made
     assert len(list(out.glob("r*/*/m*.json"))) == 2 * len(made) == 16
 
 
-@pytest.mark.slow
 def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
     (tmp_path / "broken.xml").write_text("<mujoco")
-    cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {}]
+    cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {"scenario": "plane.yaml"}]
     axes = {"encoder.step_noise": [0.0, 0.1]}
-    process = start(write_study(tmp_path, cases=cases, axes=axes, target={}), tmp_path / "out")
-    _, errors = process.communicate(timeout=120)
-    assert drop_progress(errors)[0].startswith("failed: 2 of 4 runs failed;")
+    failures = do_here(write_study(tmp_path, cases=cases, axes=axes, target={}, report="plain"), tmp_path / "out")
+    assert len(failures) == 2
     rows = pq.read_table(tmp_path / "out" / "table.parquet").to_pylist()
     assert [row["failure"] is None for row in rows] == [False, False, True, True]
     assert all(row["failure"].startswith("recording: ") and "broken.xml" in row["failure"] for row in rows[:2])
@@ -357,11 +360,10 @@ def test_of_many_wrong_runs_the_first_problems_are_named_and_planning_ends(tmp_p
 def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "thesis.txt").write_text("mine")
-    process = start(write_study(tmp_path), tmp_path / "other")
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert errors.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
-    assert errors.count("\n") == 1
+    done = deepgps_here("study", str(write_study(tmp_path)), "--out", str(tmp_path / "other"), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
+    assert done.stderr.count("\n") == 1
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
 
 
@@ -371,7 +373,7 @@ def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
     try:
         os.sched_setaffinity(0, {min(allowed)})  # so that one process does all runs
         cases = [{"learn.train.steps": 1_000_000}, {}, {"learn.seed": 1}]
-        process = start(write_study(tmp_path, cases=cases, target={}), tmp_path / "out")
+        process = start(write_study(tmp_path, scenario="plane.yaml", cases=cases, target={}), tmp_path / "out")
         wait_until(lambda: list(tmp_path.glob("out/runs/*/deepgps")), process)
         (worker,) = find_workers(process.pid)
         os.kill(worker, signal.SIGKILL)

@@ -12,10 +12,11 @@ import psutil
 import pyarrow.parquet as pq
 import pytest
 
+from deepgps.studies.engine import local
 from deepgps.studies.engine.engine import open_engine
 from sim.errors import InputError
-from tests.deepgps.test_cli import drop_progress
-from tests.helpers.small_study import finish, start, wait_until, write_study
+from tests.helpers.command import drop_progress, wait_until
+from tests.helpers.small_study import do_here, start, write_study
 
 pytest.importorskip("ray", reason="the package ray is not installed")
 
@@ -51,13 +52,13 @@ def read_runs(out: Path) -> dict[str, bytes]:
 @pytest.mark.slow
 def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str, tmp_path: Path):
     cases = [{}, {"learn.train.device": "cuda:99"}]
-    study = write_study(tmp_path, cases=cases)
-    rows = {}
-    for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
-        process = start(study, tmp_path / name, *words)
-        _, errors = process.communicate(timeout=300)
-        assert drop_progress(errors) == [f"failed: 1 of 2 runs failed; {tmp_path / name / 'table.md'} says why"]
-        assert process.returncode == 1
+    study, rows = write_study(tmp_path, scenario="plane.yaml", cases=cases), {}
+    assert len(do_here(study, tmp_path / "local", local.run_all)) == 1
+    process = start(study, tmp_path / "ray", "--engine", "ray", "--address", cluster)
+    _, errors = process.communicate(timeout=300)
+    assert drop_progress(errors) == [f"failed: 1 of 2 runs failed; {tmp_path / 'ray' / 'table.md'} says why"]
+    assert process.returncode == 1
+    for name in ("local", "ray"):
         table = pq.read_table(tmp_path / name / "table.parquet").to_pylist()
         rows[name] = [{key: value for key, value in row.items() if key != "train_s"} for row in table]
     assert rows["ray"] == rows["local"]
@@ -70,7 +71,7 @@ def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str
 
 @pytest.mark.slow
 def test_an_interrupted_cluster_leaves_no_process_and_the_local_engine_goes_on(tmp_path: Path):
-    study, out = write_study(tmp_path, set={"learn.train.steps": 2000}), tmp_path / "out"
+    study, out = write_study(tmp_path, scenario="plane.yaml", set={"learn.train.steps": 500}), tmp_path / "out"
     process = start(study, out, "--engine", "ray")
     wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process)
     begun = psutil.Process(process.pid).children(recursive=True)
@@ -81,7 +82,7 @@ def test_an_interrupted_cluster_leaves_no_process_and_the_local_engine_goes_on(t
     assert (process.returncode, said) == (130, ["interrupted; the same command continues where it stopped"])
     assert not psutil.wait_procs(begun, timeout=30)[1]
     times = {path: path.stat().st_mtime_ns for path in out.glob("recordings/*/*.npy")}
-    finish(start(study, out))
+    assert do_here(study, out) == {}
     assert {path: path.stat().st_mtime_ns for path in times} == times
     assert len(list(out.glob("runs/*/metrics.json"))) == 2
 

@@ -11,7 +11,7 @@ from deepgps.progress import ignore
 from deepgps.run_folder import open_run
 from deepgps.stages import training_seed
 from sim.recording.format import open_recording
-from tests.helpers.small_study import finish, start, write_study
+from tests.helpers.small_study import do_here, write_study
 
 FIRST = [{}, {"encoder.dropout": 0.3}]
 LATER = [{"encoder.ticks_per_rev": 64}, {"encoder.step_noise": 0.1}, {"deployment.light": 0.5}]
@@ -23,7 +23,7 @@ def runs(tmp_path_factory) -> dict[str, Path]:
     home = tmp_path_factory.mktemp("shared")
     cases = [*FIRST, *LATER]
     study = write_study(home, cases=cases, methods=["posenet", "dead_reckoned_labels"], report="plain", target={})
-    finish(start(study, home / "out"))
+    assert do_here(study, home / "out") == {}
     found = {}
     for folder in (home / "out" / "runs").iterdir():
         scenario = open_run(folder)

@@ -15,7 +15,7 @@ from deepgps.studies.reports.curves import KNEE, draw, find_axis, find_knee, mea
 from deepgps.studies.reports.report import write_report
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
-from tests.deepgps.test_cli import drop_progress
+from tests.helpers.command import drop_progress
 
 SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
 

@@ -4,7 +4,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
@@ -29,7 +28,8 @@ from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError
 from tests.helpers.blueprints import find_missing
-from tests.helpers.small_study import finish, start, wait_until, write_study
+from tests.helpers.command import deepgps_here, wait_until
+from tests.helpers.small_study import finish, start, write_study
 from tests.helpers.synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
 
 AXIS = "encoder.step_noise"
@@ -367,10 +367,12 @@ def test_lengths_are_written_in_the_unit_that_suits_them(length, text):
 
 
 @pytest.mark.slow
-def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_path):
+def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_path, monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
     tiny = {"set": {"drive.samples": 40}}
-    axes = {AXIS: [0.0, 0.3]}
-    study = write_study(tmp_path, cases=[{}], axes=axes, target={}, report="curves", tiny=tiny)
+    changes = {"scenario": "plane.yaml", "cases": [{}], "axes": {AXIS: [0.0, 0.3]}, "target": {}, "report": "curves"}
+    study = write_study(tmp_path, **changes, tiny=tiny)
     out = tmp_path / "out"
     process = start(study, out, "--tiny")
     wait_until(lambda: list(out.glob("runs/*/metrics.json")), process)
@@ -378,8 +380,7 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     process.communicate()
     assert not (out / STUDY_RRD).exists()
     (out / f"{STUDY_RRD}.1.deepgps-part").write_text("half")
-    view_it = [sys.executable, "-m", "deepgps.cli", "view", str(out)]
-    done = subprocess.run(view_it, check=False, capture_output=True, text=True)
+    done = deepgps_here("view", str(out), cwd=tmp_path)
     assert (done.returncode, done.stderr) == (
         2,
         f"error: {out} is not a finished study: it has no table.parquet (deepgps study writes it)\n",
@@ -393,7 +394,6 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
         with np.load(out / "runs" / runs[noise] / "error_field.npz") as arrays:
             shown = fields(out / STUDY_RRD, "deepgps")[AXIS, index]
             np.testing.assert_allclose(shown[0], arrays["truth"], atol=1e-6)
-    environment = {name: value for name, value in os.environ.items() if "DISPLAY" not in name and "WAYLAND" not in name}
-    done = subprocess.run(view_it, check=False, capture_output=True, text=True, env=environment)
+    done = deepgps_here("view", str(out), cwd=tmp_path)
     assert done.returncode == 1
     assert f"without a display, copy {out / STUDY_RRD} to a machine that has one" in done.stderr
