@@ -1,11 +1,13 @@
 """Deriving: the same bytes as collecting, in every world; and what does not fit is refused by its text."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from sim.errors import InputError
 from sim.planar import landmarks
+from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES, can_be_cut, choose_drive, derive
 from sim.recording.format import check_recording, read_manifest
@@ -54,6 +56,23 @@ def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def room(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> tuple[SimSettings, Path]:
+    """Settings and recording of a drive in a room, whose chunks are small while these tests run."""
+    settings = change(small_settings, 90, EncoderSettings())
+    settings = settings.model_copy(update={"grid": GridSettings(spacing_m=0.6, headings=2)})
+    folder = tmp_path_factory.mktemp("room") / "base"
+    collect(settings, 0, folder, quiet, workers=1)
+    return settings, folder
+
+
+@pytest.fixture(autouse=True, scope="module")
+def small_chunks() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(collecting, "CHUNK", 32)
+        yield
+
+
 def read_what_must_agree(folder: Path) -> dict:
     """The manifest without what tells of the making."""
     manifest = read_manifest(folder).model_dump()
@@ -75,33 +94,34 @@ DARK = ImageFaultSettings(exposure=0.5, vignetting=0.3, read_noise=0.1, shot_noi
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("samples", [270, 300])
+@pytest.mark.parametrize("samples", [70, 90])
 def test_faults_of_images_are_derived_as_they_are_collected(
-    samples: int, small_recording: Path, small_settings: SimSettings, tmp_path: Path
+    samples: int, room: tuple[SimSettings, Path], tmp_path: Path
 ):
-    settings = change(small_settings, samples, FAULTY).model_copy(update={"image_faults": DARK})
+    drawn, base = room
+    settings = change(drawn, samples, FAULTY).model_copy(update={"image_faults": DARK})
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
-    derive(small_recording, settings, 0, tmp_path / "derived")
+    derive(base, settings, 0, tmp_path / "derived")
     assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
     check_recording(tmp_path / "derived")
-    sound, faulty = (read_manifest(folder).sha256 for folder in (small_recording, tmp_path / "derived"))
+    sound, faulty = (read_manifest(folder).sha256 for folder in (base, tmp_path / "derived"))
     assert all(sound[name] != faulty[name] for name in ("observations/fisheye.npy", "test/fisheye.npy"))
     with pytest.raises(InputError, match="has faults in its images, which cannot be taken away"):
-        derive(tmp_path / "derived", change(settings, 64, FAULTY), 0, tmp_path / "again")
+        derive(tmp_path / "derived", change(settings, 20, FAULTY), 0, tmp_path / "again")
     with pytest.raises(InputError, match="more than encoder, image and drive"):
         leaning = settings.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=1.0)})
-        derive(small_recording, leaning, 0, tmp_path / "again")
+        derive(base, leaning, 0, tmp_path / "again")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("samples", "encoder"), [(64, EncoderSettings()), (270, FAULTY), (300, FAULTY)])
+@pytest.mark.parametrize(("samples", "encoder"), [(20, EncoderSettings()), (70, FAULTY)])
 def test_derived_is_as_collected_in_a_room(
-    samples: int, encoder: EncoderSettings, small_recording: Path, small_settings: SimSettings, tmp_path: Path
+    samples: int, encoder: EncoderSettings, room: tuple[SimSettings, Path], tmp_path: Path
 ):
-    """Of one and of two chunks, cut in the middle of a segment, and whole."""
-    settings = change(small_settings, samples, encoder)
+    """Of one and of several chunks, cut in the middle of a segment."""
+    settings, base = change(room[0], samples, encoder), room[1]
     collect(settings, 0, tmp_path / "collected", quiet, workers=1)
-    derive(small_recording, settings, 0, tmp_path / "derived")
+    derive(base, settings, 0, tmp_path / "derived")
     assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
     check_recording(tmp_path / "derived")
 

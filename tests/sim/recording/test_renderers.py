@@ -41,7 +41,7 @@ def fill_disk(part: Part, beat: Beat) -> None:
 
 
 def take_long(part: Part, beat: Beat) -> None:
-    for _ in range(80):
+    for _ in range(50):
         time.sleep(0.2)
         beat()
 
@@ -78,7 +78,7 @@ def test_renderers_that_never_work_are_given_up(draw, message, small_settings, t
 
 @pytest.mark.slow
 def test_one_that_gives_signs_of_life_may_take_as_long_as_it_needs(small_settings, tmp_path, monkeypatch):
-    monkeypatch.setattr(renderers, "FLOOR_S", 15.0)
+    monkeypatch.setattr(renderers, "FLOOR_S", 8.0)
     monkeypatch.setattr(renderers, "PATIENCE", 0.0)
     assert draw_all(take_long, small_settings, tmp_path, 1).deaths == 0
 

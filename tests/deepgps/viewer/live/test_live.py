@@ -33,18 +33,19 @@ from sim.files import write_arrays
 from sim.recording.format import chunk_files, open_truth, work_folder
 from sim.settings import CameraSettings
 from tests.helpers.blueprints import find_missing
-from tests.helpers.command import arrays, assert_one_clear_line, deepgps, deepgps_here, drop_progress, wait_until
+from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, drop_progress, wait_until
 from tests.helpers.live_server import serve_grpc
 from tests.helpers.toy import make_toy
 
 
 @pytest.fixture(scope="module")
-def watched(finished_run: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def watched(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A run that streamed to a viewer while it went on, and what the viewer got."""
-    folder, scenario = tmp_path_factory.mktemp("watched"), finished_run.parent / "mini.yaml"
+    folder = tmp_path_factory.mktemp("watched")
+    (folder / "mini.yaml").write_text(MINI)
     got = folder / "got.rrd"
     with serve_grpc("--save", str(got)) as (address, server):
-        done = deepgps("run", str(scenario), "--out", "run", "--live", address, cwd=folder)
+        done = deepgps("run", "mini.yaml", "--out", "run", "--live", address, cwd=folder)
         time.sleep(1)
         server.send_signal(signal.SIGINT)
         server.wait(10)

@@ -1,10 +1,8 @@
 """Two runs in one recording: what changed where, both fields read back, and the runs left as they were."""
 
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +20,7 @@ from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
 from sim.files import sha256, write_text
 from tests.helpers.blueprints import find_missing
+from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run
 
 COLUMNS = ("x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m")
@@ -186,10 +185,12 @@ def test_the_file_verifies(written: Path) -> None:
     assert len(RrdReader(written).blueprints()) >= 1
 
 
-def test_the_command_makes_the_recording_and_says_where_it_is(copied: tuple[Path, Path]) -> None:
-    words = [sys.executable, "-m", "deepgps.cli", "view", *map(str, copied)]
-    bare = {name: value for name, value in os.environ.items() if "DISPLAY" not in name and name != "WAYLAND_SOCKET"}
-    done = subprocess.run(words, env=bare, check=False, capture_output=True, text=True)
+def test_the_command_makes_the_recording_and_says_where_it_is(
+    copied: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    done = deepgps_here("view", *map(str, copied), cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     found = re.search(r"copy (\S+/pairs/\w+\.rrd) to a machine", done.stderr)
