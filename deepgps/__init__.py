@@ -1,1 +1,57 @@
-"""Learn positions from images and distances driven, evaluate what was learned, and show it."""
+"""Learn positions from images and distances driven, evaluate what was learned, and show it.
+
+The names below are imported when they are first used, so that ``import deepgps`` takes no time.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from deepgps.api.record import write_recording as write_recording
+    from deepgps.api.run import Run as Run
+    from deepgps.api.run import load as load
+    from deepgps.api.simulate import simulate as simulate
+    from deepgps.api.simulate import train as train
+    from deepgps.methods.catalog import Method as Method
+    from deepgps.scenario import Scenario as Scenario
+    from sim.errors import InputError as InputError
+    from sim.errors import WorkError as WorkError
+    from sim.occupancy import FreeSpace as FreeSpace
+    from sim.sensors.lens import Lens as Lens
+    from sim.sensors.unwrap import unwrap_fisheye as unwrap_fisheye
+
+    __version__: str
+
+_HOMES = {
+    "load": "deepgps.api.run",
+    "Run": "deepgps.api.run",
+    "simulate": "deepgps.api.simulate",
+    "train": "deepgps.api.simulate",
+    "write_recording": "deepgps.api.record",
+    "unwrap_fisheye": "sim.sensors.unwrap",
+    "Scenario": "deepgps.scenario",
+    "Method": "deepgps.methods.catalog",
+    "FreeSpace": "sim.occupancy",
+    "Lens": "sim.sensors.lens",
+    "InputError": "sim.errors",
+    "WorkError": "sim.errors",
+}
+"""Module of each name of the Python interface."""
+
+__all__ = ["__version__", *_HOMES]  # noqa: PLE0604 (names)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("deepgps")
+    if name not in _HOMES:
+        raise AttributeError(f"module 'deepgps' has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value  # the next use finds it at once
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -33,7 +33,6 @@ from deepgps.scenario import Scenario, names_in
 from sim.errors import InputError, WorkError
 from sim.files import check_overwrite
 from sim.paths import STUDIES
-from sim.sensors.catalog import SENSORS, list_carried
 
 if IS_WORKER:
     warn_plainly()  # a worker has no progress bars
@@ -44,11 +43,11 @@ def run_command(words: Sequence[str]) -> None:
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
     from deepgps.run_folder import default_folder, find_place
-    from deepgps.stages import list_undriven
+    from deepgps.stages import choose_renderer_for, list_undriven
 
     arguments, scenario = parse_scenario("run", words, run_command.__doc__)
     folder = arguments.out or default_folder(scenario)
-    _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+    choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     place = find_place(folder, arguments.fresh)
     with (
         working_in(folder),
@@ -66,11 +65,11 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     def command(words: Sequence[str]) -> None:
         from deepgps.figures.run_report import describe_left_out
         from deepgps.run_folder import claim, default_folder, find_place
-        from deepgps.stages import STAGES, ask_for_device, list_undriven
+        from deepgps.stages import STAGES, ask_for_device, choose_renderer_for, list_undriven
 
         arguments, scenario = parse_scenario(stage, words, HELP[stage])
         folder = arguments.out or default_folder(scenario)
-        _choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+        choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         place = find_place(folder, arguments.fresh)
         with (
             working_in(folder),
@@ -103,11 +102,12 @@ def study_command(words: Sequence[str]) -> None:
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than checking a study.
+    from deepgps.stages import choose_renderer_for
     from deepgps.studies.engine.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
     from deepgps.studies.reports.report import check_publish, publish, report_study
 
     folder = arguments.out or default_folder(study)
-    _choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
+    choose_renderer_for(list_undriven(study, plans, folder, arguments.fresh))
     if arguments.publish:
         check_publish(arguments.publish / study.name)
     with (
@@ -158,7 +158,9 @@ def rooms_command(words: Sequence[str]) -> None:
     """Draw a contact sheet of generated rooms."""
     arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
     kinds, seeds = parse_kinds(arguments.kinds), parse_seeds(arguments.seeds)
-    _choose_renderer()
+    from deepgps.stages import choose_renderer
+
+    choose_renderer()
     from sim.tools.gallery import draw_gallery, is_gallery
 
     check_overwrite(arguments.out, is_gallery)
@@ -170,7 +172,9 @@ def rooms_command(words: Sequence[str]) -> None:
 def bench_command(words: Sequence[str]) -> None:
     """Measure speed, latency, memory and steadiness against naive baselines and targets; takes up to 15 minutes."""
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
-    _choose_renderer()
+    from deepgps.stages import choose_renderer
+
+    choose_renderer()
     from deepgps.bench.bench import choose_size, run_bench
     from deepgps.bench.rows import find_before, is_bench, list_notes, tabulate
     from sim.tools.render_bench import draw_poses, measure_rendering
@@ -278,21 +282,6 @@ def _watch(
     from deepgps.viewer.live.live import show_live
 
     return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))
-
-
-def _choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
-    """Choose the renderer by the sensors of these scenarios, which are still to be driven."""
-    rooms = [scenario for scenario in scenarios if scenario.world == "room"]
-    if any(SENSORS[name].renders for scenario in rooms for name in list_carried(scenario)):
-        _choose_renderer()
-    elif rooms:
-        os.environ["MUJOCO_GL"] = "off"  # MuJoCo reads this when it is imported: a lidar needs no OpenGL
-
-
-def _choose_renderer() -> None:
-    from sim.sensors.gl import choose_backend
-
-    choose_backend()
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ RUN = Kind(
     "scenario.yaml",
     re.compile(
         rf"scenario\.yaml|timing\.json|log\.txt|metrics\.json|(error|label)_field\.npz|failure\.txt"
-        rf"|({_METHODS})/(attempt\d+/)?({TRAINED_FILES})|features/({FEATURE_FILES})"
+        rf"|({_METHODS})/(attempt\d+/)?({TRAINED_FILES})|({_METHODS})/alignment\.json|features/({FEATURE_FILES})"
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive|training)\.png"
         rf"|figures/error_field_({_METHODS})\.png"
         # a study's run has a link in place of a recording

@@ -1,18 +1,21 @@
 """The stages of a run: collect, train, evaluate. Each continues where it was interrupted."""
 
 import logging
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
-from deepgps.run_folder import find_place
+from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError
 from sim.files import read_arrays, read_json, write_json
 from sim.recording.format import is_whole
+from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import WorldName
 
 log = logging.getLogger(__name__)
@@ -21,6 +24,22 @@ log = logging.getLogger(__name__)
 def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
     """The scenario if a run of it still has to make its recording; a finished one needs no MuJoCo and no renderer."""
     return [] if is_whole(find_place(folder, fresh) / "recording") else [scenario]
+
+
+def choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
+    """Choose the renderer by the sensors of these scenarios, which are still to be driven."""
+    rooms = [scenario for scenario in scenarios if scenario.world == "room"]
+    if any(SENSORS[name].renders for scenario in rooms for name in list_carried(scenario)):
+        choose_renderer()
+    elif rooms:
+        os.environ["MUJOCO_GL"] = "off"  # MuJoCo reads this when it is imported: a lidar needs no OpenGL
+
+
+def choose_renderer() -> None:
+    """Choose a renderer that works on this machine; raises WorkError if there is none."""
+    from sim.sensors.gl import choose_backend
+
+    choose_backend()
 
 
 def ask_for_device(scenario: Scenario, folder: Path) -> None:
@@ -62,10 +81,13 @@ def training_seed(scenario: Scenario) -> int:
 
 
 def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
-    """Measure all methods; write ``metrics.json`` and ``error_field.npz``."""
+    """Measure all methods; write ``metrics.json``, ``error_field.npz`` and each method's alignment."""
+    from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
 
     if metrics := read_measured(folder):
+        if not is_older(folder, RUN):
+            align_methods(folder, scenario)
         return metrics
     with timed(folder, "evaluate"):
         progress("evaluate", 0, 1)

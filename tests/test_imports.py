@@ -46,6 +46,8 @@ ORDER = (
     ("deepgps.run",),
     ("deepgps.studies.engine",),
     ("deepgps.begin",),
+    ("deepgps.api",),
+    ("deepgps.__init__",),
     ("deepgps.cli_arguments",),
     ("deepgps.cli",),
 )
@@ -65,6 +67,7 @@ WITHOUT_MUJOCO = {
     *(
         "sim.sensors.catalog",
         "sim.sensors.lens",
+        "sim.sensors.unwrap",
         "sim.sensors.encoder",
         "sim.sensors.encoder_faults",
         "sim.sensors.camera_faults",
@@ -76,8 +79,11 @@ ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "d
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
+    "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *("deepgps.studies.reports.mds", "deepgps.studies.reports.concave"),
 )
+OPENS_ALIGNMENT = ("deepgps.evaluation", "deepgps.api.run", "deepgps.viewer")
+"""The alignment of a map with the world is fitted on the truth."""
 READS_LABELS = ("deepgps.evaluation", "deepgps.data.labels", "deepgps.methods.posenet", "deepgps.methods.knn")
 MAKES_LABELS = ("sim.apriltag",)
 MAKES_PATHS = {"joinpath", "join", "Path", "PurePath"}
@@ -121,7 +127,8 @@ def is_in(module: str, *packages: str) -> bool:
 
 
 def rank(module: str) -> tuple[int, str]:
-    """Place in the order of packages, and the package that decides it."""
+    """Place in the order of packages, and the package that decides it; ``deepgps`` itself offers the interface."""
+    module = "deepgps.__init__" if module == "deepgps" else module
     places = [
         (len(package), place, package) for place, row in enumerate(ORDER) for package in row if is_in(module, package)
     ]
@@ -181,6 +188,26 @@ def break_truth_law(module: str, source: str) -> list[str]:
         if names & {"open_truth", "load_free_space", "TRUTH"} or is_truth_path(text) or joins_truth(node):
             faults.append(f"{module}:{getattr(node, 'lineno', 0)} opens the truth")
     return faults
+
+
+def break_alignment_law(module: str, source: str) -> list[str]:
+    """Where a module of deepgps opens the alignments that evaluation has fitted on the truth though it may not."""
+    if not is_in(module, "deepgps") or is_in(module, *OPENS_ALIGNMENT):
+        return []
+    tree = ast.parse(source)
+    taken = [
+        f"{module}:{one.line} takes alignments"
+        for one in find_imports(tree, set(MODULES))
+        if one.module == "deepgps.evaluation.stored_alignment"
+    ]
+    named = [
+        f"{module}:{node.lineno} names the file of an alignment"
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and node.value.rpartition("/")[2] == "alignment.json"
+    ]
+    return taken + named
 
 
 def break_label_law(module: str, source: str) -> list[str]:
@@ -258,7 +285,9 @@ def read(module: str) -> str:
     return MODULES[module].read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("law", [break_import_law, break_truth_law, break_label_law, break_seed_law])
+@pytest.mark.parametrize(
+    "law", [break_import_law, break_truth_law, break_alignment_law, break_label_law, break_seed_law]
+)
 def test_every_module_keeps_the_law(law):
     assert [fault for module in MODULES for fault in law(module, read(module))] == []
 
@@ -326,6 +355,22 @@ def test_truth_law_can_fail(source):
 def test_truth_law_holds_for_what_makes_labels():
     assert break_truth_law("sim.apriltag.bundle_adjustment", "from sim.recording.format import open_truth")
     assert not break_truth_law("sim.recording.collect", "from sim.recording.format import load_free_space")
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from deepgps.evaluation.stored_alignment import read_alignment",
+        "from deepgps.evaluation import stored_alignment",
+        "from sim.files import read_json\nread_json(folder / 'alignment.json')",
+        "open('runs/tiny/deepgps/alignment.json')",
+    ],
+)
+def test_alignment_law_can_fail(source):
+    assert break_alignment_law("deepgps.learning.trainer", source)
+    assert break_alignment_law("deepgps.methods.deepgps", source)
+    assert not break_alignment_law("deepgps.api.run", source)
+    assert not break_alignment_law("deepgps.learning.trainer", "from deepgps.alignment import fit_alignment")
 
 
 @pytest.mark.parametrize(

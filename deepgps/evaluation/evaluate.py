@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.alignment import fit_alignment
+from deepgps.alignment import Alignment, fit_alignment
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.segment_errors import judge_encoders
+from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.positioner import load_positioner, read_training
@@ -37,7 +38,7 @@ SEEN_WITHIN_M = 0.25
 
 
 def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
-    """Measure all methods of a run and write its ``error_field.npz``.
+    """Measure all methods of a run; write its ``error_field.npz`` and the alignment of each method.
 
     Args:
         run: Run folder with a recording and the trained methods.
@@ -58,18 +59,20 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
         maps = predict(folder_of(run, method), recording)
-        fields[method], scale = measure_field(maps, method, truth)
+        fields[method], alignment = measure_field(maps, method, truth)
+        write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
-            "scale": scale,
+            "scale": alignment.scale,
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,
             **read_training(folder_of(run, method)),
         }
         if labels is not None:
-            label_fields[method], scale = measure_field(maps, method, labels)
-            methods[method]["against_labels"] = {**summarise(label_fields[method].worst, side_m), "scale": scale}
+            label_fields[method], to_labels = measure_field(maps, method, labels)
+            errors = summarise(label_fields[method].worst, side_m)
+            methods[method]["against_labels"] = {**errors, "scale": to_labels.scale}
     write_fields(run / "error_field.npz", fields)
     if labels is not None:
         write_fields(run / "label_field.npz", label_fields)
@@ -87,6 +90,19 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
         "distances": judge_encoders(recording, truth),
         "methods": methods,
     }
+
+
+def align_methods(run: Path, scenario: Scenario) -> None:
+    """Write the alignments that a measured run lacks because an earlier version measured it."""
+    folders = {method: folder_of(run, method) for method in scenario.methods}
+    missing = {method: folder for method, folder in folders.items() if not has_alignment(folder)}
+    if not missing:
+        return
+    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
+    with use_threads(scenario.learn.train.threads):
+        for method, folder in missing.items():
+            _, alignment = measure_field(predict(folder, recording), method, truth)
+            write_alignment(folder, alignment, METHODS[method].alignment)
 
 
 def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -120,8 +136,10 @@ def _find_labels(folder: Path) -> Labels | None:
     return labels if np.isfinite(labels.test_pose).all(axis=(1, 2)).any() else None
 
 
-def measure_field(maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth | Labels) -> tuple[ErrorField, float]:
-    """Error field of a method's predictions, aligned by a transform fitted on the training samples, and its scale.
+def measure_field(
+    maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth | Labels
+) -> tuple[ErrorField, Alignment]:
+    """Error field of a method's predictions, and the alignment that was fitted to the training samples.
 
     When measured against labels, training and test samples without a label are left out.
     """
@@ -133,7 +151,7 @@ def measure_field(maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]
     shared = heading[:1] == heading  # a drive reaches each place with a different heading
-    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment.scale
+    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment
 
 
 def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:

@@ -1,0 +1,50 @@
+"""A run on a recording that exists already: the scenario that describes it, and the link to it in the run's folder."""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from deepgps.scenario import Scenario, digest, override_scenario
+from sim.errors import InputError
+from sim.files import sha256
+from sim.recording.format import read_manifest
+
+
+def describe_recording(recording: Path, overrides: Mapping[str, Any]) -> Scenario:
+    """The scenario of a training on a recording, by what its manifest knows of the world and the sensors.
+
+    Args:
+        recording: The recording's folder.
+        overrides: Values by dotted name, such as ``{"methods": ["deepgps"]}``.
+
+    Raises:
+        InputError: It is no finished recording, or a setting is wrong.
+    """
+    manifest = read_manifest(recording)
+    seed = {} if manifest.seed is None else {"seed": manifest.seed}
+    values = {"name": _name(recording), **manifest.settings, **seed}
+    return override_scenario(values, recording / "manifest.json", overrides)
+
+
+def choose_folder(recording: Path, scenario: Scenario) -> Path:
+    """The folder of a run on a recording when the user names none: runs/<name>/seed<seed>-<hash>."""
+    state = hashlib.sha256(f"{digest(scenario)} {sha256(recording / 'manifest.json')}".encode())
+    return Path("runs") / scenario.name / f"seed{scenario.seed}-{state.hexdigest()[:8]}"
+
+
+def link_recording(recording: Path, run: Path) -> None:
+    """Link a recording into a run's folder; raises InputError if the run has another one."""
+    link = run / "recording"
+    if not link.is_symlink() and not link.exists():
+        link.symlink_to(recording.resolve(), target_is_directory=True)
+    elif link.resolve() != recording.resolve():
+        raise InputError(f"{run} holds a run on another recording, {link.resolve()}; choose another folder")
+
+
+def _name(recording: Path) -> str:
+    """Name of a run on a recording: that of its folder, without what no name may hold."""
+    home = recording.resolve()
+    name = home.parent.name if home.name == "recording" else home.name
+    return re.sub(r"[^A-Za-z0-9_-]", "_", name)[:64] or "recording"

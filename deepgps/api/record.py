@@ -1,0 +1,228 @@
+"""A recording of one's own data, as of a real robot: written from arrays, checked, and ready for training."""
+
+from collections.abc import Mapping, Sequence
+from os import listdir
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from deepgps.data.features import check_observations
+from deepgps.data.plausible_readings import check_readings
+from sim.errors import InputError
+from sim.occupancy import FreeSpace, save_free_space
+from sim.recording.format import Truth, check_recording, grid_file, observation_file, stamp, time_file
+from sim.recording.format import write_recording as write_files
+from sim.recording.manifest import DIMENSIONS, ObservationKind
+from sim.sensors.encoder import check_odometry, ticks_to_distance
+from sim.settings import CameraSettings
+from sim.user_input import quote
+
+SENSORS: dict[ObservationKind, str] = {"polar_image": "fisheye", "scan": "lidar", "vector": "landmarks"}
+"""Name of the sensor for each kind of observation that methods learn from."""
+SETTINGS: dict[ObservationKind, dict[str, Any]] = {
+    "polar_image": {},
+    "scan": {"sensor": "lidar"},
+    "vector": {"world": "landmarks"},
+}
+"""Settings that give a scenario these observations."""
+CELL_M = 0.02
+NEAR_M = 0.15
+"""Without a map, the floor within this distance of a true pose counts as free [m]."""
+
+
+def write_recording(
+    folder: str | Path,
+    observations: np.ndarray | Sequence[np.ndarray],
+    readings: np.ndarray | Sequence[Sequence[int]],
+    time: np.ndarray | Sequence[float],
+    odometry: Mapping[str, float],
+    *,
+    kind: ObservationKind = "polar_image",
+    observation_time: np.ndarray | Sequence[float] | None = None,
+    test_observations: np.ndarray | None = None,
+    pose: np.ndarray | None = None,
+    test_pose: np.ndarray | None = None,
+    free_space: FreeSpace | None = None,
+    camera: CameraSettings | None = None,
+) -> Path:
+    """Write a recording of your own data, from which ``deepgps.train`` learns.
+
+    The robot drives straight segments: in between it may turn, back off or be carried. Along each segment the encoders
+    are read at every observation.
+
+    Args:
+        folder: Where to write it; must be empty or not exist.
+        observations: In the order driven: polar images (N, rings, sectors, 3) uint8, which ``unwrap_fisheye`` makes;
+            scans (N, headings, rays) [m]; or vectors such as distances to landmarks (N, M).
+        readings: Readings of the encoders (R, 4), int: number of the segment, number of the observation, cumulative
+            ticks of the left and of the right wheel. An observation at which one segment ends and the next begins has
+            a reading in each.
+        time: Time of each reading (R,) [s].
+        odometry: ``wheel_radius_m``, ``track_m`` (distance between the wheels) and ``ticks_per_rev``; and, if known,
+            ``step_noise`` and ``slip_per_m`` as in ``EncoderSettings``.
+        kind: ``polar_image``, ``scan`` or ``vector``.
+        observation_time: Time of each observation (N,) [s]; None: that of its first reading.
+        test_observations: Observations at test positions (C, H, ...) at H headings, or (C, ...); None: there are none.
+        pose: True pose at each observation (N, 3): x, y [m], yaw [rad], for evaluation and supervised methods; None:
+            not known, so nothing can be evaluated.
+        test_pose: True pose at each test observation (C, H, 3), or (C, 3).
+        free_space: Where the robot fits, for figures and the viewer; None: within 0.15 m of a pose.
+        camera: The fisheye camera's field of view and lens, which only the viewer uses.
+
+    Returns:
+        The folder.
+
+    Raises:
+        InputError: The folder is not empty, an array has the wrong shape, or the readings are impossible.
+    """
+    folder = Path(folder)
+    _check_folder(folder)
+    if kind not in SENSORS:
+        raise InputError(f"kind {quote(kind)}: must be {', '.join(SENSORS)}")
+    observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSORS[kind]
+    reading, seconds = _take_readings(readings, time, len(observation), odometry)
+    test = _take_tests(test_observations, observation, DIMENSIONS[kind])
+    stamps = stamp(reading[:, 1], seconds, len(observation)) if observation_time is None else observation_time
+    arrays = {
+        observation_file(sensor): observation,
+        time_file(sensor): _shaped(stamps, (len(observation),), "observation_time"),
+        grid_file(sensor): test,
+        "reading.npy": reading,
+        "time.npy": seconds,
+    }
+    known = _take_truth(pose, test_pose, free_space, reading, observation, test)
+    manifest = {
+        "sensors": {sensor: kind},
+        "settings": _describe(kind, test, camera, observation),
+        "samples": len(observation),
+        "segments": len(np.unique(reading[:, 0])),
+        "readings": len(reading),
+        "distance_driven_m": _measure_way(reading, odometry),
+        "odometry": dict(odometry),
+    }
+    if known is not None:
+        save_free_space(folder / "truth" / "free_space.npz", known.free_space)
+        arrays |= {"truth/pose.npy": known.pose, "truth/test_pose.npy": known.test_pose}
+        arrays |= {"truth/reading.npy": known.reading, "truth/wheel_angle.npy": known.wheel_angle}
+    write_files(folder, arrays, manifest)
+    check_recording(folder)
+    return folder
+
+
+def _check_folder(folder: Path) -> None:
+    try:
+        names = listdir(folder) if folder.exists() else []
+    except OSError as error:
+        raise InputError(f"folder {folder}: {error.strerror}") from None
+    if names:
+        raise InputError(f"folder {folder} is not empty; a recording is written to a folder of its own")
+
+
+def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarray:
+    """Observations as an array of the type that methods learn from."""
+    array = np.asarray(values)
+    if array.ndim != axes or 0 in array.shape[1:]:
+        raise InputError(f"{name} {array.shape}: observations of kind {kind} have {axes} axes, none of them empty")
+    if kind == "polar_image" and (array.dtype != np.uint8 or array.shape[-1] != 3):
+        raise InputError(f"{name} {array.shape} {array.dtype}: must be (N, rings, sectors, 3) uint8 RGB")
+    check_observations(array, name)
+    return array if kind == "polar_image" else array.astype(np.float32)
+
+
+def _take_readings(
+    readings: Any, time: Any, observations: int, odometry: Mapping[str, Any]
+) -> tuple[np.ndarray, np.ndarray]:
+    reading = np.asarray(readings)
+    if reading.ndim != 2 or reading.shape[1] != 4 or reading.dtype.kind not in "ui" or not len(reading):
+        raise InputError(f"readings {reading.shape} {reading.dtype}: must be (R, 4) int, with at least one reading")
+    reading = reading.astype(np.int64)
+    seconds = _shaped(time, (len(reading),), "time")
+    if not np.isfinite(seconds).all():
+        raise InputError("time: must be finite [s]")
+    if reading[:, 1].min() < 0 or reading[:, 1].max() >= observations:
+        raise InputError(f"readings: the second column must be an observation from 0 to {observations - 1}")
+    check_readings(reading, seconds, observations, check_odometry(odometry))
+    return reading, seconds
+
+
+def _take_tests(values: Any, observation: np.ndarray, axes: int) -> np.ndarray:
+    """Test observations (C, H, ...)."""
+    if values is None:
+        return np.empty((0, 1, *observation.shape[1:]), observation.dtype)
+    test = np.asarray(values)
+    test = test[:, None] if test.ndim == axes else test
+    if test.shape[2:] != observation.shape[1:] or 0 in test.shape:
+        raise InputError(
+            f"test_observations {test.shape}: must be (C, H, ...) or (C, ...) with observations of shape "
+            f"{observation.shape[1:]}, as in observations"
+        )
+    check_observations(test, "test_observations")
+    if observation.dtype == np.uint8 and test.dtype != np.uint8:
+        raise InputError(f"test_observations {test.dtype}: must be uint8, as observations")
+    return test.astype(observation.dtype)
+
+
+def _shaped(values: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
+    array = np.asarray(values, float)
+    if array.shape != shape:
+        raise InputError(f"{name} {array.shape}: must have the shape {shape}")
+    return array
+
+
+def _describe(
+    kind: ObservationKind, test: np.ndarray, camera: CameraSettings | None, observation: np.ndarray
+) -> dict[str, Any]:
+    """The settings with which a scenario describes such a recording."""
+    settings = dict(SETTINGS[kind])
+    if kind != "vector" and len(test):
+        settings["grid"] = {"held_out": len(test)}  # test positions need not form a grid
+    if kind == "polar_image":
+        rings, sectors = observation.shape[1:3]
+        given = {} if camera is None else camera.model_dump(exclude_unset=True)
+        settings["camera"] = {**given, "rings": rings, "sectors": sectors}
+    return settings
+
+
+def _measure_way(reading: np.ndarray, odometry: Mapping[str, float]) -> float:
+    """Distance driven along all segments, by the encoders [m]."""
+    way = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])).mean(axis=1)
+    return round(float(np.abs(np.diff(way)[np.diff(reading[:, 0]) == 0]).sum()), 3)
+
+
+def _take_truth(
+    pose: Any,
+    test_pose: Any,
+    space: FreeSpace | None,
+    reading: np.ndarray,
+    observation: np.ndarray,
+    test: np.ndarray,
+) -> Truth | None:
+    """The truth in the form in which a recording holds it; None: it is not known."""
+    if pose is None:
+        if test_pose is not None or space is not None:
+            raise InputError("pose: test_pose and free_space need the true pose of each observation as well")
+        return None
+    pose = _shaped(pose, (len(observation), 3), "pose")
+    wanted = (*test.shape[:2], 3)
+    if test_pose is None and len(test):
+        raise InputError(f"test_pose: {len(test)} test positions need their poses {wanted}")
+    given = np.empty(wanted) if test_pose is None else np.asarray(test_pose, float)
+    tests = _shaped(given[:, None] if given.ndim == 2 else given, wanted, "test_pose")
+    if not (np.isfinite(pose).all() and np.isfinite(tests).all()):
+        raise InputError("pose and test_pose: must be finite")
+    space = space or find_free_space(np.concatenate([pose, tests.reshape(-1, 3)])[:, :2])
+    unknown = np.full((len(reading), 2), np.nan)  # only a simulation knows the angles of the wheels
+    return Truth(pose, reading[:, :2], unknown, tests, space)
+
+
+def find_free_space(places: np.ndarray) -> FreeSpace:
+    """The floor within ``NEAR_M`` of places (N, 2) [m] where the robot has been, as a map."""
+    low, high = places.min(axis=0) - 2 * NEAR_M, places.max(axis=0) + 2 * NEAR_M
+    x, y = (np.arange(first, last, CELL_M) for first, last in zip(low, high, strict=True))
+    cells = np.stack(np.meshgrid(x, y), axis=-1)
+    distance, _ = KDTree(places).query(cells.reshape(-1, 2), distance_upper_bound=NEAR_M)
+    free = np.isfinite(distance).reshape(cells.shape[:2])
+    side_m = float(np.ptp(places, axis=0).min() + 2 * NEAR_M)
+    return FreeSpace(low, CELL_M, free, free.copy(), places[0], side_m)

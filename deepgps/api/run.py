@@ -1,0 +1,200 @@
+"""A finished run: what was recorded, how well each method does, and positions of new observations."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from deepgps.methods.catalog import folder_of
+from deepgps.run_folder import open_run
+from deepgps.scenario import Scenario
+from sim.errors import InputError
+from sim.files import damaged, read_arrays
+from sim.recording.format import Recording, has_truth, open_recording, read_manifest
+from sim.recording.manifest import DIMENSIONS, ObservationKind
+from sim.renamed import name_methods
+from sim.user_input import quote
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from deepgps.methods.positioner import Positioner
+
+Frame = Literal["world", "map"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run folder: a recording, methods trained on it, and, if the truth is known, their errors.
+
+    Attributes:
+        folder: The run's folder.
+        scenario: The scenario that was run.
+    """
+
+    folder: Path
+    scenario: Scenario
+
+    @cached_property
+    def recording(self) -> Recording:
+        """What the robot sensed; raises InputError if the recording is missing or damaged."""
+        return open_recording(self.folder / "recording")
+
+    @cached_property
+    def metrics(self) -> dict[str, Any]:
+        """Figures of the evaluation, as in ``metrics.json``; raises InputError if the run has not been evaluated."""
+        from deepgps.figures.run_report import read_metrics
+
+        return read_metrics(self.folder)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods that are trained, in the scenario's order."""
+        names = self.scenario.methods
+        return tuple(name for name in names if (folder_of(self.folder, name) / "positioner.json").is_file())
+
+    def position(self, observations: np.ndarray, method: str | None = None, frame: Frame = "world") -> np.ndarray:
+        """Positions that a trained method predicts.
+
+        Args:
+            observations: One observation or an array of N, each of the shape that the recording holds. For a fisheye
+                camera these are polar images (rings, sectors, 3) uint8; ``deepgps.unwrap_fisheye`` makes them from
+                raw images.
+            method: Name of the method; None: the first of the run.
+            frame: ``world``: the frame of the recording's truth, which evaluation has aligned the map with; ``map``:
+                the method's own frame, which any recording has.
+
+        Returns:
+            Positions x, y (N, 2) [m], or (2,) for one observation.
+
+        Raises:
+            InputError: There is no such method, the observations have the wrong shape, or the run has no alignment with
+                the world.
+        """
+        from deepgps.learning.trainer import use_threads
+
+        name, observations = self._choose(method), self._as_recorded(observations)
+        single = observations.ndim == DIMENSIONS[self._kind] - 1
+        with use_threads(self.scenario.learn.train.threads):  # as in evaluation: to the last bit the same
+            found = self._positioner(name)(observations[None] if single else observations)
+        if frame == "world":
+            found = self._align(name, found)
+        elif frame != "map":
+            raise InputError(f"frame {quote(frame)}: must be 'world' or 'map'")
+        return found[0] if single else found
+
+    def errors(self, method: str | None = None) -> "pa.Table":
+        """Errors at the test positions, one row for each method, position and heading.
+
+        Args:
+            method: Name of the method; None: all methods of the run.
+
+        Returns:
+            A table with the columns ``method``, ``x_m``, ``y_m`` and ``heading_rad`` (the truth), ``predicted_x_m``,
+            ``predicted_y_m`` and ``error_m``; ``to_pandas()`` turns it into a data frame.
+
+        Raises:
+            InputError: The run has not been evaluated, or not with this method.
+        """
+        import pyarrow as pa
+
+        fields, truth, heading = self._read_fields()
+        names = list(fields) if method is None else [method]
+        if unknown := [name for name in names if name not in fields]:
+            raise InputError(f"method {quote(unknown[0])}: {self.folder} has measured {', '.join(fields)}")
+        return pa.concat_tables([_tabulate(name, truth, heading, fields[name]) for name in names])
+
+    def _read_fields(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+        """Predictions (C, H, 2) of each method, test positions (C, 2) and headings (C, H)."""
+        path = self.folder / "error_field.npz"
+        if not path.is_file():
+            raise InputError(f"{self.folder} has not been evaluated: it has no error_field.npz")
+        fields = name_methods(read_arrays(path))
+        try:
+            truth, heading = fields.pop("truth"), fields.pop("heading")
+        except KeyError as error:
+            raise damaged(path, f"it has no array {error}") from None
+        return fields, truth, np.broadcast_to(heading, (len(truth), heading.shape[-1]))
+
+    def _choose(self, method: str | None) -> str:
+        if not self.methods:
+            raise InputError(f"{self.folder} holds no trained method")
+        if method is None:
+            return self.methods[0]
+        if method not in self.methods:
+            raise InputError(f"method {quote(method)}: {self.folder} has trained {', '.join(self.methods)}")
+        return method
+
+    @cached_property
+    def _kind(self) -> ObservationKind:
+        """Kind of the observations that methods learn from."""
+        kind = read_manifest(self.folder / "recording").kind
+        if kind is None:
+            raise InputError(f"{self.folder / 'recording'} names no sensor")
+        return kind
+
+    def _as_recorded(self, observations: np.ndarray) -> np.ndarray:
+        """Observations of the type that a recording holds."""
+        array = np.asarray(observations)
+        if self._kind != "polar_image":
+            return array.astype(np.float32)
+        if array.dtype != np.uint8:
+            raise InputError(f"observations {array.shape} {array.dtype}: polar images must be uint8, as recorded")
+        return array
+
+    @cached_property
+    def _positioners(self) -> "dict[str, Positioner]":
+        """The methods that have been loaded so far."""
+        return {}
+
+    def _positioner(self, name: str) -> "Positioner":
+        from deepgps.methods.positioner import load_positioner
+
+        if name not in self._positioners:
+            self._positioners[name] = load_positioner(folder_of(self.folder, name))
+        return self._positioners[name]
+
+    def _align(self, name: str, positions: np.ndarray) -> np.ndarray:
+        """Positions (N, 2) of a method's map in the world's frame."""
+        from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
+
+        folder = folder_of(self.folder, name)
+        if not has_alignment(folder) and not has_truth(self.folder / "recording"):
+            raise InputError(
+                f"{self.folder} has no truth, so its maps have no place in the world; frame='map' gives positions in "
+                "the method's own frame"
+            )
+        return read_alignment(folder).apply(positions)
+
+
+def load(folder: str | Path) -> Run:
+    """Open a run folder.
+
+    Args:
+        folder: The folder, such as ``runs/tiny/seed0-56989ea5``.
+
+    Raises:
+        InputError: It is no run folder.
+    """
+    return Run(Path(folder), open_run(Path(folder)))
+
+
+def _tabulate(name: str, truth: np.ndarray, heading: np.ndarray, predicted: np.ndarray) -> "pa.Table":
+    import pyarrow as pa
+
+    count = heading.shape[1]
+    place = np.repeat(truth, count, axis=0)
+    guess = predicted.reshape(-1, 2)
+    columns: dict[str, Sequence[Any]] = {
+        "method": pa.array([name] * len(place)),
+        "x_m": place[:, 0],
+        "y_m": place[:, 1],
+        "heading_rad": np.ascontiguousarray(heading).ravel(),
+        "predicted_x_m": guess[:, 0],
+        "predicted_y_m": guess[:, 1],
+        "error_m": np.linalg.norm(guess - place, axis=1),
+    }
+    return pa.table(columns)

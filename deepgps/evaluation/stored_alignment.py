@@ -1,0 +1,70 @@
+"""The alignment that evaluation fits on the truth, stored with each method: it carries predictions into the world.
+
+Only evaluation, the Python interface and the viewer open it. Nothing that learns, tracks or navigates may, since
+it was fitted on the truth.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.alignment import Alignment
+from deepgps.methods.catalog import AlignmentKind
+from deepgps.methods.positioner import INDEX
+from sim.errors import InputError
+from sim.files import damaged, read_json, write_json
+
+FILE = "alignment.json"
+
+
+def has_alignment(folder: Path) -> bool:
+    """Whether a method's folder holds an alignment."""
+    return (folder / FILE).is_file()
+
+
+def write_alignment(folder: Path, alignment: Alignment, kind: AlignmentKind) -> None:
+    """Write the alignment of a method's map with the world.
+
+    Args:
+        folder: The method's folder.
+        alignment: The transform from the method's frame to the world's.
+        kind: The kind of transform that was fitted.
+    """
+    values = {
+        "fitted_on": "truth",
+        "kind": kind,
+        "rotation": alignment.rotation.tolist(),
+        "translation_m": alignment.translation.tolist(),
+        "scale": alignment.scale,
+        "positioner": _fingerprint(folder),
+    }
+    write_json(folder / FILE, values)
+
+
+def read_alignment(folder: Path) -> Alignment:
+    """Read the alignment of a method's map with the world.
+
+    Raises:
+        InputError: The method has not been evaluated, was evaluated by a version that stored no alignment, or has been
+            trained again since.
+    """
+    path = folder / FILE
+    evaluate = f"deepgps evaluate {folder.parent / 'scenario.yaml'} --out {folder.parent} writes it"
+    if not path.is_file():
+        raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {evaluate}")
+    values = read_json(path)
+    try:
+        rotation, translation = np.array(values["rotation"], float), np.array(values["translation_m"], float)
+        fingerprint, scale = values["positioner"], float(values["scale"])
+    except (KeyError, TypeError, ValueError):
+        raise damaged(path, "it holds no alignment") from None
+    if rotation.shape != (2, 2) or translation.shape != (2,):
+        raise damaged(path, "it holds no alignment of a plane")
+    if fingerprint != _fingerprint(folder):
+        raise InputError(f"{path} belongs to an earlier training; delete it, and {evaluate}")
+    return Alignment(rotation, translation, scale)
+
+
+def _fingerprint(folder: Path) -> str | None:
+    """The checksum of the weights, which distinguishes one training from another; None in an earlier version's."""
+    return read_json(folder / INDEX).get("sha256")

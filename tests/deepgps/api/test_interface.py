@@ -1,0 +1,54 @@
+"""The names of ``import deepgps``: quick to import, all there, all described."""
+
+import ast
+import subprocess
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import pytest
+
+import deepgps
+
+HEAVY = {"numpy", "torch", "mujoco", "rerun", "pydantic", "pyarrow", "matplotlib"}
+
+
+def test_importing_takes_no_time_and_loads_nothing_heavy():
+    code = (
+        "import sys, time; start = time.process_time(); import deepgps; deepgps.__version__; "
+        f"print(time.process_time() - start, *sorted({HEAVY} & set(sys.modules)))"
+    )
+    seconds, *loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert loaded == []
+    assert float(seconds) < 0.5
+
+
+def test_the_version_is_the_package_s():
+    assert deepgps.__version__ == version("deepgps")
+
+
+@pytest.mark.parametrize("name", sorted(set(deepgps.__all__) - {"__version__"}))
+def test_every_name_can_be_taken_and_is_described(name: str):
+    value = getattr(deepgps, name)
+    assert value.__name__ == name
+    assert value.__doc__ and value.__doc__[0].isupper()
+    assert name in dir(deepgps)
+
+
+def test_what_checkers_see_is_what_there_is():
+    """The imports for type checkers name the same modules as the table that is used."""
+    tree = ast.parse(Path(deepgps.__file__).read_text())
+    seen = {
+        name.name: node.module
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module not in {"importlib", "importlib.metadata", "typing"}
+        for name in node.names
+    }
+    assert seen == deepgps._HOMES
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="module 'deepgps' has no attribute 'lod'"):
+        _ = deepgps.lod

@@ -1,0 +1,131 @@
+"""A recording of one's own data: checked, trained, positioned and viewed, with and without the truth."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deepgps
+from deepgps.adopted_recording import choose_folder
+from deepgps.viewer.run.recording import find_recording
+from sim.recording.format import check_recording, has_truth, open_recording, open_truth
+from tests.helpers.toy import make_toy
+
+QUICK = {"learn.train.steps": 20, "learn.network.width": 16, "learn.fold.restarts": 0, "learn.train.segments": 4}
+ODOMETRY = {"wheel_radius_m": 0.033, "track_m": 0.16, "ticks_per_rev": 4096}
+
+
+@pytest.fixture(scope="module")
+def drive(small_recording: Path) -> dict:
+    """What a robot of one's own would have recorded, with its true poses apart."""
+    recording, truth = open_recording(small_recording), open_truth(small_recording)
+    return {
+        "arrays": {
+            "observations": np.array(recording.observation),
+            "readings": recording.reading,
+            "time": recording.time,
+            "odometry": recording.manifest.odometry,
+            "test_observations": np.array(recording.test_observation),
+        },
+        "truth": {"pose": truth.pose, "test_pose": truth.test_pose},
+    }
+
+
+@pytest.mark.slow
+def test_one_s_own_recording_is_trained_positioned_and_viewed_without_truth(drive: dict, tmp_path: Path):
+    folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"])
+    check_recording(folder)
+    assert not has_truth(folder)
+    run = deepgps.train(folder, out=tmp_path / "run", settings=QUICK, progress=False)
+    images = drive["arrays"]["test_observations"][:, 0]
+    assert run.position(images, frame="map").shape == (len(images), 2)
+    with pytest.raises(deepgps.InputError, match=r"has no truth, .*frame='map' gives"):
+        run.position(images)
+    with pytest.raises(deepgps.InputError, match="has not been evaluated"):
+        run.errors()
+    assert find_recording(run.folder).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_with_the_truth_it_is_also_evaluated(drive: dict, tmp_path: Path):
+    folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"])
+    run = deepgps.train(folder, ["deepgps", "knn"], tmp_path / "run", QUICK, progress=False)
+    assert run.methods == ("deepgps", "knn")
+    errors = run.errors("knn").to_pandas()
+    np.testing.assert_allclose(errors[["x_m", "y_m"]], drive["truth"]["test_pose"][..., :2].reshape(-1, 2))
+    assert run.metrics["methods"]["knn"]["median_m"] < 1.0
+    assert "flipped" not in run.metrics["methods"]["knn"], "test positions of one's own need not form a grid"
+    assert find_recording(run.folder).stat().st_size > 10_000
+    assert (run.folder / "recording").resolve() == folder.resolve()
+
+
+@pytest.mark.slow
+def test_it_is_learned_like_the_recording_that_it_was_made_from(drive: dict, small_recording: Path, tmp_path: Path):
+    copy = deepgps.write_recording(tmp_path / "mine", **drive["arrays"])
+    runs = [
+        deepgps.train(folder, ["deepgps"], tmp_path / folder.name / "run", QUICK, progress=False)
+        for folder in (copy, small_recording)
+    ]
+    weights = [(run.folder / "deepgps" / "weights.safetensors").read_bytes() for run in runs]
+    assert weights[0] == weights[1]
+
+
+@pytest.mark.parametrize(("kind", "shape"), [("vector", (12,)), ("scan", (1, 40))])
+def test_other_kinds_of_observations_are_written_and_described(kind: str, shape: tuple, tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=60)
+    observations = np.random.default_rng(0).uniform(0.1, 3.0, (60, *shape))
+    folder = deepgps.write_recording(
+        tmp_path / "mine",
+        observations,
+        toy.reading[toy.reading[:, 1] < 60],
+        toy.time[toy.reading[:, 1] < 60],
+        ODOMETRY,
+        kind=kind,
+    )
+    assert open_recording(folder).kind == kind
+    run = deepgps.train(folder, ["deepgps"], tmp_path / "run", QUICK, progress=False)
+    assert run.scenario.observation == kind
+    assert run.position(observations[0], frame="map").shape == (2,)
+
+
+def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_path: Path):
+    arrays, truth = drive["arrays"], drive["truth"]
+    count = len(arrays["observations"])
+    late = arrays["readings"].copy()
+    late[-1, 1] = count
+    for message, changed in {
+        r"readings \(\d+, 3\) int64: must be \(R, 4\) int": {"readings": arrays["readings"][:, :3]},
+        "readings .* float64: must be": {"readings": arrays["readings"] * 1.0},
+        f"second column must be an observation from 0 to {count - 1}": {"readings": late},
+        r"time \(1,\): must have the shape": {"time": [0.0]},
+        "odometry.track_m must be a number": {"odometry": {"wheel_radius_m": 0.03, "ticks_per_rev": 4096}},
+        "kind 'image': must be polar_image": {"kind": "image"},
+        "observations .* float64: must be .* uint8 RGB": {"observations": arrays["observations"] / 255},
+        "observations .* have 4 axes": {"observations": arrays["observations"][0]},
+        r"test_observations .*: must be \(C, H": {"test_observations": arrays["test_observations"][..., :-1, :]},
+        r"pose \(2, 3\): must have the shape": {"pose": np.zeros((2, 3))},
+        "test_pose: .* test positions need their poses": {"pose": truth["pose"]},
+        "pose: test_pose and free_space need": {"test_pose": truth["test_pose"]},
+        "pose and test_pose: must be finite": {**truth, "pose": np.full((count, 3), np.nan)},
+        "most of them|most|impossible|cannot be": {"time": arrays["time"][::-1]},
+    }.items():
+        with pytest.raises(deepgps.InputError, match=message) as caught:
+            deepgps.write_recording(tmp_path / "mine", **{**arrays, **changed})
+        assert "\n" not in str(caught.value)
+        assert not (tmp_path / "mine").exists()
+
+
+def test_a_folder_that_holds_something_is_left_alone(drive: dict, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(deepgps.InputError, match="is not empty; a recording is written to a folder of its own"):
+        deepgps.write_recording(tmp_path, **drive["arrays"])
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_another_recording_in_the_same_run_folder_is_refused(tmp_path: Path):
+    toys = [make_toy(tmp_path / f"toy{seed}", samples=60, seed=seed).folder for seed in (0, 1)]
+    deepgps.train(toys[0], out=tmp_path / "run", settings={**QUICK, "name": "toy"}, progress=False)
+    with pytest.raises(deepgps.InputError, match="holds a run on another recording"):
+        deepgps.train(toys[1], out=tmp_path / "run", settings={**QUICK, "name": "toy"}, progress=False)
+    homes = {choose_folder(toy, deepgps.load(tmp_path / "run").scenario) for toy in toys}
+    assert len(homes) == 2

@@ -1,0 +1,127 @@
+"""A run opened from Python: positions in the world's frame, errors as a table, and what is missing in one line."""
+
+from pathlib import Path
+from shutil import copytree
+
+import numpy as np
+import pytest
+
+import deepgps
+from sim.files import read_arrays, read_json, write_json
+from sim.recording.format import open_truth
+
+SMALL = {
+    "camera.rings": 8,
+    "camera.sectors": 32,
+    "camera.face_px": 16,
+    "drive.samples": 120,
+    "grid.spacing_m": 0.4,
+    "grid.headings": 2,
+    "learn.train.steps": 30,
+    "learn.network.width": 16,
+}
+METHODS = ("deepgps", "knn")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> deepgps.Run:
+    """A small run in a room, driven, rendered and trained for real."""
+    folder = tmp_path_factory.mktemp("api") / "run"
+    return deepgps.simulate("tiny", folder, METHODS, SMALL, progress=False)
+
+
+@pytest.fixture
+def copied(run: deepgps.Run, tmp_path: Path) -> deepgps.Run:
+    """The same in a folder that a test may change."""
+    return deepgps.load(copytree(run.folder, tmp_path / "run"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_positions_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run, method: str):
+    images, field = run.recording.test_observation, read_arrays(run.folder / "error_field.npz")
+    flat = images.reshape(-1, *images.shape[2:])
+    predicted = field[method].reshape(-1, 2)
+    np.testing.assert_allclose(run.position(flat, method), predicted, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(run.position(flat[3], method), predicted[3], rtol=0, atol=1e-6)
+    assert run.position(flat[3], method).shape == (2,)
+    assert run.position(flat[:0], method).shape == (0, 2)
+
+
+@pytest.mark.slow
+def test_the_map_s_own_frame_differs_by_the_alignment_alone(run: deepgps.Run):
+    images = run.recording.test_observation[:, 0]
+    world, own = run.position(images), run.position(images, frame="map")
+    assert not np.allclose(world, own)
+    between = [np.linalg.norm(places[:, None] - places, axis=-1) for places in (world, own)]
+    np.testing.assert_allclose(*between, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_errors_hold_one_row_for_each_place_and_heading(run: deepgps.Run):
+    truth = open_truth(run.folder / "recording").test_pose.reshape(-1, 3)
+    table = run.errors()
+    assert table.column_names == [
+        *("method", "x_m", "y_m", "heading_rad", "predicted_x_m", "predicted_y_m", "error_m"),
+    ]
+    assert table.num_rows == len(METHODS) * len(truth)
+    for method in METHODS:
+        rows = run.errors(method).to_pandas()
+        assert set(rows.method) == {method}
+        np.testing.assert_allclose(rows[["x_m", "y_m", "heading_rad"]], truth)
+        away = np.hypot(rows.predicted_x_m - rows.x_m, rows.predicted_y_m - rows.y_m)
+        np.testing.assert_allclose(rows.error_m, away)
+        worst = rows.groupby(["x_m", "y_m"]).error_m.max()
+        assert worst.max() == pytest.approx(run.metrics["methods"][method]["max_m"])
+
+
+@pytest.mark.slow
+def test_the_stored_alignment_says_what_it_was_fitted_on(run: deepgps.Run):
+    for method in METHODS:
+        stored = read_json(run.folder / method / "alignment.json")
+        assert stored["fitted_on"] == "truth"
+        assert stored["kind"] == run.metrics["methods"][method]["alignment"]
+        assert stored["scale"] == run.metrics["methods"][method]["scale"]
+
+
+@pytest.mark.slow
+def test_a_run_says_what_it_holds(run: deepgps.Run):
+    assert run.methods == METHODS
+    assert run.scenario.drive.samples == len(run.recording.observation) == 120
+    assert deepgps.load(str(run.folder)) == run
+
+
+@pytest.mark.slow
+def test_a_run_of_an_earlier_version_is_aligned_by_evaluating_it(copied: deepgps.Run):
+    images, metrics = copied.recording.test_observation[:, 0], (copied.folder / "metrics.json").read_bytes()
+    before = copied.position(images)
+    (copied.folder / "deepgps" / "alignment.json").unlink()
+    with pytest.raises(deepgps.InputError, match=r"has no alignment.json.*; deepgps evaluate .* writes it"):
+        copied.position(images)
+    again = deepgps.simulate(copied.scenario, copied.folder, progress=False)
+    assert np.array_equal(again.position(images), before)
+    assert (copied.folder / "metrics.json").read_bytes() == metrics
+
+
+@pytest.mark.slow
+def test_an_alignment_of_another_training_is_refused(copied: deepgps.Run):
+    path = copied.folder / "deepgps" / "alignment.json"
+    write_json(path, {**read_json(path), "positioner": "0" * 64})
+    with pytest.raises(deepgps.InputError, match="belongs to an earlier training"):
+        copied.position(copied.recording.test_observation[:, 0])
+
+
+@pytest.mark.slow
+def test_what_does_not_exist_is_named_in_one_line(run: deepgps.Run, tmp_path: Path):
+    image = run.recording.test_observation[0, 0]
+    for message, call in {
+        "method 'posenet': .* has trained deepgps, knn": lambda: run.position(image, "posenet"),
+        "method 'posenet': .* has measured deepgps, knn": lambda: run.errors("posenet"),
+        "frame 'room': must be 'world' or 'map'": lambda: run.position(image, frame="room"),
+        r"observations of shape \(4, 32, 3\), but trained on": lambda: run.position(image[:4]),
+        "is no run folder": lambda: deepgps.load(tmp_path),
+        "holds a run of another scenario": lambda: deepgps.simulate("tiny", run.folder, progress=False),
+    }.items():
+        with pytest.raises(deepgps.InputError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
