@@ -13,10 +13,12 @@ if TYPE_CHECKING:
     from deepgps.api.simulate import simulate as simulate
     from deepgps.api.simulate import train as train
     from deepgps.methods.catalog import Method as Method
+    from deepgps.methods.positioner import Fitted as Fitted
     from deepgps.scenario import Scenario as Scenario
     from sim.errors import InputError as InputError
     from sim.errors import WorkError as WorkError
     from sim.occupancy import FreeSpace as FreeSpace
+    from sim.plugins import EncoderFault as EncoderFault
     from sim.sensors.lens import Lens as Lens
     from sim.sensors.unwrap import unwrap_fisheye as unwrap_fisheye
 
@@ -31,6 +33,8 @@ _HOMES = {
     "unwrap_fisheye": "sim.sensors.unwrap",
     "Scenario": "deepgps.scenario",
     "Method": "deepgps.methods.catalog",
+    "Fitted": "deepgps.methods.positioner",
+    "EncoderFault": "sim.plugins",
     "FreeSpace": "sim.occupancy",
     "Lens": "sim.sensors.lens",
     "InputError": "sim.errors",

@@ -28,6 +28,7 @@ from deepgps.command.failures import explain, working_in
 from deepgps.command.signals import ignore_signals, stop_at_signals
 from deepgps.command.streams import flush_streams
 from deepgps.command.terminal import console, errors, print_error, show_warnings, warn_plainly
+from deepgps.plugins import load_plugins
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
 from sim.errors import InputError, WorkError
@@ -98,6 +99,7 @@ def study_command(words: Sequence[str]) -> None:
     if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
+    load_plugins(arguments.plugin)
     study = load_study(arguments.study, arguments.tiny, arguments.full)
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
@@ -141,6 +143,7 @@ def view_command(words: Sequence[str]) -> None:
         raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
     if arguments.port is not None and not arguments.web:
         raise InputError("--port needs --web")
+    load_plugins(arguments.plugin)
     from deepgps.viewer.study.read import is_study
     from deepgps.viewer.window.show import view
     from deepgps.viewer.window.web import choose_ports, serve

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 
 import tyro
 
+from deepgps.plugins import load_plugins
 from deepgps.scenario import Scenario, load_scenario, names_in
 from sim.errors import InputError
 from sim.paths import SCENARIOS
@@ -25,6 +26,8 @@ class RunArguments:
     """Discard what is in the run folder and start again."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
     """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
+    plugin: tuple[Path, ...] = ()
+    """Files of plugins, with methods and encoder faults of your own."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,8 @@ class StudyArguments:
     """Copy the table, report and figures to a subfolder of this folder named after the study, as in docs/results."""
     fresh: bool = False
     """Discard what is in the study folder and start again."""
+    plugin: tuple[Path, ...] = ()
+    """Files of plugins, with methods and encoder faults of your own."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,8 @@ class ViewArguments:
     """Serve the viewer and the recording to a browser on this machine, until Ctrl-C."""
     port: int | None = None
     """Port of the page that --web serves; its data comes from the next port. None: free ports."""
+    plugin: tuple[Path, ...] = ()
+    """Files of plugins, whose methods then have their titles and colours."""
 
 
 @dataclass(frozen=True)
@@ -89,10 +96,11 @@ def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tup
     """Parse a command's own arguments and its scenario with overrides; ``--help`` shows every setting and exits."""
     if {"-h", "--help"} & set(words):
         _show_settings(command, about)
-    own, overrides = _split(words, {"--out", "--fresh", "--live"})
+    own, overrides = _split(words, {"--out", "--fresh", "--live", "--plugin"})
     if not own or own[0].startswith("-"):
         raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
     arguments = parse(RunArguments, command, own, about)
+    load_plugins(arguments.plugin)
     return arguments, load_scenario(arguments.scenario, overrides)
 
 

@@ -7,7 +7,7 @@ removed; other files that a user puts there stay. A folder that is not empty and
 import fcntl
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,12 +29,17 @@ class Kind:
     Attributes:
         name: Name of the kind in the mark and in messages.
         first: The file that is written first.
-        files: Pattern of the paths, within the folder, of all files that deepgps writes.
+        find_files: Returns the pattern of the paths, within the folder, of all files that deepgps writes.
     """
 
     name: str
     first: str
-    files: re.Pattern[str]
+    find_files: Callable[[], re.Pattern[str]]
+
+    @property
+    def files(self) -> re.Pattern[str]:
+        """Pattern of the paths, within the folder, of all files that deepgps writes."""
+        return self.find_files()
 
     @property
     def head(self) -> str:

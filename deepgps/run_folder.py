@@ -3,31 +3,41 @@
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 
 from deepgps.methods.catalog import METHODS
 from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
+from deepgps.plugins import check_plugins
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim import renamed
 from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
-_METHODS = "|".join([*METHODS, *renamed.METHODS])
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"
 FEATURE_FILES = r"features\.(safetensors|key)"
-RUN = Kind(
-    "run",
-    "scenario.yaml",
-    re.compile(
+
+
+def find_run_files() -> re.Pattern[str]:
+    """Pattern of the paths, within a run's folder, of all files of a run with any method that is known now."""
+    return _make_pattern(tuple(METHODS))
+
+
+@lru_cache
+def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
+    methods = "|".join([*known, *renamed.METHODS])
+    return re.compile(
         rf"scenario\.yaml|timing\.json|log\.txt|metrics\.json|(error|label)_field\.npz|failure\.txt"
-        rf"|({_METHODS})/(attempt\d+/)?({TRAINED_FILES})|({_METHODS})/alignment\.json|features/({FEATURE_FILES})"
+        rf"|({methods})/(attempt\d+/)?({TRAINED_FILES})|({methods})/alignment\.json|features/({FEATURE_FILES})"
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|drive|training)\.png"
-        rf"|figures/error_field_({_METHODS})\.png"
+        rf"|figures/error_field_({methods})\.png"
         # a study's run has a link in place of a recording
         rf"|recording|recording/({RECORDING.pattern})|recording\.collecting/({COLLECTING.pattern})"
-    ),
-)
+    )
+
+
+RUN = Kind("run", "scenario.yaml", find_run_files)
 
 
 def default_folder(scenario: Scenario) -> Path:
@@ -65,8 +75,10 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
         The folder to work in.
 
     Raises:
-        InputError: The folder does not belong to deepgps, is in use, or holds another run.
+        InputError: The folder does not belong to deepgps, is in use, or holds another run; or a plugin that the
+            scenario needs is not loaded, or has changed.
     """
+    check_plugins(scenario)
     if is_older(folder, RUN):
         _check_older(scenario, folder, fresh)
         yield folder

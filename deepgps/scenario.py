@@ -8,20 +8,36 @@ from pathlib import Path
 from typing import Annotated, Any, cast, get_args
 
 import yaml
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
 
 from deepgps.methods.catalog import METHODS
 from deepgps.plain_yaml import read_yaml
-from deepgps.settings import LearnSettings, one_of
+from deepgps.settings import LearnSettings, check_name
 from sim.errors import InputError
 from sim.paths import SCENARIOS
+from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
 from sim.settings import LARGEST_MJCF, Group, SimSettings
 from sim.user_input import quote, read_file, shorten
 
-MethodName = Annotated[str, one_of(METHODS)]
+
+def _check_method(name: str, info: ValidationInfo) -> str:
+    """A run with a plugin's method can be opened without the plugin, though not continued."""
+    return name if name in info.data.get("plugins", {}) else check_name(name, METHODS, f"; {HOW_TO_LOAD}")
+
+
+MethodName = Annotated[str, AfterValidator(_check_method)]
 GIVEN_BY: dict[ObservationKind, str] = {
     "polar_image": "images, which world room with sensor fisheye gives",
     "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
@@ -35,6 +51,12 @@ MOST_PROBLEMS = 5
 """Number of wrong settings that one message describes; it only counts the others."""
 
 
+class PluginSource(Group):
+    """The source of a plugin."""
+
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
 class Scenario(SimSettings):
     """Every setting that determines a run."""
 
@@ -42,9 +64,27 @@ class Scenario(SimSettings):
     """Name of the scenario; its runs are stored under runs/<name>."""
     seed: int = Field(default=0, ge=0)
     """Seed of the RNG streams, one each for driving, encoder, weights and shuffling."""
+    plugins: dict[str, PluginSource] = Field(default_factory=dict)
+    """The plugins of those methods that deepgps does not have itself; filled in from the plugins that are loaded."""
     methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
     """Methods to train and compare."""
     learn: LearnSettings = LearnSettings()
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())  # a dictionary has no hash
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_the_sources(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or not isinstance(values.get("methods"), list | tuple):
+            return values
+        given = values.get("plugins", {})
+        if not isinstance(given, Mapping):
+            return values  # which the field's own check refuses
+        names = [name for name in values["methods"] if isinstance(name, str)]
+        loaded = {name: METHODS[name].source for name in names if name in METHODS}
+        sources = {name: {"sha256": source.sha256} for name, source in loaded.items() if source}
+        return {**values, "plugins": {**sources, **{name: given[name] for name in names if name in given}}}
 
     @field_validator("methods")
     @classmethod
@@ -53,10 +93,17 @@ class Scenario(SimSettings):
             raise ValueError("at least one method, each once")
         return methods
 
+    @model_serializer(mode="wrap")
+    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = write(self)
+        if not self.plugins:
+            values.pop("plugins", None)
+        return values
+
     @model_validator(mode="after")
     def _methods_suit_the_world(self) -> "Scenario":
         for name in self.methods:
-            observes = METHODS[name].observes
+            observes = METHODS[name].observes if name in METHODS else None
             if observes and observes != self.observation:
                 raise ValueError(f"methods: {name} needs {GIVEN_BY[observes]}")
         if self.observation != "polar_image" and self.learn.network.architecture != "spectral":

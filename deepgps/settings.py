@@ -14,16 +14,17 @@ Start = Literal["auto", "paths", "ends", "lifting", "random"]
 
 
 def one_of(names: Collection[str]) -> AfterValidator:
-    """A check that a value is one of these names, with the same message as a Literal of them."""
+    """A check that a value is one of these names."""
+    return AfterValidator(lambda value: check_name(value, names))
 
-    def check(value: str) -> str:
-        if value not in names:
-            *most, last = map(repr, names)
-            allowed = f"{', '.join(most)} or {last}"
-            raise PydanticCustomError("literal_error", "Input should be {allowed}", {"allowed": allowed})
-        return value
 
-    return AfterValidator(check)
+def check_name(value: str, names: Collection[str], hint: str = "") -> str:
+    """Raise an error if a value is none of these names, with the same message as a Literal of them and a hint."""
+    if value not in names:
+        *most, last = map(repr, names)
+        allowed = f"{', '.join(most)} or {last}{hint}"
+        raise PydanticCustomError("literal_error", "Input should be {allowed}", {"allowed": allowed})
+    return value
 
 
 class FeatureSettings(Group):

@@ -1,8 +1,20 @@
 """Settings of world, robot, sensors and driving: frozen groups, each checked once when it is created."""
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
+from sim.user_input import shorten
 
 WorldName = Literal["room", "landmarks", "obstacles"]
 SensorName = Literal["fisheye", "lidar"]
@@ -133,6 +145,13 @@ class TagCameraSettings(Group):
     """Whether the recording keeps its images, 0.5 MB each, in addition to the tags found in them."""
 
 
+class FaultSetting(Group):
+    """Strength of a fault that a plugin defines, and the checksum of the plugin's source."""
+
+    value: float
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
 class EncoderSettings(Group):
     """The wheel encoders and their faults; all but the first two are faults of measurement."""
 
@@ -154,6 +173,47 @@ class EncoderSettings(Group):
     """Fraction of readings that never arrive."""
     stuck_fraction: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of the readings, in one stretch, during which one random encoder, left or right, counts nothing."""
+    plugins: dict[str, FaultSetting] = Field(default_factory=dict)
+    """Faults that plugins define: their strengths by name."""
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())  # a dictionary has no hash
+
+    @field_validator("plugins", mode="before")
+    @classmethod
+    def _add_the_checksums(cls, given: Any) -> Any:
+        return {name: _add_checksum(name, value) for name, value in given.items()} if _is_mapping(given) else given
+
+    @field_validator("plugins")
+    @classmethod
+    def _leave_out_what_is_off(cls, plugins: dict[str, FaultSetting]) -> dict[str, FaultSetting]:
+        for name, setting in plugins.items():
+            low, high = ENCODER_FAULTS[name].limits if name in ENCODER_FAULTS else (-float("inf"), float("inf"))
+            if setting.value and not low <= setting.value <= high:
+                raise ValueError(f"{shorten(name)} {setting.value}: must be from {low:g} to {high:g}, or 0")
+        return {name: plugins[name] for name in sorted(plugins) if plugins[name].value}
+
+    @model_serializer(mode="wrap")
+    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = write(self)
+        if not self.plugins:
+            values.pop("plugins", None)
+        return values
+
+
+def _add_checksum(name: str, value: Any) -> Any:
+    """A fault's setting with the checksum of the loaded plugin's source, unless it holds one."""
+    if isinstance(value, FaultSetting) or (_is_mapping(value) and "sha256" in value):
+        return value  # of a run or a recording, which can be opened without the plugin
+    if name not in ENCODER_FAULTS:
+        raise ValueError(f"no plugin that is loaded defines {shorten(str(name))}; {HOW_TO_LOAD}")
+    source = ENCODER_FAULTS[name].source
+    given = dict(value) if _is_mapping(value) else {"value": value}
+    return {**given, "sha256": source.sha256 if source else ""}
+
+
+def _is_mapping(value: Any) -> bool:
+    return isinstance(value, Mapping)
 
 
 class DriveSettings(Group):

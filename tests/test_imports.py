@@ -55,7 +55,17 @@ ORDER = (
 
 NOT_IN_SIM = {"torch", "rerun", "tyro"}
 WITHOUT_MUJOCO = {
-    *("sim", "sim.settings", "sim.files", "sim.user_input", "sim.errors", "sim.paths", "sim.rng", "sim.processes"),
+    *(
+        "sim",
+        "sim.settings",
+        "sim.plugins",
+        "sim.files",
+        "sim.user_input",
+        "sim.errors",
+        "sim.paths",
+        "sim.rng",
+        "sim.processes",
+    ),
     *(
         "sim.geometry",
         "sim.occupancy",

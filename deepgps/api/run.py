@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from deepgps.methods.catalog import folder_of
+from deepgps.plugins import load_plugins
 from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario
 from sim.errors import InputError
@@ -170,15 +171,17 @@ class Run:
         return read_alignment(folder).apply(positions)
 
 
-def load(folder: str | Path) -> Run:
+def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:
     """Open a run folder.
 
     Args:
         folder: The folder, such as ``runs/tiny/seed0-56989ea5``.
+        plugins: Files of plugins to load, which positions by their methods need.
 
     Raises:
         InputError: It is no run folder.
     """
+    load_plugins(plugins)
     return Run(Path(folder), open_run(Path(folder)))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from deepgps.adopted_recording import choose_folder, describe_recording, link_recording
 from deepgps.api.run import Run, load
+from deepgps.plugins import load_plugins
 from deepgps.progress import Report, ignore, show_progress
 from deepgps.run_folder import claim, default_folder
 from deepgps.scenario import Scenario, load_scenario, override_scenario
@@ -21,6 +22,7 @@ def simulate(
     out: str | Path | None = None,
     methods: Sequence[str] | None = None,
     settings: Mapping[str, Any] | None = None,
+    plugins: Sequence[str | Path] = (),
     fresh: bool = False,
     progress: bool = True,
 ) -> Run:
@@ -33,15 +35,17 @@ def simulate(
         out: The run's folder; None: runs/<scenario>/seed<seed>-<hash>.
         methods: Methods to train and compare; None: the scenario's own.
         settings: Values by dotted name that replace the scenario's, such as ``{"encoder.step_noise": 0.1}``.
+        plugins: Files of plugins to load.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Whether to show the progress on standard error.
 
     Raises:
         InputError: A setting is wrong, or the folder holds another run.
-        WorkError: There is no renderer, physics failed, or the disk is full.
+        WorkError: There is no renderer, physics failed, the disk is full, or a plugin's code raises an exception.
     """
     from deepgps.run import run
 
+    load_plugins(plugins)
     chosen = _choose(scenario, {**(settings or {}), **_name_methods(methods)})
     folder = default_folder(chosen) if out is None else Path(out)
     with _prepare(list_undriven(chosen, folder, fresh), progress) as report:
@@ -54,6 +58,7 @@ def train(
     methods: Sequence[str] | None = None,
     out: str | Path | None = None,
     settings: Mapping[str, Any] | None = None,
+    plugins: Sequence[str | Path] = (),
     fresh: bool = False,
     progress: bool = True,
 ) -> Run:
@@ -64,12 +69,15 @@ def train(
         methods: Methods to train; None: DeepGPS alone.
         out: The run's folder; None: runs/<recording>/seed<seed>-<hash>.
         settings: Values by dotted name, such as ``{"learn.train.steps": 2000}``.
+        plugins: Files of plugins to load.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Whether to show the progress on standard error.
 
     Raises:
         InputError: It is no finished recording, a setting is wrong, or a method cannot learn from it.
+        WorkError: A plugin's code raises an exception.
     """
+    load_plugins(plugins)
     home = Path(recording)
     scenario = describe_recording(home, {**(settings or {}), **_name_methods(methods or ("deepgps",))})
     folder = choose_folder(home, scenario) if out is None else Path(out)

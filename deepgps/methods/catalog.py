@@ -1,10 +1,15 @@
 """The methods by name, one record each. This module imports nothing heavy, so that settings and reports can use it."""
 
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from sim import renamed
+from sim.errors import InputError
+from sim.plugins import HOW_TO_LOAD, Source
 from sim.recording.manifest import ObservationKind
 
 AlignmentKind = Literal["E2", "SE2"]
@@ -18,20 +23,25 @@ class Method:
         title: Its name in reports.
         colour: Colour of its lines in figures, "#rrggbb".
         alignment: Transform that evaluation fits: E2 if the method has a mirror ambiguity, else SE2.
-        fit: The function that trains it, "module:function"; it takes a recording, settings, a seed, the method's
-            folder and a progress callback, and returns a positioner with a record of its training.
+        fit: The function that trains it, or its name "module:function"; it takes a recording, settings, a seed, the
+            method's folder and a progress callback, and returns a positioner with a record of its training.
         observes: The only kind of observation it takes; None: any.
         in_steps: Whether it trains step by step and reports its steps.
         reads_ticks: Whether it learns from the encoders.
+        predict: For a plugin's method whose ``fit`` returns arrays by name in place of a positioner: (these arrays,
+            observations (B, ...)) -> positions (B, 2) [m].
+        source: Set when the plugin that defines the method is loaded.
     """
 
     title: str
     colour: str
     alignment: AlignmentKind
-    fit: str
+    fit: str | Callable[..., Any]
     observes: ObservationKind | None = None
     in_steps: bool = True
     reads_ticks: bool = True
+    predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
+    source: Source | None = field(default=None, compare=False)
 
 
 METHODS: dict[str, Method] = {
@@ -59,7 +69,18 @@ METHODS: dict[str, Method] = {
     ),
     "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
 }
-"""The methods in the order of figures. Scenarios and studies can name every method that is added here."""
+"""The methods in the order of figures. Scenarios and studies can name every method that is added here.
+
+``deepgps.plugins.load_plugins`` adds those of plugins when a process starts: to this one table, as settings check
+themselves against it wherever they are made, and no other table can be passed there.
+"""
+
+
+def find_method(name: str) -> Method:
+    """The method of this name; raises InputError if it is a plugin's that is not loaded."""
+    if name not in METHODS:
+        raise InputError(f"method {name}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+    return METHODS[name]
 
 
 def title_of(name: str) -> str:

@@ -1,5 +1,6 @@
 """Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
 
+from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
 
@@ -7,10 +8,18 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.attempts import remove_leftovers
-from deepgps.methods.catalog import METHODS
-from deepgps.methods.positioner import Positioner, is_finished, load_positioner, save_positioner
+from deepgps.methods.catalog import METHODS, Method
+from deepgps.methods.positioner import (
+    ArrayPositioner,
+    Fitted,
+    Positioner,
+    is_finished,
+    load_positioner,
+    save_positioner,
+)
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings
+from sim.plugins import calling
 from sim.recording.format import Recording, observation_file
 
 
@@ -30,13 +39,22 @@ def fit_method(
     Raises:
         InputError: The method cannot learn from these readings or observations.
     """
-    module, _, function = METHODS[name].fit.partition(":")
-    fit = getattr(import_module(module), function)
+    method = METHODS[name]
     with use_threads(settings.train.threads):
         if not is_finished(folder):
             recording = keep_plausible(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
-            positioner, training = fit(recording, settings, seed, folder, progress)
+            with calling(method.source):
+                positioner, training = _find_function(method)(recording, settings, seed, folder, progress)
+            if method.predict is not None:
+                positioner = ArrayPositioner(name, positioner)
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)
+
+
+def _find_function(method: Method) -> Callable[..., Fitted]:
+    if not isinstance(method.fit, str):
+        return method.fit
+    module, _, function = method.fit.partition(":")
+    return getattr(import_module(module), function)

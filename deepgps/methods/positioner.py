@@ -17,11 +17,13 @@ from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
+from deepgps.methods.catalog import find_method
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
 from deepgps.settings import LearnSettings, NetworkSettings
-from sim.errors import DamagedError, InputError, one_line
+from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
+from sim.plugins import calling
 
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
@@ -97,18 +99,42 @@ class NeighbourPositioner:
         return (weight[..., None] * self.places[nearest.indices]).sum(dim=1).numpy()
 
 
-Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner
+@dataclass(frozen=True)
+class ArrayPositioner:
+    """Positions by a plugin's method from the arrays that it has learned.
+
+    Attributes:
+        method: Name of the method, whose plugin must be loaded.
+        arrays: What it has learned, by name.
+    """
+
+    method: str
+    arrays: Mapping[str, np.ndarray]
+
+    def __call__(self, observations: np.ndarray) -> np.ndarray:
+        """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+        method = find_method(self.method)
+        assert method.predict is not None
+        with calling(method.source):
+            found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
+        if found.shape != (len(observations), 2):
+            raise WorkError(f"method {self.method}: predict must return {(len(observations), 2)}, not {found.shape}")
+        return found
+
+
+Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner | ArrayPositioner
 
 
 class Fitted(NamedTuple):
     """A trained method.
 
     Attributes:
-        positioner: The learned map from observations to positions.
-        training: The record of the training, for ``training.json``.
+        positioner: The learned map from observations to positions; or, of a plugin's method with ``predict``, arrays by
+            name.
+        training: The record of the training, for ``training.json``: steps, train_s, parameters.
     """
 
-    positioner: Positioner
+    positioner: Positioner | Mapping[str, np.ndarray]
     training: dict[str, Any]
 
 
@@ -117,8 +143,17 @@ def is_finished(folder: Path) -> bool:
     return (folder / INDEX).is_file()
 
 
-def save_positioner(folder: Path, positioner: Positioner, training: Mapping[str, Any]) -> None:
-    """Write ``weights.safetensors``, ``training.json`` (the record of the training) and, last, ``positioner.json``."""
+def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) -> None:
+    """Write ``weights.safetensors``, ``training.json`` (the record of the training) and, last, ``positioner.json``.
+
+    Raises:
+        WorkError: It is none of the positioners of this file; only a plugin's method can return anything else.
+    """
+    if not isinstance(positioner, Positioner):
+        raise WorkError(
+            f"method {folder.name}: fit must return one of deepgps's own positioners, or arrays by name if the method "
+            f"has predict, and not a {type(positioner).__name__}"
+        )
     tensors, description = _take_apart(positioner)
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
@@ -163,6 +198,9 @@ def read_training(folder: Path) -> dict[str, Any]:
 
 
 def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
+    if isinstance(positioner, ArrayPositioner):
+        arrays = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in positioner.arrays.items()}
+        return arrays, {"kind": "arrays", "method": positioner.method}
     if isinstance(positioner, LandmarkPositioner):
         reach_m = None if np.isinf(positioner.reach_m) else positioner.reach_m
         return {"landmark": torch.from_numpy(positioner.landmark)}, {"kind": "landmarks", "reach_m": reach_m}
@@ -189,6 +227,8 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     if description.get("kind") == "landmarks":
         reach_m = description["reach_m"]
         return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
+    if description.get("kind") == "arrays":
+        return ArrayPositioner(description["method"], {name: tensor.numpy() for name, tensor in tensors.items()})
     if description.get("kind") == "scans":
         mean, axes, known, places = (tensors[name].numpy() for name in NAMES)
         return ScanPositioner(mean, axes, known, places, description["headings"])

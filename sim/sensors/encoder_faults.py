@@ -1,15 +1,18 @@
 """Faults of wheel encoders: one record each, in the order in which they act on the wheels' angles.
 
 To add one, add a setting to ``EncoderSettings`` and a record to ``FAULTS``: recordings, studies, expected errors and
-reports read it from there.
+reports read it from there. Faults of plugins (``sim.plugins``) act after these, each with an RNG stream of its own.
 """
 
-from collections.abc import Callable, Mapping
+import hashlib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from sim.errors import WorkError
+from sim.plugins import ENCODER_FAULTS, EncoderFault, calling, find_fault
 from sim.settings import EncoderSettings
 
 Apply = Callable[[np.ndarray, EncoderSettings, float, np.random.Generator], np.ndarray]
@@ -52,6 +55,7 @@ def disturb(
         rng: Parent of the faults' RNG streams, which are separate, so that none changes what another draws.
     """
     angle, arrived = wheel_angle, np.ones(len(wheel_angle), bool)
+    added = _name_streams(rng, settings.plugins)
     streams = iter(rng.spawn(sum(fault.random for fault in FAULTS)))
     for fault in FAULTS:
         stream = next(streams) if fault.random else rng
@@ -59,7 +63,39 @@ def disturb(
             angle = fault.apply(angle, settings, wheel_radius_m, stream)
         if fault.drops is not None:
             arrived &= ~fault.drops(len(angle), settings, stream)
+    for name, setting in settings.plugins.items():
+        angle, dropped = _disturb_by(find_fault(name), name, angle, setting.value, wheel_radius_m, added[name])
+        arrived &= ~dropped
     return angle, arrived
+
+
+def _name_streams(rng: np.random.Generator, names: Iterable[str]) -> dict[str, np.random.Generator]:
+    """A stream for each fault of a plugin that depends on its name alone, so that no other fault changes it."""
+    parent = rng.bit_generator.seed_seq
+    assert isinstance(parent, np.random.SeedSequence)
+    keys = {name: int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) for name in names}
+    return {
+        name: np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, key)))
+        for name, key in keys.items()
+    }
+
+
+def _disturb_by(
+    fault: EncoderFault, name: str, angle: np.ndarray, value: float, wheel_radius_m: float, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles with a plugin's fault, and which readings it drops; raises WorkError if it returns something else."""
+    dropped = np.zeros(len(angle), bool)
+    shape = angle.shape
+    with calling(fault.source):
+        if fault.apply is not None:
+            angle = np.asarray(fault.apply(angle.copy(), value, wheel_radius_m, rng), float)
+        if fault.drops is not None:
+            dropped = np.asarray(fault.drops(len(dropped), value, rng))
+    if angle.shape != shape or not np.isfinite(angle).all():
+        raise WorkError(f"encoder fault {name}: apply must return finite angles {shape}, not {angle.shape}")
+    if dropped.shape != shape[:1] or dropped.dtype != bool:
+        raise WorkError(f"encoder fault {name}: drops must return a mask {shape[:1]} of bool, not {dropped.shape}")
+    return angle, dropped
 
 
 def scale_wheels(wheel_angle: np.ndarray, error_left: float, error_right: float) -> np.ndarray:
@@ -169,4 +205,9 @@ def expect_variance(odometry: Mapping[str, float], gap: Any, made_of: Any) -> An
 
 def expect_bias(encoder: EncoderSettings, distance: Any) -> Any:
     """Mean squared error [m^2] of complete segments of these lengths [m] from faults that are in no data sheet."""
-    return sum(fault.bias(encoder, distance) for fault in FAULTS if fault.bias)
+    own = sum(fault.bias(encoder, distance) for fault in FAULTS if fault.bias)
+    for name, setting in encoder.plugins.items():
+        if name in ENCODER_FAULTS and (bias := ENCODER_FAULTS[name].bias):
+            with calling(ENCODER_FAULTS[name].source):
+                own = own + bias(setting.value, distance)
+    return own

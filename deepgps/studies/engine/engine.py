@@ -8,6 +8,7 @@ they depend on. A study that was killed, or that has grown, therefore does only 
 import re
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -27,15 +28,23 @@ from sim.files import sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING
 
 _HASH = "[0-9a-f]{8}"
-STUDY = Kind(
-    "study",
-    "study.yaml",
-    re.compile(
+
+
+def find_study_files() -> re.Pattern[str]:
+    """Pattern of the paths, within a study's folder, of all its files, with any method that is known now."""
+    return _make_pattern(RUN.files.pattern)
+
+
+@lru_cache
+def _make_pattern(of_run: str) -> re.Pattern[str]:
+    return re.compile(
         rf"study\.yaml|table\.(md|parquet(\.sha256)?)|study\.rrd(\.sha256)?|figures/({'|'.join(PICTURES)})\.png"
-        rf"|runs/{_HASH}/({RUN.files.pattern}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"
+        rf"|runs/{_HASH}/({of_run}|\.deepgps)|trainings/{_HASH}/({TRAINED_FILES}|{FEATURE_FILES})"
         rf"|recordings/{_HASH}/({RECORDING.pattern})|recordings/{_HASH}\.collecting/({COLLECTING.pattern})"
-    ),
-)
+    )
+
+
+STUDY = Kind("study", "study.yaml", find_study_files)
 EngineName = Literal["local", "ray"]
 RunAll = Callable[[Sequence[Plan], Path, Report], Failures]
 

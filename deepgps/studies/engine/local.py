@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from deepgps.command.streams import open_streams
 from deepgps.command.terminal import warn_plainly
+from deepgps.plugins import list_files
 from deepgps.progress import Look, Report
 from deepgps.studies.engine.worker import Failures, count_steps, do_run
 from deepgps.studies.study import Plan
@@ -74,18 +75,18 @@ def work(handle: int) -> None:
     """Do the runs that arrive through a pipe until it is closed; this is the main function of a worker process.
 
     Args:
-        handle: File descriptor of the pipe, which carries the study's folder, then the runs.
+        handle: File descriptor of the pipe, which carries the study's folder and the files of plugins, then the runs.
     """
     open_streams()
     warn_plainly()
     pipe = Connection(handle)
     with suppress(EOFError, BrokenPipeError):  # the parent needs no more, or is gone
-        folder = pipe.recv()
+        folder, plugins = pipe.recv()
         while True:
-            _do(pipe.recv(), folder, pipe)
+            _do(pipe.recv(), folder, plugins, pipe)
 
 
-def _do(plan: Plan, folder: Path, pipe: Connection) -> None:
+def _do(plan: Plan, folder: Path, plugins: Sequence[Path], pipe: Connection) -> None:
     steps: dict[str, int] = {}
 
     def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
@@ -93,7 +94,7 @@ def _do(plan: Plan, folder: Path, pipe: Connection) -> None:
             steps[label] = done
             pipe.send(Told(sum(steps.values())))
 
-    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, tell)
+    failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, tell, plugins)
     pipe.send(Told(sum(steps.values()), ended=True, failure=failure))
 
 
@@ -108,5 +109,5 @@ def _start(folder: Path) -> tuple[Connection, Popen[bytes]]:
     code = "from deepgps.studies.engine.local import work; work(int(sys.argv[1]))"
     process = start_process(code, [str(end.fileno())], [end.fileno()])
     end.close()
-    pipe.send(folder)
+    pipe.send((folder, list_files()))
     return pipe, process

@@ -17,6 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from deepgps.plugins import list_files
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from deepgps.studies.engine.worker import Failures, count_steps, do_run
@@ -91,7 +92,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
     for plan in plans:
         needs = {"num_cpus": 1, "num_gpus": gpus * _wants_gpu(plan.scenario), "max_retries": RETRIES}
         home = folder.resolve() / "runs" / plan.run
-        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore)
+        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore, list_files())
         running[task] = plan
     progress(f"steps of {len(plans)} runs", 0, total)
     while running:

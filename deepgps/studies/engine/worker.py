@@ -2,10 +2,12 @@
 
 import os
 import traceback
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from deepgps.methods.catalog import METHODS
+from deepgps.plugins import load_plugins
 from deepgps.progress import Report
 from deepgps.run_folder import claim
 from deepgps.scenario import Scenario
@@ -17,7 +19,9 @@ FAILURE = "failure.txt"
 Failures = dict[str, str]  # reasons by the hash of the run
 
 
-def do_run(scenario: Scenario, folder: Path, recording: str, progress: Report) -> str | None:
+def do_run(
+    scenario: Scenario, folder: Path, recording: str, progress: Report, plugins: Sequence[Path] = ()
+) -> str | None:
     """Do the missing stages of one run on a finished recording.
 
     Args:
@@ -25,6 +29,7 @@ def do_run(scenario: Scenario, folder: Path, recording: str, progress: Report) -
         folder: The run's folder, in ``runs`` of the study's folder.
         recording: Name of the recording's folder, in ``recordings`` of the study's folder.
         progress: Called with the progress of each stage.
+        plugins: Files of plugins, which this process loads unless it has.
 
     Returns:
         The reason why the run failed; None: the run is done.
@@ -35,6 +40,7 @@ def do_run(scenario: Scenario, folder: Path, recording: str, progress: Report) -
     try:
         from deepgps.studies.engine.shared_trainings import leave_trainings, take_trainings
 
+        load_plugins(plugins)
         with claim(scenario, folder, fresh=False):
             link = folder / "recording"
             if not link.is_symlink():
