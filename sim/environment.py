@@ -3,17 +3,22 @@
 It runs on dm_control's ``Physics`` over the compiled room, so dm_control's tools (named access, cameras, its viewer)
 see the same state. There is no task: the reward is always zero. Call ``sim.sensors.gl.choose_backend`` before this
 module is imported.
+
+What a robot cannot sense is in attributes apart from the observations: ``true_pose`` and ``wheel_angle``. Encoder
+faults that are drawn for a complete drive are applied to its wheel angles afterwards, by
+``sim.sensors.encoder.read_encoders``.
 """
 
 import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.robot.model import CONTROL_PERIOD_S, WHEELS
+from sim.geometry import planar_pose
+from sim.robot.model import CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
-from sim.sensors.encoder import count_ticks
+from sim.sensors.encoder import Constants, count_ticks, describe_odometry
 from sim.sensors.encoder_faults import scale_wheels
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.gl import choose_backend
@@ -32,33 +37,46 @@ _DRAWN_FAULTS = ("slip_per_m", "step_noise", "dropout", "stuck_fraction")
 
 
 class RoomEnvironment(dm_env.Environment):
-    """A robot in a room; one step is one control period, and an episode starts at a random reachable place.
+    """A robot in a room; an episode starts at a random reachable place.
 
     Attributes:
         physics: dm_control's view of the model and its state.
+        odometry: What is known of the wheels, as in a recording's manifest.
 
     Args:
-        settings: Room, robot, camera, encoder resolution and control period.
+        settings: Room, robot, camera and encoder resolution.
         rng: Draws the start of each episode.
         episode_s: Length of an episode [s]; it ends with discount 1, as it is truncated, not terminated.
+        step_s: Length of a step [s], a multiple of the control period, 0.04 s; the wheels keep their speed during it.
 
     Raises:
-        InputError: The encoder has faults that are drawn for a complete drive (slip, gap noise, lost readings, a stuck
-            encoder), or the camera has any faults.
+        InputError: The encoder has faults that are drawn for a complete drive (slip, noise of the gaps, lost readings,
+            a stuck encoder, those of plugins), or the camera has any faults.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 
-    def __init__(self, settings: SimSettings, rng: np.random.Generator, episode_s: float = 60.0) -> None:
-        for fault in _DRAWN_FAULTS:
-            if getattr(settings.encoder, fault) != 0.0:
+    def __init__(
+        self,
+        settings: SimSettings,
+        rng: np.random.Generator,
+        episode_s: float = 60.0,
+        step_s: float = CONTROL_PERIOD_S,
+    ) -> None:
+        drawn = {name: getattr(settings.encoder, name) for name in _DRAWN_FAULTS}
+        drawn |= {f"plugins.{name}": setting.value for name, setting in settings.encoder.plugins.items()}
+        for fault, value in drawn.items():
+            if value != 0.0:
                 raise InputError(
-                    f"encoder.{fault} {getattr(settings.encoder, fault)} must be 0 in the environment: "
-                    "it is drawn for a whole drive, after it"
+                    f"encoder.{fault} {value} must be 0 in the environment: it is drawn for a complete drive, by "
+                    "sim.sensors.encoder.read_encoders from the wheel angles of environment.wheel_angle()"
                 )
         if faults := [name for name, off in NO_FAULTS.items() if getattr(settings, name) != off]:
             raise InputError(f"{faults[0]} must be as by default: the environment's camera has no faults")
-        if episode_s < CONTROL_PERIOD_S:
-            raise InputError(f"episode_s {episode_s} must be at least the control period, {CONTROL_PERIOD_S} s")
+        self._periods = round(step_s / CONTROL_PERIOD_S)
+        if self._periods < 1 or abs(self._periods * CONTROL_PERIOD_S - step_s) > 1e-9:
+            raise InputError(f"step_s {step_s} must be a multiple of the control period, {CONTROL_PERIOD_S} s")
+        if episode_s < step_s:
+            raise InputError(f"episode_s {episode_s} must be at least the length of a step, {step_s} s")
         choose_backend()
         from dm_control.mujoco import Physics, wrapper
 
@@ -67,7 +85,8 @@ class RoomEnvironment(dm_env.Environment):
         self.physics = Physics.from_model(wrapper.MjModel(self._world.model))
         self._world.data = self.physics.data.ptr
         self._fisheye = Fisheye(self._world.model, settings.camera)
-        self._steps = round(episode_s / CONTROL_PERIOD_S)
+        self.odometry: Constants = describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M)
+        self._steps = round(episode_s / step_s)
         self._step: int | None = None
 
     def reset(self) -> dm_env.TimeStep:
@@ -81,10 +100,11 @@ class RoomEnvironment(dm_env.Environment):
         return dm_env.restart(self._observe())
 
     def step(self, action: np.ndarray) -> dm_env.TimeStep:
-        """Drive the wheels at speeds (2,) left, right [rad/s] for one control period."""
+        """Drive the wheels at speeds (2,) left, right [rad/s] for the length of a step."""
         if self._step is None:
             return self.reset()
-        self._world.step(np.asarray(action, float))
+        for _ in range(self._periods):
+            self._world.step(np.asarray(action, float))
         self._step += 1
         if self._step >= self._steps:
             self._step = None
@@ -105,6 +125,14 @@ class RoomEnvironment(dm_env.Environment):
             "ticks": specs.Array((2,), np.int64, "ticks"),
             "ranges": specs.BoundedArray(self._world.ranges().shape, np.float64, 0.0, REACH_M, "ranges"),
         }
+
+    def true_pose(self) -> np.ndarray:
+        """True pose (3,) of the robot: x, y [m], yaw [rad]; for evaluation, as no robot can sense it."""
+        return planar_pose(self._world.data.qpos)
+
+    def wheel_angle(self) -> np.ndarray:
+        """True angles (2,) of the wheel joints since the episode began: left, right [rad], without any fault."""
+        return self._world.wheel_angle()
 
     def close(self) -> None:
         """Free the OpenGL context and the physics."""

@@ -76,7 +76,7 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 @pytest.mark.parametrize("fault", ["slip_per_m", "step_noise", "dropout", "stuck_fraction"])
 def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None:
     settings = SimSettings(encoder=EncoderSettings.model_validate({fault: 0.1}))
-    with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment"):
+    with pytest.raises(InputError, match=rf"encoder\.{fault} 0\.1 must be 0 in the environment: .* by sim.sensors"):
         RoomEnvironment(settings, np.random.default_rng(0))
 
 
@@ -86,8 +86,42 @@ def test_faults_of_the_camera_are_refused() -> None:
 
 
 def test_an_episode_shorter_than_a_step_is_refused() -> None:
-    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least the control period, 0\.04 s"):
+    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least the length of a step, 0\.04 s"):
         RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
+
+
+@pytest.mark.parametrize("step_s", [0.0, 0.03, 0.1])
+def test_a_step_is_a_multiple_of_the_control_period(step_s: float) -> None:
+    with pytest.raises(InputError, match=rf"step_s {step_s} must be a multiple of the control period, 0\.04 s"):
+        RoomEnvironment(SETTINGS, np.random.default_rng(0), step_s=step_s)
+
+
+def test_a_long_step_is_as_many_short_ones(environment: RoomEnvironment) -> None:
+    longer = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8, step_s=0.2)
+    shorter = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8)
+    try:
+        longer.reset(), shorter.reset()
+        once = [longer.step(np.array([4.0, 6.0])) for _ in range(4)]
+        each = [shorter.step(np.array([4.0, 6.0])) for _ in range(20)]
+    finally:
+        longer.close(), shorter.close()
+    assert [step.step_type for step in once] == [StepType.MID] * 3 + [StepType.LAST]
+    for one, other in zip(once, each[4::5], strict=True):
+        assert one.observation["ticks"].tolist() == other.observation["ticks"].tolist()
+        assert np.array_equal(one.observation["polar"], other.observation["polar"])
+
+
+def test_the_true_pose_and_angles_are_those_that_the_wheels_drove(environment: RoomEnvironment) -> None:
+    environment.reset()
+    start = environment.true_pose()
+    for _ in range(15):
+        environment.step(wheel_speeds(0.1, 0.0))
+    end, odometry = environment.true_pose(), environment.odometry
+    driven_m = environment.wheel_angle().mean() * odometry["wheel_radius_m"]
+    along = np.array([np.cos(start[2]), np.sin(start[2])]) @ (end - start)[:2]
+    assert along == pytest.approx(driven_m, abs=0.003)
+    assert 0.03 < driven_m < 0.06
+    assert environment.physics.data.qpos[:2].tolist() == end[:2].tolist()
 
 
 def test_without_dm_control_the_error_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
