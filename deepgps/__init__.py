@@ -42,7 +42,23 @@ _HOMES = {
 }
 """Module of each name of the Python interface."""
 
-__all__ = ["__version__", *_HOMES]  # noqa: PLE0604 (names)
+__all__ = [
+    "EncoderFault",
+    "Fitted",
+    "FreeSpace",
+    "InputError",
+    "Lens",
+    "Method",
+    "Run",
+    "Scenario",
+    "WorkError",
+    "__version__",
+    "load",
+    "simulate",
+    "train",
+    "unwrap_fisheye",
+    "write_recording",
+]
 
 
 def __getattr__(name: str) -> Any:

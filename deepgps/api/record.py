@@ -19,6 +19,8 @@ from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
 from sim.user_input import quote
 
+Values = np.ndarray | Sequence[Any]
+"""An array, or nested sequences of numbers or arrays."""
 SENSORS: dict[ObservationKind, str] = {"polar_image": "fisheye", "scan": "lidar", "vector": "landmarks"}
 """Name of the sensor for each kind of observation that methods learn from."""
 SETTINGS: dict[ObservationKind, dict[str, Any]] = {
@@ -34,16 +36,16 @@ NEAR_M = 0.15
 
 def write_recording(
     folder: str | Path,
-    observations: np.ndarray | Sequence[np.ndarray],
-    readings: np.ndarray | Sequence[Sequence[int]],
-    time: np.ndarray | Sequence[float],
+    observations: Values,
+    readings: Values,
+    time: Values,
     odometry: Mapping[str, float],
     *,
     kind: ObservationKind = "polar_image",
-    observation_time: np.ndarray | Sequence[float] | None = None,
-    test_observations: np.ndarray | None = None,
-    pose: np.ndarray | None = None,
-    test_pose: np.ndarray | None = None,
+    observation_time: Values | None = None,
+    test_observations: Values | None = None,
+    pose: Values | None = None,
+    test_pose: Values | None = None,
     free_space: FreeSpace | None = None,
     camera: CameraSettings | None = None,
 ) -> Path:

@@ -191,7 +191,7 @@ def _tabulate(name: str, truth: np.ndarray, heading: np.ndarray, predicted: np.n
     count = heading.shape[1]
     place = np.repeat(truth, count, axis=0)
     guess = predicted.reshape(-1, 2)
-    columns: dict[str, Sequence[Any]] = {
+    columns = {
         "method": pa.array([name] * len(place)),
         "x_m": place[:, 0],
         "y_m": place[:, 1],

@@ -1,6 +1,6 @@
 """Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
 
@@ -46,7 +46,7 @@ def fit_method(
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             with calling(method.source):
                 positioner, training = _find_function(method)(recording, settings, seed, folder, progress)
-            if method.predict is not None:
+            if method.predict is not None and isinstance(positioner, Mapping):
                 positioner = ArrayPositioner(name, positioner)
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)

@@ -14,25 +14,25 @@ from sim.settings import CameraSettings, EncoderSettings, RoomSettings, SimSetti
 samples, rng = int(sys.argv[1]) if len(sys.argv) > 1 else 1500, np.random.default_rng(0)
 room, camera = RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8), CameraSettings(rings=16, sectors=64, face_px=32)
 robot = RoomEnvironment(SimSettings(room=room, camera=camera), rng, episode_s=1e6, step_s=0.4)
-seen = robot.reset().observation
-images, poses, rows, angles, times, segment = [], [], [], [], [], 0
-while len(images) < samples:
-    rows.append((segment, len(images)))
-    images.append(seen["polar"]), poses.append(robot.true_pose())
-    angles.append(robot.wheel_angle()), times.append(robot.physics.time())
+seen, segment, log = robot.reset().observation, 0, []
+while len(log) < samples:
+    log.append((seen["polar"], robot.true_pose(), robot.wheel_angle(), robot.physics.time(), (segment, len(log))))
     ahead_m = clear_length(seen["ranges"])
     if ahead_m <= 0.15:  # a new segment, once there is room
         segment += 1
     while ahead_m <= 0.15:
         ahead_m = clear_length(robot.step(wheel_speeds(0.0, rng.uniform(1.0, 2.5))).observation["ranges"]) - 0.25
     seen = robot.step(wheel_speeds(0.2, 0.0)).observation
+images, poses, angles, times, numbers = (np.array(column) for column in zip(*log, strict=True))
 
-noise = {"step_noise": 0.02}  # drawn for the complete drive
-ticks, arrived = read_encoders(np.array(angles), robot.odometry["wheel_radius_m"], EncoderSettings(**noise), rng)
-readings, time, count = np.column_stack([rows, ticks])[arrived], np.array(times)[arrived], samples * 9 // 10
-kept, odometry = readings[:, 1] < count, {**robot.odometry, **noise}
-tests = {"test_observations": images[count:], "test_pose": poses[count:], "pose": poses[:count]}
-folder = deepgps.write_recording("my_drive", images[:count], readings[kept], time[kept], odometry, **tests)
+# The noise is drawn for the complete drive, and the robot's builder knows of it.
+odometry, encoder = {**robot.odometry, "step_noise": 0.02}, EncoderSettings(step_noise=0.02)
+ticks, arrived = read_encoders(angles, odometry["wheel_radius_m"], encoder, rng)
+readings, n = np.column_stack([numbers, ticks])[arrived], samples * 9 // 10
+kept = readings[:, 1] < n  # the last tenth of the drive is for tests
+folder = deepgps.write_recording(
+    "my_drive", images[:n], readings[kept], times[arrived][kept], odometry,
+    pose=poses[:n], test_observations=images[n:], test_pose=poses[n:],
+)  # fmt: skip
 run = deepgps.train(folder, ["deepgps", "knn"], settings={"learn.train.steps": 500, "learn.network.width": 128})
-for name in run.methods:
-    print(f"{name}: {100 * run.metrics['methods'][name]['rms_m']:.1f} cm RMS")
+print({name: f"{100 * run.metrics['methods'][name]['rms_m']:.1f} cm RMS" for name in run.methods})

@@ -13,9 +13,9 @@ place, heading, size_px = 5, 0, 480
 polar = np.asarray(run.recording.test_observation[place, heading])
 rings, sectors, _ = polar.shape
 raw = warp_round(polar, make_warp(run.scenario.camera, rings, sectors, size_px))
-cv2.imwrite("raw.png", raw[..., ::-1])
+cv2.imwrite("raw.png", cv2.cvtColor(raw, cv2.COLOR_RGB2BGR))
 
-image = cv2.imread("raw.png")[..., ::-1]  # OpenCV has BGR, a recording RGB
+image = cv2.cvtColor(np.asarray(cv2.imread("raw.png")), cv2.COLOR_BGR2RGB)  # a recording has RGB
 centre, radius_px = ((size_px - 1) / 2, (size_px - 1) / 2), size_px / 2
 unwrapped = deepgps.unwrap_fisheye(image, centre, radius_px, rings, sectors)
 truth = run.errors("knn").to_pandas().iloc[place * run.recording.test_observation.shape[1] + heading]

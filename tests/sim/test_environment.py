@@ -100,11 +100,13 @@ def test_a_long_step_is_as_many_short_ones(environment: RoomEnvironment) -> None
     longer = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8, step_s=0.2)
     shorter = RoomEnvironment(SETTINGS, np.random.default_rng(3), episode_s=0.8)
     try:
-        longer.reset(), shorter.reset()
+        longer.reset()
+        shorter.reset()
         once = [longer.step(np.array([4.0, 6.0])) for _ in range(4)]
         each = [shorter.step(np.array([4.0, 6.0])) for _ in range(20)]
     finally:
-        longer.close(), shorter.close()
+        longer.close()
+        shorter.close()
     assert [step.step_type for step in once] == [StepType.MID] * 3 + [StepType.LAST]
     for one, other in zip(once, each[4::5], strict=True):
         assert one.observation["ticks"].tolist() == other.observation["ticks"].tolist()

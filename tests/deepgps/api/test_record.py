@@ -9,6 +9,7 @@ import deepgps
 from deepgps.adopted_recording import choose_folder
 from deepgps.viewer.run.recording import find_recording
 from sim.recording.format import check_recording, has_truth, open_recording, open_truth
+from sim.recording.manifest import ObservationKind
 from tests.helpers.toy import make_toy
 
 QUICK = {"learn.train.steps": 20, "learn.network.width": 16, "learn.fold.restarts": 0, "learn.train.segments": 4}
@@ -71,7 +72,7 @@ def test_it_is_learned_like_the_recording_that_it_was_made_from(drive: dict, sma
 
 
 @pytest.mark.parametrize(("kind", "shape"), [("vector", (12,)), ("scan", (1, 40))])
-def test_other_kinds_of_observations_are_written_and_described(kind: str, shape: tuple, tmp_path: Path):
+def test_other_kinds_of_observations_are_written_and_described(kind: ObservationKind, shape: tuple, tmp_path: Path):
     toy = make_toy(tmp_path / "toy", samples=60)
     observations = np.random.default_rng(0).uniform(0.1, 3.0, (60, *shape))
     folder = deepgps.write_recording(

@@ -117,7 +117,7 @@ def test_what_does_not_exist_is_named_in_one_line(run: deepgps.Run, tmp_path: Pa
     for message, call in {
         "method 'posenet': .* has trained deepgps, knn": lambda: run.position(image, "posenet"),
         "method 'posenet': .* has measured deepgps, knn": lambda: run.errors("posenet"),
-        "frame 'room': must be 'world' or 'map'": lambda: run.position(image, frame="room"),
+        "frame 'room': must be 'world' or 'map'": lambda: run.position(image, frame="room"),  # pyright: ignore[reportArgumentType]
         r"observations of shape \(4, 32, 3\), but trained on": lambda: run.position(image[:4]),
         "is no run folder": lambda: deepgps.load(tmp_path),
         "holds a run of another scenario": lambda: deepgps.simulate("tiny", run.folder, progress=False),
