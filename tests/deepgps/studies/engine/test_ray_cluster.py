@@ -26,6 +26,7 @@ ray.init("local", num_cpus=2, include_dashboard=False, logging_level=logging.ERR
 print(ray.get_runtime_context().gcs_address, flush=True)
 sys.stdin.read()
 """
+EXAMPLES = Path(__file__).parents[4] / "docs" / "examples"
 MADE = ("deepgps/*.safetensors", "deepgps/history.npz", "error_field.npz", "scenario.yaml")
 
 
@@ -117,3 +118,26 @@ def test_without_ray_the_cure_is_said(monkeypatch: pytest.MonkeyPatch):
     cure = r"^--engine ray needs .*: pip install 'deepgps\[ray\]' "
     with pytest.raises(InputError, match=cure), open_engine("ray", None):
         pass
+
+
+@pytest.mark.slow
+def test_a_cluster_loads_the_plugins_of_a_study(cluster: str, tmp_path: Path):
+    study = write_study(
+        tmp_path,
+        methods=["nearest_image"],
+        cases=[{}],
+        axes={"encoder.plugins.warming": [0.0, 0.1]},
+        report="curves",
+        target={},
+    )
+    plugins = [str(EXAMPLES / name) for name in ("own_method.py", "own_encoder_fault.py")]
+    made = {}
+    for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
+        finish(start(study, tmp_path / name, *words, "--plugin", *plugins))
+        made[name] = {
+            path.relative_to(tmp_path / name).as_posix(): path.read_bytes()
+            for pattern in ("nearest_image/*.safetensors", "error_field.npz", "scenario.yaml")
+            for path in (tmp_path / name).glob(f"runs/*/{pattern}")
+        }
+    assert len(made["local"]) == 6
+    assert made["local"] == made["ray"]
