@@ -1,8 +1,11 @@
 """Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
 
+import time
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
+
+import numpy as np
 
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
@@ -44,10 +47,13 @@ def fit_method(
         if not is_finished(folder):
             recording = keep_plausible(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
+            start = time.perf_counter()
             with calling(method.source):
                 positioner, training = _find_function(method)(recording, settings, seed, folder, progress)
             if method.predict is not None and isinstance(positioner, Mapping):
-                positioner = ArrayPositioner(name, positioner)
+                parameters = sum(np.asarray(array).size for array in positioner.values())
+                took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
+                positioner, training = ArrayPositioner(name, positioner), {**took, **training}
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -131,11 +132,12 @@ class Fitted(NamedTuple):
     Attributes:
         positioner: The learned map from observations to positions; or, of a plugin's method with ``predict``, arrays by
             name.
-        training: The record of the training, for ``training.json``: steps, train_s, parameters.
+        training: The record of the training, for ``training.json``: ``steps``, ``train_s``, ``parameters`` and others;
+            what a method with ``predict`` leaves out is filled in.
     """
 
     positioner: Positioner | Mapping[str, np.ndarray]
-    training: dict[str, Any]
+    training: Mapping[str, Any] = MappingProxyType({})
 
 
 def is_finished(folder: Path) -> bool:

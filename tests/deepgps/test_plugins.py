@@ -25,8 +25,10 @@ from sim.recording.format import open_recording
 from sim.rng import stream
 from sim.sensors.encoder import read_encoders
 from sim.settings import EncoderSettings
-from tests.helpers.command import deepgps_here
-from tests.helpers.small_study import SCENARIO, finish, start, wait_until, write_study
+from tests.helpers.command import deepgps_here, wait_until
+from tests.helpers.plugin import CHANGES
+from tests.helpers.plugin import write_plugin as write_stored
+from tests.helpers.small_study import SCENARIO, finish, start, write_study
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 METHOD, FAULT = EXAMPLES / "own_method.py", EXAMPLES / "own_encoder_fault.py"
@@ -262,32 +264,22 @@ def test_a_plugin_s_method_and_fault_run_from_python_and_are_positioned_by(tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["local"])
-def test_a_study_with_plugins_gives_the_same_table_after_it_was_killed(engine: str, tmp_path: Path):
-    tables = []
-    study = write_study(
-        tmp_path,
-        methods=["nearest_image"],
-        cases=[{}],
-        axes={"encoder.plugins.warming": [0.0, 0.05, 0.1]},
-        report="curves",
-        target={},
-    )
-    more = ("--engine", engine, "--plugin", str(METHOD), str(FAULT))
+def test_a_study_with_plugins_gives_the_same_table_after_it_was_killed(tmp_path: Path):
+    study = write_study(tmp_path, **CHANGES, axes={"encoder.plugins.stretch": [0.0, 0.05, 0.1]})
+    words, tables = ("--plugin", str(write_stored(tmp_path))), []
     for name in ("whole", "killed"):
         out = tmp_path / name
-        process = start(study, out, *more)
+        process = start(study, out, *words)
         if name == "killed":
             wait_until(lambda out=out: list(out.glob("runs/*/metrics.json")), process)
             os.killpg(process.pid, signal.SIGKILL)
             process.communicate()
-            done = set(out.glob("runs/*/metrics.json"))
-            assert 0 < len(done) < 3
-            process = start(study, out, *more)
+            assert 0 < len(list(out.glob("runs/*/metrics.json"))) < 3
+            process = start(study, out, *words)
         finish(process)
         rows = pq.read_table(out / "table.parquet").to_pylist()
         tables.append([{key: value for key, value in row.items() if key != "train_s"} for row in rows])
     assert tables[0] == tables[1]
-    assert [row["encoder.plugins.warming"] for row in tables[0]] == [0.0, 0.05, 0.1]
+    assert [row["encoder.plugins.stretch"] for row in tables[0]] == [0.0, 0.05, 0.1]
     assert not any(row["failure"] for row in tables[0])
     assert len({row["rms_m"] for row in tables[0]}) == 3

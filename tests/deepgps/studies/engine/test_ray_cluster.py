@@ -16,7 +16,8 @@ from deepgps.studies.engine import local
 from deepgps.studies.engine.engine import open_engine
 from sim.errors import InputError
 from tests.helpers.command import drop_progress, wait_until
-from tests.helpers.small_study import do_here, start, write_study
+from tests.helpers.plugin import CHANGES, write_plugin
+from tests.helpers.small_study import do_here, finish, start, write_study
 
 pytest.importorskip("ray", reason="the package ray is not installed")
 
@@ -26,7 +27,6 @@ ray.init("local", num_cpus=2, include_dashboard=False, logging_level=logging.ERR
 print(ray.get_runtime_context().gcs_address, flush=True)
 sys.stdin.read()
 """
-EXAMPLES = Path(__file__).parents[4] / "docs" / "examples"
 MADE = ("deepgps/*.safetensors", "deepgps/history.npz", "error_field.npz", "scenario.yaml")
 
 
@@ -122,21 +122,14 @@ def test_without_ray_the_cure_is_said(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.slow
 def test_a_cluster_loads_the_plugins_of_a_study(cluster: str, tmp_path: Path):
-    study = write_study(
-        tmp_path,
-        methods=["nearest_image"],
-        cases=[{}],
-        axes={"encoder.plugins.warming": [0.0, 0.1]},
-        report="curves",
-        target={},
-    )
-    plugins = [str(EXAMPLES / name) for name in ("own_method.py", "own_encoder_fault.py")]
+    study = write_study(tmp_path, **CHANGES, axes={"encoder.plugins.stretch": [0.0, 0.1]})
+    words = ("--plugin", str(write_plugin(tmp_path)))
     made = {}
-    for name, words in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
-        finish(start(study, tmp_path / name, *words, "--plugin", *plugins))
+    for name, engine in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
+        finish(start(study, tmp_path / name, *engine, *words))
         made[name] = {
             path.relative_to(tmp_path / name).as_posix(): path.read_bytes()
-            for pattern in ("nearest_image/*.safetensors", "error_field.npz", "scenario.yaml")
+            for pattern in ("stored/*.safetensors", "error_field.npz", "scenario.yaml")
             for path in (tmp_path / name).glob(f"runs/*/{pattern}")
         }
     assert len(made["local"]) == 6
