@@ -13,7 +13,7 @@ SAYS = {
     "position_one_image.py": ([], "knn: x "),
     "own_encoder_fault.py": ([], "growth 10%: segments wrong by "),
     "own_method.py": ([], "nearest_image: "),
-    "own_controller.py": (["240"], "knn: "),
+    "own_controller.py": (["240"], "'knn': '"),
 }
 """Arguments of each example that make it small, and something that it prints."""
 
