@@ -13,27 +13,33 @@ from pathlib import Path
 
 from deepgps.begin import BEGUN, IS_WORKER
 from deepgps.cli_arguments import (
+    HELP,
     BenchArguments,
+    CompletionArguments,
     NoArguments,
     RoomsArguments,
     RunArguments,
     StudyArguments,
     ViewArguments,
+    list_words,
     parse,
     parse_kinds,
     parse_scenario,
     parse_seeds,
 )
-from deepgps.command.failures import explain, working_in
+from deepgps.command.completion import SHELLS
+from deepgps.command.failures import explain, find_version, working_in
 from deepgps.command.signals import ignore_signals, stop_at_signals
 from deepgps.command.streams import flush_streams
 from deepgps.command.terminal import console, errors, print_error, show_warnings, warn_plainly
 from deepgps.plugins import load_plugins
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
+from deepgps.spelling import find_like, suggest
 from sim.errors import InputError, WorkError
 from sim.files import check_overwrite
-from sim.paths import STUDIES
+from sim.paths import SCENARIOS, STUDIES
+from sim.user_input import quote, shorten
 
 if IS_WORKER:
     warn_plainly()  # a worker has no progress bars
@@ -68,7 +74,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         from deepgps.run_folder import claim, default_folder, find_place
         from deepgps.stages import STAGES, ask_for_device, choose_renderer_for, list_undriven
 
-        arguments, scenario = parse_scenario(stage, words, HELP[stage])
+        arguments, scenario = parse_scenario(stage, words, SUMMARIES[stage])
         folder = arguments.out or default_folder(scenario)
         choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         place = find_place(folder, arguments.fresh)
@@ -96,7 +102,7 @@ def study_command(words: Sequence[str]) -> None:
     """Run a study: make every missing recording and run, one table of all runs, the report and the figures."""
     from deepgps.studies.study import load_study, plan_runs
 
-    if not words or (words[0].startswith("-") and not {"-h", "--help"} & set(words)):
+    if not words or (words[0].startswith("-") and not set(HELP) & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")
     arguments = parse(StudyArguments, "study", words, study_command.__doc__)
     load_plugins(arguments.plugin)
@@ -211,6 +217,17 @@ def doctor_command(words: Sequence[str]) -> None:
         raise WorkError("something is missing; the remedies are listed above")
 
 
+def completion_command(words: Sequence[str]) -> None:
+    """Print a script that completes commands, scenarios, studies and options in a shell.
+
+    For bash, put this line into ~/.bashrc: eval "$(deepgps completion bash)"
+    For zsh, put this line into ~/.zshrc, after compinit: eval "$(deepgps completion zsh)"
+    For fish: deepgps completion fish > ~/.config/fish/completions/deepgps.fish
+    """
+    arguments = parse(CompletionArguments, "completion", words, completion_command.__doc__)
+    print(SHELLS[arguments.shell](list_words(SUMMARIES)))
+
+
 COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "run": run_command,
     "collect": stage_command("collect"),
@@ -220,10 +237,11 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "view": view_command,
     "rooms": rooms_command,
     "bench": bench_command,
+    "completion": completion_command,
     "doctor": doctor_command,
 }
 
-HELP = {
+SUMMARIES = {
     "run": "run a scenario: drive, see, learn, measure, show",
     "collect": "only drive and look: make the recording",
     "train": "collect, and train the methods",
@@ -231,8 +249,9 @@ HELP = {
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
     "rooms": "draw a contact sheet of generated rooms",
-    "bench": "measure speed, latency, memory and steadiness beside the naive ways",
-    "doctor": "check this machine and name the cure for what is missing",
+    "bench": "measure speed, latency and memory beside naive baselines",
+    "completion": "print the completion script for bash, zsh or fish",
+    "doctor": "check this machine and say how to fix what is missing",
 }
 
 
@@ -264,14 +283,29 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 def _dispatch(words: Sequence[str]) -> None:
-    if not words or words[0] in {"-h", "--help"}:
-        console.print("usage: deepgps COMMAND ...      deepgps COMMAND --help shows every setting\n")
-        for name, text in HELP.items():
-            console.print(f"  {name:<10} {text}")
-    elif words[0] in COMMANDS:
-        COMMANDS[words[0]](words[1:])
+    first = words[0] if words else "help"
+    if first in COMMANDS:
+        COMMANDS[first](words[1:])
+    elif first == "help" and words[1:]:
+        _dispatch([*words[1:], "--help"])
+    elif first in {"help", *HELP}:
+        _print_help()
+    elif first in {"-V", "--version"}:
+        console.print(f"deepgps {find_version()}")
+    elif first.startswith("-"):
+        raise InputError(f"deepgps has no option {shorten(first)}; deepgps --help lists the commands")
+    elif first in names_in(SCENARIOS) or Path(first).suffix in {".yaml", ".yml"}:
+        raise InputError(f"command {quote(first)} does not exist, did you mean deepgps run {shorten(first)}?")
     else:
-        raise InputError(f"command {words[0]!r} does not exist; there are {', '.join(COMMANDS)}")
+        hint = suggest([find_like(first, COMMANDS)]) or f"; there are {', '.join(COMMANDS)}"
+        raise InputError(f"command {quote(first)} does not exist{hint}")
+
+
+def _print_help() -> None:
+    console.print("usage: deepgps COMMAND ...\nexample: deepgps run tiny\n")
+    for name, text in SUMMARIES.items():
+        console.print(f"  {name:<11} {text}", soft_wrap=True)
+    console.print("\ndeepgps COMMAND --help shows the options of a command.")
 
 
 def _watch(

@@ -2,39 +2,52 @@
 
 import contextlib
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
+from deepgps.command.completion import SHELLS, Words
+from deepgps.command.help import write_help
+from deepgps.methods.catalog import METHODS
 from deepgps.plugins import load_plugins
 from deepgps.scenario import Scenario, load_scenario, names_in
+from deepgps.settings import LearnSettings
+from deepgps.spelling import as_option, find_group, find_like, find_settings_like, from_option, list_settings, suggest
 from sim.errors import InputError
-from sim.paths import SCENARIOS
-from sim.settings import RoomKind
+from sim.paths import SCENARIOS, STUDIES
+from sim.renamed import explain_setting
+from sim.settings import Group, RoomKind
+from sim.user_input import shorten
+
+OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
+File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+Plugins = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE [FILE ...]")]
+CONFIG = (tyro.conf.FlagCreatePairsOff,)
+HELP = ("-h", "--help", "--help-all")
 
 
 @dataclass(frozen=True)
 class RunArguments:
-    scenario: Annotated[str, tyro.conf.Positional]
+    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO"), tyro.conf.Positional]
     """A name in assets/scenarios, or the path of a YAML file."""
-    out: Path | None = None
+    out: OptionalFolder = None
     """The run folder itself; default: runs/<scenario>/seed<seed>-<hash>."""
     fresh: bool = False
     """Discard what is in the run folder and start again."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
     """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
-    plugin: tuple[Path, ...] = ()
+    plugin: Plugins = ()
     """Files of plugins, with methods and encoder faults of your own."""
 
 
 @dataclass(frozen=True)
 class StudyArguments:
-    study: Annotated[str, tyro.conf.Positional]
+    study: Annotated[str, tyro.conf.arg(metavar="STUDY"), tyro.conf.Positional]
     """A name in assets/studies, or the path of a YAML file."""
-    out: Path | None = None
+    out: OptionalFolder = None
     """The study folder itself; default: runs/studies/<study>, with --tiny or --full <study>-tiny or <study>-full."""
     tiny: bool = False
     """Run the study's small version, which takes half a minute: it shows how a study works; its figures mean
@@ -43,48 +56,54 @@ class StudyArguments:
     """Run the study's long version, if it has one."""
     engine: Literal["local", "ray"] = "local"
     """local: processes of this machine; ray: tasks of a Ray cluster, which needs the extra deepgps[ray]."""
-    address: str | None = None
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Address of the Ray cluster, as auto or host:port; none: a cluster is started here."""
-    publish: Path | None = None
+    publish: OptionalFolder = None
     """Copy the table, report and figures to a subfolder of this folder named after the study, as in docs/results."""
     fresh: bool = False
     """Discard what is in the study folder and start again."""
-    plugin: tuple[Path, ...] = ()
+    plugin: Plugins = ()
     """Files of plugins, with methods and encoder faults of your own."""
 
 
 @dataclass(frozen=True)
 class ViewArguments:
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN]"), tyro.conf.Positional]
     """The folder of a run or of a study, or those of two runs to compare."""
     web: bool = False
     """Serve the viewer and the recording to a browser on this machine, until Ctrl-C."""
-    port: int | None = None
+    port: Annotated[int | None, tyro.conf.arg(metavar="PORT")] = None
     """Port of the page that --web serves; its data comes from the next port. None: free ports."""
-    plugin: tuple[Path, ...] = ()
+    plugin: Plugins = ()
     """Files of plugins, whose methods then have their titles and colours."""
 
 
 @dataclass(frozen=True)
 class RoomsArguments:
-    kinds: str = "all"
+    kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
     """Kinds of room, separated by commas, or all."""
-    seeds: str = "0-3"
+    seeds: Annotated[str, tyro.conf.arg(metavar="FIRST-LAST")] = "0-3"
     """Seeds, such as 0-3 or 0,2,5."""
-    out: Path = Path("rooms.png")
+    out: File = Path("rooms.png")
     """The picture to write."""
 
 
 @dataclass(frozen=True)
 class BenchArguments:
-    out: Path = Path("bench.json")
+    out: File = Path("bench.json")
     """The file to write; a copy is kept in runs/bench."""
-    against: str | None = None
+    against: Annotated[str | None, tyro.conf.arg(metavar="last|FILE")] = None
     """Show an earlier bench next to this one: last, or its file."""
     tiny: bool = False
     """Measure everything at a small size, in under a minute: the figures mean nothing and are not kept."""
-    memory_samples: int | None = None
+    memory_samples: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of observations in the long recording, 12 kB each on disk; none: a million."""
+
+
+@dataclass(frozen=True)
+class CompletionArguments:
+    shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.arg(metavar="bash|zsh|fish"), tyro.conf.Positional]
+    """The shell that reads the script."""
 
 
 @dataclass(frozen=True)
@@ -92,28 +111,77 @@ class NoArguments:
     pass
 
 
+ARGUMENTS: dict[str, Any] = {
+    **dict.fromkeys(("run", "collect", "train", "evaluate"), RunArguments),
+    "study": StudyArguments,
+    "view": ViewArguments,
+    "rooms": RoomsArguments,
+    "bench": BenchArguments,
+    "completion": CompletionArguments,
+}
+"""Arguments of each command that takes some."""
+
+
 def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Scenario]:
-    """Parse a command's own arguments and its scenario with overrides; ``--help`` shows every setting and exits."""
-    if {"-h", "--help"} & set(words):
-        _show_settings(command, about)
-    own, overrides = _split(words, {"--out", "--fresh", "--live", "--plugin"})
+    """Parse a command's own arguments and its scenario with overrides; ``--help`` shows a short help and exits,
+    ``--help GROUP`` the settings of a group, ``--help-all`` every setting."""
+    if set(HELP) & set(words):
+        _help_with_scenario(command, words, about)
+    own, overrides = _split(words, list_options(RunArguments))
     if not own or own[0].startswith("-"):
         raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
     arguments = parse(RunArguments, command, own, about)
     load_plugins(arguments.plugin)
-    return arguments, load_scenario(arguments.scenario, overrides)
+    return arguments, load_scenario(arguments.scenario, overrides, as_option)
 
 
 def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> Any:
     """Parse a command's arguments; ``--help`` shows them below the description ``about`` and exits."""
-    if {"-h", "--help"} & set(words):
-        tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about)
+    if set(HELP) & set(words):
+        _show_arguments(kind, command, about)
+    options = list_options(kind)
+    for word in words:
+        name = word.partition("=")[0]
+        if name.startswith("--") and name not in options:
+            hint = suggest([find_like(name, options)]) or _list_options(options)
+            raise InputError(f"deepgps {command}: there is no option {shorten(name)}{hint}")
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-            return tyro.cli(kind, args=list(words), prog=f"deepgps {command}")
+            return tyro.cli(kind, args=list(words), prog=f"deepgps {command}", config=CONFIG)
     except SystemExit:
         raise InputError(f"deepgps {command}: {_first_sentence(said.getvalue())}") from None
+
+
+def list_options(kind: Any) -> list[str]:
+    """Options of a command's arguments, as they are spelled on the command line."""
+    positional = tyro.conf.Positional
+    hints = get_type_hints(kind, include_extras=True)
+    return [as_option(field.name) for field in fields(kind) if positional not in get_args(hints[field.name])]
+
+
+def list_words(summaries: Mapping[str, str]) -> dict[str, Words]:
+    """What can follow each command, for completion; ``summaries`` says what the commands do."""
+    settings = {as_option(name): _list_values(annotation) for name, annotation in list_settings(Scenario)}
+    settings["--methods"] = tuple(METHODS)
+    plain = {RunArguments: tuple(names_in(SCENARIOS)), StudyArguments: tuple(names_in(STUDIES))}
+    words = {}
+    for name, summary in summaries.items():
+        kind = ARGUMENTS.get(name, NoArguments)
+        hints = get_type_hints(kind)
+        options = {option: _list_values(hints[from_option(option)]) for option in list_options(kind)}
+        more = {"--help-all": None, **settings} if kind is RunArguments else {}
+        shells = tuple(SHELLS) if kind is CompletionArguments else ()
+        words[name] = Words(summary, plain.get(kind, shells), {**options, "--help": None, **more})
+    return words
+
+
+def _list_values(annotation: Any) -> tuple[str, ...] | None:
+    """Values of an option of this type; () if they cannot be listed, None if it takes no value."""
+    parts = (annotation, *get_args(annotation))
+    if bool in parts:
+        return None
+    return next((tuple(map(str, get_args(part))) for part in parts if get_origin(part) is Literal), ())
 
 
 def parse_kinds(text: str) -> list[Any]:
@@ -137,34 +205,85 @@ def parse_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _split(words: Sequence[str], own_flags: set[str]) -> tuple[list[str], dict[str, Any]]:
+def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
     """Separate the command's own words from overrides such as ``--room.seed 3``, which the scenario itself checks."""
+    settings = dict(list_settings(Scenario))
     own, overrides = [], {}
     flag, values = None, []
     for word in [*words, "--"]:
         if not word.startswith("--"):
             values.append(word)
             continue
-        if flag is None or flag in own_flags:
+        if flag is None or flag in own_options:
             own += [*([flag] if flag else []), *values]
+        elif (name := from_option(flag)) not in settings:
+            raise InputError(f"{shorten(flag)}: {_explain_unknown(name, own_options)}")
+        elif not values and settings[name] is bool:
+            overrides[name] = True
         elif not values:
             raise InputError(f"{flag} needs a value")
         else:
             plain = [None if value.lower() in {"none", "null"} else value for value in values]
-            overrides[flag[2:].replace("-", "_")] = plain if flag == "--methods" else plain[0]
-            if len(plain) > 1 and flag != "--methods":
+            overrides[name] = plain if name == "methods" else plain[0]
+            if len(plain) > 1 and name != "methods":
                 raise InputError(f"{flag} takes one value, not {' '.join(values)}")
         flag, _, value = word.partition("=")
         values = [value] if value else []
     return own, overrides
 
 
+def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
+    """What to say of an option that is no setting."""
+    if renamed := explain_setting(name, as_option):
+        return renamed
+    like = [find_like(as_option(name), own_options)] if "." not in name else []
+    found = [*like, *map(as_option, find_settings_like(name, Scenario))]
+    group = next((field for key, field in _list_groups() if key == name.rpartition(".")[0]), None)
+    if not any(found) and group:
+        settings = (as_option(f"{name.rpartition('.')[0]}.{key}") for key in group.model_fields)
+        return f"there is no such setting; there are {', '.join(settings)}"
+    return f"there is no such setting{suggest(found) or '; deepgps run --help-all lists them'}"
+
+
+def _list_groups() -> list[tuple[str, type[Group]]]:
+    """Groups of a scenario's settings by name, with those inside ``learn``."""
+    groups = [(name, find_group(field.annotation)) for name, field in Scenario.model_fields.items()]
+    inner = [(f"learn.{name}", find_group(field.annotation)) for name, field in LearnSettings.model_fields.items()]
+    return [(name, group) for name, group in [*groups, *inner] if group]
+
+
+def _list_options(options: Sequence[str]) -> str:
+    return f"; there are {', '.join(options)}" if options else "; there are none"
+
+
+def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -> None:
+    """Print the help that the words ask for, and exit."""
+    asked = next(place for place, word in enumerate(words) if word in HELP)
+    topic = from_option(next(iter(words[asked + 1 :]), ""))
+    if words[asked] == "--help-all" or topic == "all":
+        _show_settings(command, about)
+    if not topic or words[asked + 1].startswith("-"):
+        print(write_help(command, about))
+        raise SystemExit(0)
+    groups = dict(_list_groups())
+    if topic not in groups:
+        hint = suggest([find_like(topic, groups)]) or f"; there are {', '.join(groups)}, all"
+        raise InputError(f"deepgps {command} --help {shorten(topic)}: there is no such group of settings{hint}")
+    shown = Annotated[groups[topic], tyro.conf.arg(name=topic), tyro.conf.FlagConversionOff]
+    settings = make_dataclass("Settings", [("group", shown, groups[topic]())])
+    _show_arguments(settings, command, f"Settings of the group {topic}.")
+
+
 def _show_settings(command: str, about: str | None) -> None:
     @dataclass(frozen=True)
     class Everything(RunArguments):
-        settings: Annotated[Scenario, tyro.conf.arg(name="")] = Scenario()  # noqa: RUF009 (frozen)
+        settings: Annotated[Scenario, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = Scenario()  # noqa: RUF009 (frozen)
 
-    tyro.cli(Everything, args=["--help"], prog=f"deepgps {command}", description=about)
+    _show_arguments(Everything, command, about)
+
+
+def _show_arguments(kind: Any, command: str, about: str | None) -> None:
+    tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about, config=CONFIG)
 
 
 def _first_sentence(box: str) -> str:

@@ -1,11 +1,11 @@
 """The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
-import difflib
 import hashlib
 from collections.abc import Callable, Collection, Mapping, Sequence
+from itertools import zip_longest
 from os.path import exists, isfile
 from pathlib import Path
-from typing import Annotated, Any, cast, get_args
+from typing import Annotated, Any
 
 import yaml
 from pydantic import (
@@ -23,6 +23,7 @@ from pydantic_core import ErrorDetails
 from deepgps.methods.catalog import METHODS
 from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings, check_name
+from deepgps.spelling import as_key, find_group, find_like, find_settings_like, suggest
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
@@ -134,21 +135,28 @@ class Scenario(SimSettings):
         return SimSettings.model_validate({name: getattr(self, name) for name in SimSettings.model_fields})
 
 
-def load_scenario(source: str, overrides: Mapping[str, Any]) -> Scenario:
+Spell = Callable[[str], str]
+"""Writes the dotted name of a setting as the user has written it."""
+
+
+def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:
     """Read a scenario and apply overrides.
 
     Args:
         source: A name in assets/scenarios, or the path of a YAML file.
         overrides: Values by dotted name, such as ``{"room.seed": "3"}``.
+        spell: How messages write the names of overrides.
 
     Raises:
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
     path = find_settings("scenario", SCENARIOS, source)
-    return override_scenario(read_yaml(path, MOST_VALUES), path, overrides)
+    return override_scenario(read_yaml(path, MOST_VALUES), path, overrides, spell)
 
 
-def override_scenario(values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any]) -> Scenario:
+def override_scenario(
+    values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any], spell: Spell = as_key
+) -> Scenario:
     """Make a scenario from the plain values of a file, which are not modified, and overrides.
 
     Raises:
@@ -157,7 +165,7 @@ def override_scenario(values: Mapping[str, Any], path: Path, overrides: Mapping[
     values = {"name": path.stem, **values}
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
-    return check_scenario(values, path, overrides)
+    return check_scenario(values, path, overrides, spell)
 
 
 def find_settings(kind: str, folder: Path, source: str) -> Path:
@@ -173,7 +181,9 @@ def find_settings(kind: str, folder: Path, source: str) -> Path:
         return path
     path = folder / f"{source}.yaml"
     if not isfile(path):
-        raise InputError(f"{kind} {quote(source)} does not exist; there are {', '.join(names_in(folder))}, or a path")
+        names = names_in(folder)
+        hint = suggest([find_like(source, names)]) or f"; there are {', '.join(names)}, or a path"
+        raise InputError(f"{kind} {quote(source)} does not exist{hint}")
     return path
 
 
@@ -182,7 +192,9 @@ def names_in(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
-def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collection[str] = ()) -> Scenario:
+def check_scenario(
+    values: Mapping[str, Any], origin: Path, overrides: Collection[str] = (), spell: Spell = as_key
+) -> Scenario:
     """Make a scenario from plain values, those of a file with overrides applied.
 
     Raises:
@@ -192,8 +204,9 @@ def check_scenario(values: Mapping[str, Any], origin: Path, overrides: Collectio
         return Scenario.model_validate(values)
     except ValidationError as error:
         problems = error.errors(include_url=False)
-        ours = all(".".join(map(str, problem["loc"])) in overrides for problem in problems)
-        text = _describe_all(problems, Scenario)
+        names = [_find_override(problem, overrides) for problem in problems]
+        ours = all(name is not None for name in names)
+        text = _describe_all(problems, Scenario, [spell(name) if name else None for name in names])
         raise InputError(text if ours else f"{shorten(str(origin), 300)}: {text}") from None
 
 
@@ -202,8 +215,16 @@ def describe_problems(error: ValidationError, kind: type[Group]) -> str:
     return _describe_all(error.errors(include_url=False), kind)
 
 
-def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group]) -> str:
-    return join_problems([_describe(problem, kind) for problem in problems[:MOST_PROBLEMS]], len(problems))
+def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group], names: Sequence[str | None] = ()) -> str:
+    """The first problems; ``names`` are those of the settings, as the user has written them, where they are known."""
+    known = zip_longest(problems[:MOST_PROBLEMS], names[:MOST_PROBLEMS])
+    return join_problems([_describe(problem, kind, name) for problem, name in known], len(problems))
+
+
+def _find_override(problem: ErrorDetails, overrides: Collection[str]) -> str | None:
+    """The override that a problem is about, or in whose list it is."""
+    dotted = ".".join(map(str, problem["loc"]))
+    return next((name for name in overrides if dotted == name or dotted.startswith(f"{name}.")), None)
 
 
 def join_problems(first: Sequence[str], count: int) -> str:
@@ -255,8 +276,8 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
     return {**values, name: _set(group, dotted, inner, value)}
 
 
-def _describe(details: ErrorDetails, kind: type[Group]) -> str:
-    name = ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
+def _describe(details: ErrorDetails, kind: type[Group], written: str | None = None) -> str:
+    name = written or ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
     dotted = ".".join(map(str, details["loc"]))
     if details["type"] == "extra_forbidden" and (renamed := explain_setting(dotted)):
         return f"{name}: {renamed}"
@@ -272,13 +293,12 @@ def _describe(details: ErrorDetails, kind: type[Group]) -> str:
 
 
 def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
-    group: Any = kind
+    group: type[Group] | None = kind
     for part in loc[:-1]:
-        annotation = group.model_fields[cast(str, part)].annotation
-        # An optional group is a member of a union.
-        group = next((each for each in (annotation, *get_args(annotation)) if hasattr(each, "model_fields")), None)
-        if group is None:
-            return ""
+        group = find_group(group.model_fields[str(part)].annotation) if group else None
+    if group is None:
+        return ""
     names = list(group.model_fields)
-    close = difflib.get_close_matches(str(loc[-1])[:60], names, n=1, cutoff=0.65)
-    return f", did you mean {close[0]}?" if close else f"; there are {', '.join(names)}"
+    like = find_like(str(loc[-1]), names)
+    found = [like] if like else find_settings_like(".".join(map(str, loc)), kind)
+    return suggest(found) or f"; there are {', '.join(names)}"

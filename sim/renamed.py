@@ -1,6 +1,6 @@
 """Names that changed with schema 2: one table, which lets older runs and tables still be opened."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 SETTINGS: dict[str, str | None] = {
@@ -45,12 +45,12 @@ def name_now(dotted: str) -> str | None:
     return found if found is None else found + tail
 
 
-def explain_setting(dotted: str) -> str | None:
-    """Explain in a message what became of a renamed setting; None if it was not renamed."""
+def explain_setting(dotted: str, spell: Callable[[str], str] = str) -> str | None:
+    """Explain in a message what became of a renamed setting, names spelled by ``spell``; None: it was not renamed."""
     if (now := name_now(dotted)) == dotted:
         return None
-    inner = [f"{old} is {new}" for old, new in SETTINGS.items() if old.startswith(f"{dotted}.") and new]
-    return "it is a constant now" if now is None else "; ".join([f"it is called {now} now", *inner])
+    inner = [f"{spell(old)} is {spell(new)}" for old, new in SETTINGS.items() if old.startswith(f"{dotted}.") and new]
+    return "it is a constant now" if now is None else "; ".join([f"it is called {spell(now)} now", *inner])
 
 
 def explain_value(dotted: str, value: object) -> str | None:

@@ -72,7 +72,8 @@ def write_fault(error: BaseException, words: Sequence[str], folder: Path | None)
         The file; None if it could not be written anywhere.
     """
     told = "".join(traceback.format_exception(error))
-    text = f"deepgps {_version()}, Python {platform.python_version()}, {platform.platform()}\n{list(words)}\n\n{told}"
+    machine = f"Python {platform.python_version()}, {platform.platform()}"
+    text = f"deepgps {find_version()}, {machine}\n{list(words)}\n\n{told}"
     for place in (folder, Path(tempfile.gettempdir())):
         with suppress(OSError):
             if place is not None and place.is_dir():
@@ -102,7 +103,7 @@ def _report(error: BaseException, words: Sequence[str], folder: Path | None) -> 
         return f"something in the input is nested too deeply ({what}); if it is not, {where}"
     if isinstance(error, UnicodeError):
         return f"a name or a file holds text that cannot be read or written ({what}); if none does, {where}"
-    return f"{what}; this is a fault of deepgps {_version()}, {where}"
+    return f"{what}; this is a fault of deepgps {find_version()}, {where}"
 
 
 def _explain_file(error: OSError, folder: Path | None) -> str:
@@ -114,7 +115,8 @@ def _explain_file(error: OSError, folder: Path | None) -> str:
     return f"{os.fsdecode(path)}: {text}" if isinstance(path, str | bytes | Path) else text
 
 
-def _version() -> str:
+def find_version() -> str:
+    """The version of the installed package."""
     try:
         return version("deepgps")
     except PackageNotFoundError:

@@ -1,0 +1,73 @@
+"""The short help of the commands that take a scenario, for a first reader; ``--help-all`` shows every setting."""
+
+from textwrap import wrap
+from typing import Any, get_args
+
+from deepgps.scenario import Scenario, names_in
+from deepgps.spelling import as_option, find_group
+from sim.paths import SCENARIOS
+
+OPTIONS = (
+    ("--out FOLDER", "run folder; else runs/SCENARIO/seedN-HASH"),
+    ("--fresh", "make the run again, then replace the old one"),
+    ("--live [HOST:PORT]", "show the run while it is in progress"),
+)
+FIRST = {
+    "seed": "seed of driving, sensors and weights",
+    "methods": "methods to train and compare",
+    "room.kind": "living_room, bedroom, office, kitchen, ...",
+    "room.mjcf": "an MJCF file of your own as the room",
+    "drive.samples": "images to collect",
+    "encoder.ticks_per_rev": "resolution of the wheel encoders",
+    "encoder.step_noise": "noise of each distance, as a fraction of it",
+    "image_faults.read_noise": "noise of the camera in the dark, of white",
+    "deployment.light": "light in use, as a fraction of that in training",
+    "learn.train.steps": "steps of each training",
+}
+"""Settings that most users change first, with what they are."""
+
+
+COLUMNS = 80
+
+
+def write_help(command: str, about: str | None) -> str:
+    """The help of a command that takes a scenario: usage, an example, its options, and the settings to begin with."""
+    rows = [*OPTIONS, *((f"{as_option(name)} {_name_value(name)}", text) for name, text in FIRST.items())]
+    wide = max(len(option) for option, _ in rows) + 2
+    options = [f"  {option:<{wide}}{text}" for option, text in rows]
+    groups = [as_option(name)[2:] for name, field in Scenario.model_fields.items() if find_group(field.annotation)]
+    return "\n".join(
+        [
+            f"usage: deepgps {command} SCENARIO [--SETTING VALUE ...]",
+            f"example: deepgps {command} living_room --room.seed 3 --encoder.step-noise 0.1",
+            "",
+            about or "",
+            *_wrap(f"SCENARIO is {', '.join(names_in(SCENARIOS))}, or a YAML file of your own."),
+            "",
+            *options[: len(OPTIONS)],
+            "",
+            "Settings to begin with; a scenario gives the others their values:",
+            *options[len(OPTIONS) :],
+            "",
+            f"deepgps {command} --help GROUP shows a group of settings, --help-all all groups:",
+            *_wrap(", ".join(groups)),
+        ]
+    )
+
+
+def _wrap(text: str) -> list[str]:
+    return wrap(text, COLUMNS, subsequent_indent="  ", break_on_hyphens=False)
+
+
+def _name_value(dotted: str) -> str:
+    """What to write after a setting: N for a whole number, X for a number, FILE, KIND or METHOD ..."""
+    if dotted == "methods":
+        return "METHOD ..."
+    kind: Any = Scenario
+    *groups, last = dotted.split(".")
+    for name in groups:
+        kind = find_group(kind.model_fields[name].annotation)
+    annotation = kind.model_fields[last].annotation
+    if annotation in {int, float}:
+        return "N" if annotation is int else "X"
+    return "FILE" if str in get_args(annotation) else last.upper()
