@@ -15,7 +15,16 @@ from deepgps.methods.catalog import METHODS
 from deepgps.plugins import load_plugins
 from deepgps.scenario import Scenario, load_scenario, names_in
 from deepgps.settings import LearnSettings
-from deepgps.spelling import as_option, find_group, find_like, find_settings_like, from_option, list_settings, suggest
+from deepgps.spelling import (
+    as_option,
+    find_group,
+    find_like,
+    find_settings_like,
+    find_type,
+    from_option,
+    list_settings,
+    suggest,
+)
 from sim.errors import InputError
 from sim.paths import SCENARIOS, STUDIES
 from sim.renamed import explain_setting
@@ -207,7 +216,6 @@ def parse_seeds(text: str) -> list[int]:
 
 def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
     """Separate the command's own words from overrides such as ``--room.seed 3``, which the scenario itself checks."""
-    settings = dict(list_settings(Scenario))
     own, overrides = [], {}
     flag, values = None, []
     for word in [*words, "--"]:
@@ -216,9 +224,9 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
             continue
         if flag is None or flag in own_options:
             own += [*([flag] if flag else []), *values]
-        elif (name := from_option(flag)) not in settings:
+        elif (kind := find_type(name := from_option(flag), Scenario)) is None:
             raise InputError(f"{shorten(flag)}: {_explain_unknown(name, own_options)}")
-        elif not values and settings[name] is bool:
+        elif not values and kind is bool:
             overrides[name] = True
         elif not values:
             raise InputError(f"{flag} needs a value")

@@ -2,7 +2,7 @@
 
 import difflib
 from collections.abc import Collection, Iterator
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from sim.settings import Group
 
@@ -29,7 +29,7 @@ def from_option(option: str) -> str:
 
 def find_group(annotation: Any) -> type[Group] | None:
     """The group of settings that a field holds, if it does; an optional group is a member of a union."""
-    parts = (annotation, *get_args(annotation))
+    parts = (annotation, *get_args(annotation)) if get_origin(annotation) is not dict else ()
     return next((part for part in parts if isinstance(part, type) and issubclass(part, Group)), None)
 
 
@@ -40,6 +40,13 @@ def list_settings(kind: type[Group], before: str = "") -> Iterator[tuple[str, An
             yield from list_settings(inner, f"{before}{name}.")
         else:
             yield f"{before}{name}", field.annotation
+
+
+def find_type(dotted: str, kind: type[Group]) -> Any:
+    """The type of a setting, or of a table in which the dotted name is an entry; None: there is no such setting."""
+    settings = dict(list_settings(kind))
+    table, _, _ = dotted.rpartition(".")
+    return settings.get(dotted) or (settings.get(table) if get_origin(settings.get(table)) is dict else None)
 
 
 def find_like(name: str, known: Collection[str]) -> str | None:

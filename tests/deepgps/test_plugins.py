@@ -155,11 +155,11 @@ def test_a_run_can_be_opened_without_its_plugin_but_not_continued(tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("--methods", "nearest_image"), 2, "methods.0 'nearest_image': must be 'deepgps', .*; --plugin FILE loads"),
-        (("--encoder.plugins.warming", "0.1"), 2, "encoder.plugins: no plugin that is loaded defines warming; --plug"),
+        (("--methods", "nearest_image"), 2, "--methods 'nearest_image': must be 'deepgps', .*; --plugin FILE loads"),
+        (("--encoder.plugins.warming", "0.1"), 2, "no plugin that is loaded defines warming; --plug"),
         (("--plugin", "nothing.py"), 2, r"plugin .*nothing\.py: no such file"),
         (("--plugin", str(FAULT), "--encoder.plugins.warming", "3"), 2, "warming 3.0: must be from 0 to 0.5, or 0"),
-        (("--plugin", str(FAULT), "--encoder.plugins.warming", "x"), 2, "encoder.plugins.warming.value 'x': must be"),
+        (("--plugin", str(FAULT), "--encoder.plugins.warming", "x"), 2, "--encoder.plugins.warming 'x': must be"),
         (("--plugin", "raises.py"), 1, r"plugin .*raises\.py, line 2: ZeroDivisionError: division by zero"),
         (("--plugin", "syntax.py"), 1, r"plugin .*syntax\.py, line 1: SyntaxError: "),
         (("--plugin", "empty.py"), 2, r"empty\.py has neither METHODS nor ENCODER_FAULTS, so it adds nothing"),

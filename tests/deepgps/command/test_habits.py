@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import get_origin
 
 import pytest
 
@@ -14,7 +15,7 @@ from deepgps.scenario import Scenario, names_in
 from deepgps.spelling import as_option, find_settings_like, from_option, list_settings
 from sim.paths import SCENARIOS
 
-SETTINGS = [name for name, _ in list_settings(Scenario)]
+SETTINGS = [name for name, kind in list_settings(Scenario) if get_origin(kind) is not dict]
 HINTS = [
     ("rn", "command 'rn' does not exist, did you mean run?"),
     ("tiny", "command 'tiny' does not exist, did you mean deepgps run tiny?"),
