@@ -49,19 +49,20 @@ def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive and record, train, evaluate, show."""
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
-    from deepgps.run_folder import default_folder, find_place
+    from deepgps.run_folder import find_place
     from deepgps.stages import choose_renderer_for, list_undriven
 
-    arguments, scenario = parse_scenario("run", words, run_command.__doc__)
-    folder = arguments.out or default_folder(scenario)
-    choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+    arguments, source = parse_scenario("run", words, run_command.__doc__)
+    scenario, folder = source.scenario, source.folder
+    if source.recording is None:
+        choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     place = find_place(folder, arguments.fresh)
     with (
         working_in(folder),
         show_progress(errors) as progress,
         _watch(arguments, scenario, place, progress) as report,
     ):
-        run(scenario, folder, arguments.fresh, report)
+        run(scenario, folder, arguments.fresh, report, source.recording)
     print_report(folder, console, time.monotonic() - BEGUN)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
@@ -70,13 +71,15 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and the stages it needs."""
 
     def command(words: Sequence[str]) -> None:
+        from deepgps.adopted_recording import link_recording
         from deepgps.figures.run_report import describe_left_out
-        from deepgps.run_folder import claim, default_folder, find_place
+        from deepgps.run_folder import claim, find_place
         from deepgps.stages import STAGES, ask_for_device, choose_renderer_for, list_undriven
 
-        arguments, scenario = parse_scenario(stage, words, SUMMARIES[stage])
-        folder = arguments.out or default_folder(scenario)
-        choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+        arguments, source = parse_scenario(stage, words, SUMMARIES[stage])
+        scenario, folder = source.scenario, source.folder
+        if source.recording is None:
+            choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         place = find_place(folder, arguments.fresh)
         with (
             working_in(folder),
@@ -84,6 +87,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             _watch(arguments, scenario, place, progress) as report,
             claim(scenario, folder, arguments.fresh) as place,
         ):
+            if source.recording is not None:
+                link_recording(source.recording, place)
             if stage != "collect":  # after collecting alone, training may happen on another machine
                 ask_for_device(scenario, place)
             for name, work in STAGES.items():

@@ -13,8 +13,9 @@ from deepgps.command.completion import SHELLS, Words
 from deepgps.command.help import write_help
 from deepgps.methods.catalog import METHODS
 from deepgps.plugins import load_plugins
-from deepgps.scenario import Scenario, load_scenario, names_in
+from deepgps.scenario import Scenario, names_in
 from deepgps.settings import LearnSettings
+from deepgps.source import Source, find_source
 from deepgps.spelling import (
     as_option,
     find_group,
@@ -41,9 +42,9 @@ HELP = ("-h", "--help", "--help-all")
 @dataclass(frozen=True)
 class RunArguments:
     scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO"), tyro.conf.Positional]
-    """A name in assets/scenarios, or the path of a YAML file."""
+    """A name in assets/scenarios, the path of a YAML file, or the folder of a run or of a recording."""
     out: OptionalFolder = None
-    """The run folder itself; default: runs/<scenario>/seed<seed>-<hash>."""
+    """The run folder itself; default: that of the run, or runs/<scenario>/seed<seed>-<hash>."""
     fresh: bool = False
     """Discard what is in the run folder and start again."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
@@ -131,17 +132,18 @@ ARGUMENTS: dict[str, Any] = {
 """Arguments of each command that takes some."""
 
 
-def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Scenario]:
+def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Source]:
     """Parse a command's own arguments and its scenario with overrides; ``--help`` shows a short help and exits,
     ``--help GROUP`` the settings of a group, ``--help-all`` every setting."""
     if set(HELP) & set(words):
         _help_with_scenario(command, words, about)
     own, overrides = _split(words, list_options(RunArguments))
     if not own or own[0].startswith("-"):
-        raise InputError(f"deepgps {command} needs a scenario first: {', '.join(names_in(SCENARIOS))}, or a path")
+        what = f"{', '.join(names_in(SCENARIOS))}, a path, or the folder of a run or a recording"
+        raise InputError(f"deepgps {command} needs a scenario first: {what}")
     arguments = parse(RunArguments, command, own, about)
     load_plugins(arguments.plugin)
-    return arguments, load_scenario(arguments.scenario, overrides, as_option)
+    return arguments, find_source(arguments.scenario, overrides, arguments.out, arguments.fresh)
 
 
 def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> Any:

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from deepgps.adopted_recording import link_recording
 from deepgps.progress import Report
 from deepgps.run_folder import claim
 from deepgps.scenario import Scenario
@@ -11,7 +12,9 @@ from deepgps.timing import timed
 from sim.files import is_intact
 
 
-def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict[str, Any]:
+def run(
+    scenario: Scenario, folder: Path, fresh: bool, progress: Report, recording: Path | None = None
+) -> dict[str, Any]:
     """Run all stages of a scenario.
 
     Args:
@@ -19,11 +22,14 @@ def run(scenario: Scenario, folder: Path, fresh: bool, progress: Report) -> dict
         folder: The run folder.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Called with the steps done and their number, in each stage.
+        recording: A recording that exists already, to which the run links; None: the run drives.
 
     Returns:
         The contents of ``metrics.json``.
     """
     with claim(scenario, folder, fresh) as place:
+        if recording is not None:
+            link_recording(recording, place)
         ask_for_device(scenario, place)
         collect(scenario, place, progress)
         train(scenario, place, progress)

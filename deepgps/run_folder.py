@@ -49,12 +49,54 @@ def open_run(folder: Path) -> Scenario:
     """Scenario of an existing run folder; raises InputError if the folder holds no run."""
     path = folder / RUN.first
     if not path.is_file():
-        raise InputError(f"{folder} is no run folder: it has no scenario.yaml")
+        raise InputError(describe_no_run(folder))
     try:
         check_lines(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; restore it from a copy, or make the run again with --fresh") from None
     return check_scenario(renamed.translate(read_yaml(path)), path)
+
+
+def list_runs(folder: Path) -> list[Path]:
+    """Folders of runs in a folder, one or two levels down, in order of their names."""
+    return sorted({path.parent for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}")})
+
+
+def describe_no_run(folder: Path) -> str:
+    """What is wrong with a folder that holds no run."""
+    if not folder.exists():
+        return f"{folder} does not exist"
+    if not folder.is_dir():
+        return f"{folder} is a file, and a run is a folder"
+    if runs := list_runs(folder):
+        more = f", and {len(runs) - 8} more" if len(runs) > 8 else ""
+        return f"{folder} is a folder of runs; choose one: {', '.join(map(str, runs[:8]))}{more}"
+    return f"{folder} is no run folder: it has no scenario.yaml"
+
+
+def list_trained(folder: Path) -> list[str]:
+    """Methods that are trained in a run folder."""
+    return sorted(renamed.METHODS.get(path.parent.name, path.parent.name) for path in folder.glob("*/positioner.json"))
+
+
+def join_methods(scenario: Scenario, folder: Path) -> Scenario:
+    """The same scenario with the methods that are trained in its run folder already: no training is thrown away."""
+    if not (folder / RUN.first).is_file() or is_older(folder, RUN):
+        return scenario
+    held = open_run(folder)
+    if not is_same_but_methods(held, scenario):
+        return scenario  # which claiming the folder refuses
+    trained = [name for name in held.methods if name in list_trained(folder)]
+    methods = (*trained, *(name for name in scenario.methods if name not in trained))
+    if set(methods) == set(held.methods):
+        return held
+    return check_scenario({**held.model_dump(mode="json"), "methods": methods}, folder / RUN.first)
+
+
+def is_same_but_methods(one: Scenario, other: Scenario) -> bool:
+    """Whether two scenarios differ at most in their methods."""
+    unlike = {"methods", "plugins"}
+    return one.model_dump(exclude=unlike) == other.model_dump(exclude=unlike)
 
 
 def find_place(folder: Path, fresh: bool) -> Path:
@@ -108,7 +150,10 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
 
 
 def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
-    """Raise InputError if a folder holds a run of another scenario; remove what a killed --fresh of another left."""
+    """Raise InputError if a folder holds a run of another scenario; remove what a killed --fresh of another left.
+
+    A run of the same scenario with other methods takes the new ones, unless one is trained that would be lost.
+    """
     if place != folder:
         try:
             same = open_run(place) == scenario
@@ -116,7 +161,13 @@ def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
             same = False
         if not same:
             remove_files(place, RUN.files)
-    elif open_run(folder) != scenario:
+        return
+    held = open_run(folder)
+    if held == scenario:
+        return
+    if is_same_but_methods(held, scenario) and set(list_trained(folder)) <= set(scenario.methods):
+        write_lines(folder / RUN.first, write_out(scenario))
+    else:
         raise InputError(
             f"--out {folder} holds a run of another scenario ({describe_work(folder)}); choose another folder, or add "
             "--fresh, which replaces that run once the new one is complete"
@@ -133,7 +184,7 @@ def _check_older(scenario: Scenario, folder: Path, fresh: bool) -> None:
 
 def describe_work(folder: Path) -> str:
     """Describe what a run folder holds."""
-    trained = sorted(path.parent.name for path in folder.glob("*/positioner.json"))
+    trained = list_trained(folder)
     return ", ".join(
         [
             "a recording" if is_whole(folder / "recording") else "no finished recording",

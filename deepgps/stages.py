@@ -13,8 +13,9 @@ from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError
-from sim.files import read_arrays, read_json, write_json
+from sim.files import drop_sum, read_arrays, read_json, write_json
 from sim.recording.format import is_whole
+from sim.renamed import name_methods
 from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import WorldName
 
@@ -85,7 +86,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
 
-    if metrics := read_measured(folder):
+    metrics = read_measured(folder)
+    if metrics and set(scenario.methods) <= set(name_methods(metrics["methods"])):
         if not is_older(folder, RUN):
             align_methods(folder, scenario)
         return metrics
@@ -93,10 +95,17 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         progress("evaluate", 0, 1)
         measured = measure(folder, scenario)
         progress("evaluate", 1, 1)
+    remove_recording_of_run(folder)
     head = {"scenario": scenario.name, "seed": scenario.seed}
     tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")
+
+
+def remove_recording_of_run(folder: Path) -> None:
+    """Remove the Rerun recording of figures that are about to change; it is made again with the new ones."""
+    drop_sum(folder / "run.rrd")
+    (folder / "run.rrd").unlink(missing_ok=True)
 
 
 def read_measured(folder: Path) -> dict[str, Any] | None:

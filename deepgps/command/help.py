@@ -36,13 +36,14 @@ def write_help(command: str, about: str | None) -> str:
     wide = max(len(option) for option, _ in rows) + 2
     options = [f"  {option:<{wide}}{text}" for option, text in rows]
     groups = [as_option(name)[2:] for name, field in Scenario.model_fields.items() if find_group(field.annotation)]
+    names = ", ".join(names_in(SCENARIOS))
     return "\n".join(
         [
             f"usage: deepgps {command} SCENARIO [--SETTING VALUE ...]",
             f"example: deepgps {command} living_room --room.seed 3 --encoder.step-noise 0.1",
             "",
             about or "",
-            *_wrap(f"SCENARIO is {', '.join(names_in(SCENARIOS))}, or a YAML file of your own."),
+            *_wrap(f"SCENARIO is {names}, a YAML file of your own, or the folder of a run or a recording."),
             "",
             *options[: len(OPTIONS)],
             "",

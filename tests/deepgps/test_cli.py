@@ -33,7 +33,8 @@ ONE_LINE_ERRORS = [
     (["view", "."], "is no run folder: it has no scenario.yaml"),
     (["view"], "deepgps view takes one folder, or two to compare, not 0"),
     (["view", "a", "b", "c"], "deepgps view takes one folder, or two to compare, not 3"),
-    (["view", "nowhere"], "is no run folder: it has no scenario.yaml"),
+    (["view", "nowhere"], "nowhere does not exist"),
+    (["train", "."], ". is neither a run (it has no scenario.yaml) nor a recording (it has no manifest.json)"),
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
     (["rooms", "--seeds", "3-x"], "--seeds '3-x': one to a hundred whole numbers"),
 ]

@@ -120,7 +120,8 @@ def test_help_names_what_to_write(command, word, capsys):
 def test_a_switch_needs_no_value():
     from deepgps.cli_arguments import parse_scenario
 
-    _, scenario = parse_scenario("run", ["lab", "--tag-camera.kept", "--learn.train.shift", "false"], "")
+    _, source = parse_scenario("run", ["lab", "--tag-camera.kept", "--learn.train.shift", "false"], "")
+    scenario = source.scenario
     assert (scenario.tag_camera.kept, scenario.learn.train.shift) == (True, False)
 
 
