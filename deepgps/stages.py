@@ -11,9 +11,11 @@ from deepgps.progress import Report
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario
+from deepgps.shared_drive import find_base
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError
 from sim.files import drop_sum, read_arrays, read_json, write_json
+from sim.recording.derive import derive
 from sim.recording.format import is_whole
 from sim.renamed import name_methods
 from sim.sensors.catalog import SENSORS, list_carried
@@ -24,7 +26,8 @@ log = logging.getLogger(__name__)
 
 def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
     """The scenario if a run of it still has to make its recording; a finished one needs no MuJoCo and no renderer."""
-    return [] if is_whole(find_place(folder, fresh) / "recording") else [scenario]
+    place = find_place(folder, fresh)
+    return [] if is_whole(place / "recording") or find_base(scenario, place) else [scenario]
 
 
 def choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
@@ -52,10 +55,28 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
 
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Drive and record, unless the recording is already finished."""
+    """Make the recording, unless it is finished: from an earlier run of the same drive, or else by driving."""
     if not is_whole(folder / "recording"):
         with timed(folder, "collect"):
-            make_recording(scenario, folder / "recording", progress)
+            if not derive_from_base(scenario, folder, progress):
+                make_recording(scenario, folder / "recording", progress)
+
+
+def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool:
+    """Derive a run's recording from that of an earlier run, if one has the same drive; return whether that was done."""
+    base = find_base(scenario, folder)
+    if base is None:
+        return False
+    label = f"derive from {base.parent.name}"
+    progress(label, 0, 1)
+    try:
+        derive(base, scenario.sim, scenario.seed, folder / "recording")
+    except DamagedError as error:
+        log.warning("%s; the drive is made again", error)
+        choose_renderer_for([scenario])
+        return False
+    progress(label, 1, 1)
+    return True
 
 
 def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -23,7 +23,7 @@ from sim.recording.format import (
     open_truth,
     remove_recording,
 )
-from sim.recording.manifest import SCHEMA
+from sim.recording.manifest import SCHEMA, Manifest
 from sim.rng import stream
 from sim.sensors.camera_faults import make_measures
 from sim.sensors.catalog import Measure
@@ -38,6 +38,8 @@ READ_AGAIN = ("reading.npy", "time.npy")
 NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
 """Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
+OF_RUN = "recording"
+"""Name of the folder of a run's recording; other recordings have names of their own."""
 AT_ONCE = 256
 """Images that are processed at a time."""
 
@@ -73,7 +75,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         return
     start = time.perf_counter()
     recording, truth = open_recording(base), open_truth(base)
-    _check(recording, settings, seed)
+    if misfit := explain_misfit(recording.manifest, settings, seed):
+        raise InputError(f"{base} {misfit}")
     remove_recording(folder)  # remove what a killed process left
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
@@ -95,7 +98,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
-    manifest |= {"derived_from": base.name, "collect_s": round(time.perf_counter() - start, 2)}
+    source = base.parent.name if base.name == OF_RUN else base.name
+    manifest |= {"derived_from": source, "collect_s": round(time.perf_counter() - start, 2)}
     finish_recording(folder, manifest)
 
 
@@ -119,23 +123,26 @@ def _read_again(
     }
 
 
-def _check(base: Recording, settings: SimSettings, seed: int) -> None:
-    samples, at = settings.drive.samples, base.folder
-    if base.manifest.number != SCHEMA:
-        raise InputError(
-            f"{at} has schema {base.manifest.number}, whose files have other names: nothing can be derived"
-        )
-    other = SimSettings.model_validate(base.manifest.settings)
-    if (choose_drive(other, samples), base.manifest.seed) != (choose_drive(settings, samples), seed):
-        raise InputError(f"{at} is a recording of another drive: more than encoder, image and drive.samples differ")
-    if other.image_faults != ImageFaultSettings():
-        raise InputError(f"{at} has faults in its images, which cannot be taken away: nothing can be derived from it")
-    if other.drive.samples < samples:
-        raise InputError(f"{at} has {other.drive.samples} samples, too few for drive.samples {samples}")
-    if other.drive.samples > samples and not can_be_cut(settings):
-        raise InputError(f"{at} has {other.drive.samples} samples, of which {samples} are no recording of their own")
-    if base.manifest.readings_lost:
-        raise InputError(f"{at} has lost readings, whose times are not known: nothing can be derived from it")
+def explain_misfit(manifest: Manifest, settings: SimSettings, seed: int) -> str | None:
+    """Why no recording with these settings and this seed can be derived from that of a manifest; None: it can."""
+    if manifest.number != SCHEMA:
+        return f"has schema {manifest.number}, whose files have other names: nothing can be derived"
+    samples, other = settings.drive.samples, SimSettings.model_validate(manifest.settings)
+    length = other.drive.samples
+    reasons = {
+        "is a recording of another drive: more than encoder, image and drive.samples differ": (
+            (choose_drive(other, samples), manifest.seed) != (choose_drive(settings, samples), seed)
+        ),
+        "has faults in its images, which cannot be taken away: nothing can be derived from it": (
+            other.image_faults != ImageFaultSettings()
+        ),
+        f"has {length} samples, too few for drive.samples {samples}": length < samples,
+        f"has {length} samples, of which {samples} are no recording of their own": (
+            length > samples and not can_be_cut(settings)
+        ),
+        "has lost readings, whose times are not known: nothing can be derived from it": manifest.readings_lost > 0,
+    }
+    return next((reason for reason, holds in reasons.items() if holds), None)
 
 
 def _develop_again(source: Path, target: Path, fault: Measure, count: int | None) -> None:

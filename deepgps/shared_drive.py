@@ -1,0 +1,49 @@
+"""The drive of an earlier run of the same scenario: what differs only in encoders, image faults or length shares it."""
+
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+from deepgps.owned_folder import FRESH
+from deepgps.scenario import Scenario
+from sim.errors import InputError
+from sim.recording.derive import explain_misfit
+from sim.recording.format import is_whole, read_manifest
+from sim.recording.manifest import Manifest
+
+
+def find_base(scenario: Scenario, run: Path) -> Path | None:
+    """Find a recording from which that of a run can be derived, byte for byte as if it had been driven.
+
+    Only finished runs beside this one in the folder of their scenario, ``runs/<scenario>``, are considered. A room of
+    the user's own is driven each time, since its meshes may have changed.
+
+    Args:
+        scenario: The scenario of the run.
+        run: The run's folder; with ``--fresh`` it is a subfolder, which shares nothing.
+    """
+    if run.name == FRESH or run.parent.name != scenario.name or scenario.room.mjcf is not None:
+        return None
+    for manifest in sorted(run.parent.glob("*/recording/manifest.json")):
+        if manifest.parent.parent != run and _fits(manifest.parent, scenario):
+            return manifest.parent
+    return None
+
+
+def _fits(recording: Path, scenario: Scenario) -> bool:
+    try:
+        manifest = read_manifest(recording)
+        if not is_whole(recording) or explain_misfit(manifest, scenario.sim, scenario.seed):
+            return False
+    except (InputError, ValueError):  # it is damaged, or of settings that no longer exist
+        return False
+    # The exact track width cannot be had from a rounded one. Other versions of a package may draw other bytes.
+    return not manifest.settings["encoder"]["track_error"] and _is_of_these_packages(manifest)
+
+
+def _is_of_these_packages(manifest: Manifest) -> bool:
+    """Whether a recording was made with the installed versions of the packages that determine its bytes."""
+    made_with = (manifest.model_extra or {}).get("packages", {})
+    try:
+        return all(version(name) == number for name, number in made_with.items())
+    except PackageNotFoundError:
+        return False
