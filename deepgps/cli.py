@@ -19,6 +19,7 @@ from deepgps.cli_arguments import (
     NoArguments,
     RoomsArguments,
     RunArguments,
+    RunsArguments,
     StudyArguments,
     ViewArguments,
     list_words,
@@ -168,6 +169,14 @@ def view_command(words: Sequence[str]) -> None:
         view(folders)
 
 
+def runs_command(words: Sequence[str]) -> None:
+    """List runs: what each changes in its scenario, its errors, and its age."""
+    arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
+    from deepgps.run_table import tabulate_runs
+
+    print(tabulate_runs(arguments.folder))
+
+
 def rooms_command(words: Sequence[str]) -> None:
     """Draw a contact sheet of generated rooms."""
     arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
@@ -240,6 +249,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "evaluate": stage_command("evaluate"),
     "study": study_command,
     "view": view_command,
+    "runs": runs_command,
     "rooms": rooms_command,
     "bench": bench_command,
     "completion": completion_command,
@@ -253,6 +263,7 @@ SUMMARIES = {
     "evaluate": "collect, train, and measure the methods",
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
+    "runs": "list runs by what they change, with their errors",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency and memory beside naive baselines",
     "completion": "print the completion script for bash, zsh or fish",

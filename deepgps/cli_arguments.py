@@ -111,6 +111,12 @@ class BenchArguments:
 
 
 @dataclass(frozen=True)
+class RunsArguments:
+    folder: Annotated[Path, tyro.conf.arg(metavar="FOLDER"), tyro.conf.Positional] = Path("runs")
+    """The folder whose runs are listed, with those one level further down; a study's folder, too."""
+
+
+@dataclass(frozen=True)
 class CompletionArguments:
     shell: Annotated[Literal["bash", "zsh", "fish"], tyro.conf.arg(metavar="bash|zsh|fish"), tyro.conf.Positional]
     """The shell that reads the script."""
@@ -125,6 +131,7 @@ ARGUMENTS: dict[str, Any] = {
     **dict.fromkeys(("run", "collect", "train", "evaluate"), RunArguments),
     "study": StudyArguments,
     "view": ViewArguments,
+    "runs": RunsArguments,
     "rooms": RoomsArguments,
     "bench": BenchArguments,
     "completion": CompletionArguments,
