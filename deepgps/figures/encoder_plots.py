@@ -24,14 +24,15 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     length, error = measure_segments(recording, pose)
     odometry = recording.manifest.odometry
     tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+    driven_m = recording.manifest.distance_driven_m or length.sum()
     measured = {
         "one tick": f"{tick_mm:.3g} mm",
-        "segments": f"{len(length)}, {length.sum():.0f} m in total",
+        "segments": f"{len(length)}, {driven_m:.0f} m in total",
         "RMS error of a segment": f"{1000 * np.sqrt(np.mean(error**2)):.3g} mm",
         "mean error": f"{1000 * error.mean():+.3g} mm",
         "largest error": f"{1000 * np.abs(error).max():.3g} mm",
         "encoder / true distance": f"{1 + error.sum() / length.sum():.4f}",
-        "drift of the dead-reckoned path": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
+        "drift of the dead-reckoned path from its start": f"{drift[-1]:.2f} m at the end, {drift.max():.2f} m at most",
     }
     return "\n".join(
         [

@@ -42,7 +42,7 @@ def make_figures(run: Path) -> dict[str, Figure]:
     figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
     figures["error_fields"] = draw_comparison(space, fields, metrics)
     figures["error_cdf"] = draw_error_cdf(fields)
-    figures["drive"] = draw_drive(truth, recording.reading)
+    figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
     if histories:
         figures["training"] = draw_training(histories)
     return figures
@@ -124,8 +124,14 @@ def draw_training(histories: Mapping[str, Mapping[str, np.ndarray]]) -> Figure:
     return figure
 
 
-def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
-    """Plot the driven path over the free space, coloured from its start to its end."""
+def draw_drive(truth: Truth, reading: np.ndarray, driven_m: float | None = None) -> Figure:
+    """Plot the driven path over the free space, coloured from its start to its end.
+
+    Args:
+        truth: The ground truth.
+        reading: The encoders' readings (R, 4).
+        driven_m: Distance driven according to the recording [m]; None: the length of what is drawn.
+    """
     space = truth.free_space
     figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
     axes = figure.add_subplot()
@@ -140,7 +146,7 @@ def draw_drive(truth: Truth, reading: np.ndarray) -> Figure:
     start = truth.pose[0, :2]
     axes.plot(*start, "o", color="white", markersize=7, markeredgecolor="black")
     axes.annotate("start", (start[0], start[1]), xytext=(7, 6), textcoords="offset points", color="white", fontsize=10)
-    length = np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
+    length = driven_m or np.linalg.norm(pieces[:, 1] - pieces[:, 0], axis=1).sum()
     count = len(np.unique(segment))
     axes.set_title(f"The drive: {len(truth.pose)} observations, {count} straight segments, {length:.0f} m", fontsize=13)
     bar = figure.colorbar(lines, ax=axes, shrink=0.8, pad=0.02, ticks=[0, max(len(pieces) - 1, 1)])

@@ -11,6 +11,7 @@ from rich.table import Table
 
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
+from deepgps.figures.verdict import judge_run
 from deepgps.methods.catalog import folder_of, title_of
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
@@ -96,8 +97,8 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         describe_time(metrics["timing_s"] if times is None else times),
     ]
     if trajectory := metrics.get("trajectory"):
-        drift = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
-        sentences.insert(1, f"The dead-reckoned path drifts by {drift}.")
+        error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
+        sentences.insert(1, f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
     if distances := metrics.get("distances"):
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
         sentences.insert(
@@ -142,6 +143,7 @@ def markdown_report(metrics: Mapping[str, Any]) -> str:
             "",
             describe_errors(metrics),
             "",
+            *(f"- **{sentence}**" for sentence in judge_run(metrics)),
             *(f"- {sentence}" for sentence in describe(metrics)),
             "",
             "## Environment",
@@ -176,8 +178,10 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     console.print()
     for sentence in describe(metrics, read_times(run, metrics)):
         console.print(sentence, highlight=False)
+    for sentence in judge_run(metrics):
+        console.print(sentence, style="yellow", markup=False, soft_wrap=True)
     if sitting_s is not None:
-        console.print(f"This sitting took {sitting_s:.1f} s of wall-clock time.", highlight=False)
+        console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

@@ -82,7 +82,8 @@ class Study(Variation):
     """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
     report: ReportName = "plain"
     """How the table is reported (deepgps/studies/catalog.py). plain: rows as they are; rooms: means, and which method
-    wins; compare: means over seeds for everything else that varies; curves: errors along the last axis."""
+    wins; compare: means over seeds for everything else that varies; curves: errors along the last axis, the default if
+    that has numbers."""
     target: dict[str, float] = Field(default_factory=dict)
     """Target values of the report's figures."""
     paper: dict[str, float] = Field(default_factory=dict)
@@ -92,13 +93,17 @@ class Study(Variation):
     full: Variation | None = None
     """Fields that --full replaces for a long version; its ``set`` is added to the study's. None: no such version."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _numbers_are_drawn_as_curves(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or "report" in values or not isinstance(values.get("axes"), Mapping):
+            return values
+        last = [*values["axes"].values()][-1:]
+        return {**values, "report": "curves"} if _are_numbers(last) else values
+
     @model_validator(mode="after")
     def _curves_run_along_numbers(self) -> "Study":
-        last = [*self.axes.values()][-1:]
-        numbers = [
-            isinstance(value, int | float) and not isinstance(value, bool) for values in last for value in values
-        ]
-        if self.report == "curves" and not (numbers and all(numbers)):
+        if self.report == "curves" and not _are_numbers([*self.axes.values()][-1:]):
             raise ValueError("report curves needs numbers in the last of the study's axes, along which curves run")
         return self
 
@@ -198,6 +203,12 @@ def describe(plan: Plan) -> str:
 def write_out(study: Study) -> str:
     """The resolved study as YAML."""
     return yaml.safe_dump(study.model_dump(mode="json", exclude={"tiny", "full"}), sort_keys=False)
+
+
+def _are_numbers(axes: Sequence[Any]) -> bool:
+    """Whether there is an axis, and all values of all axes are numbers."""
+    values = [value for axis in axes for value in (axis if isinstance(axis, list | tuple) else [None])]
+    return bool(values) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 
 
 def _shrink(study: Study) -> Study:

@@ -89,6 +89,8 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     """The report in Markdown: the table, the targets, and the failed runs."""
     varied = varied_names(study)
     blocks = [f"# {study.name}", f"{len(plans)} runs of {study.scenario}, {len(failures)} failed."]
+    if study.name.endswith("-tiny"):
+        blocks.append("A small version of the study, which shows the way only: its errors have no meaning.")
     measured = [row for row in rows if row["failure"] is None]
     if measured:
         blocks += load(REPORTS[study.report].text)(measured, varied)

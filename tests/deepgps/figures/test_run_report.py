@@ -56,7 +56,7 @@ def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
     text = markdown_report(metrics)
     assert "1 of 4 reachable test positions (25.0 %)" in text
     assert "collect 92.3 s, train 140.1 s, evaluate 12.4 s; 244.8 s in all" in text
-    assert "drifts by RMS 0.41 m, at most 1.03 m" in text
+    assert "best aligned with the true one, is off by RMS 0.41 m, at most 1.03 m" in text
     assert "mujoco 3.17.0" in text
     assert len(describe({**metrics, "trajectory": None})) == len(describe(metrics)) - 1
 

@@ -1,0 +1,50 @@
+"""Whether a run's figures can be believed: what shows that a method did not converge, or that the run is only a try."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from deepgps.methods.catalog import title_of
+
+SCALE_LIMITS = (0.9, 1.1)
+"""Scales of a map beyond these are no error of the encoders."""
+LARGEST_RELATIVE_RMS = 0.1
+"""RMS, as a fraction of the room's shorter side, from which a map is of no use."""
+LEAST_SEEN = 0.9
+"""Fraction of the test positions near a training observation below which the drive is too short."""
+TRY_OUT = "This is a small run that shows the way only; its errors have no meaning."
+
+
+def judge_run(metrics: Mapping[str, Any]) -> list[str]:
+    """Sentences on what is wrong with a run's results, one for all its methods and one for its drive; often none."""
+    doubts = {title_of(name): find_doubts(values) for name, values in metrics["methods"].items()}
+    told = [f"{title} ({', '.join(reasons)})" for title, reasons in doubts.items() if reasons]
+    sentences = [f"Not converged: {'; '.join(told)}."] if told else []
+    if missed := describe_missed(metrics.get("coverage", {})):
+        sentences.append(missed)
+    if metrics.get("scenario") == "tiny":
+        sentences.append(TRY_OUT)
+    return sentences
+
+
+def find_doubts(method: Mapping[str, Any]) -> list[str]:
+    """Reasons why a method's map cannot be right, from its figures in ``metrics.json``."""
+    low, high = SCALE_LIMITS
+    scale, rms, fold = method.get("scale"), method.get("relative_rms"), method.get("fold")
+    reasons = []
+    if scale is not None and not low <= scale <= high:
+        reasons.append(f"scale {scale:.2f}")
+    if isinstance(fold, Mapping) and fold.get("found"):
+        reasons.append("the map is folded")
+    if rms is not None and rms > LARGEST_RELATIVE_RMS:
+        reasons.append(f"RMS {100 * rms:.0f} % of the room's shorter side")
+    return reasons
+
+
+def describe_missed(coverage: Mapping[str, Any]) -> str | None:
+    """Say in a sentence how much of the room, and which part, the drive has missed; None: little."""
+    reachable = coverage.get("reachable_cells", 0)
+    if not reachable or coverage["cells_seen"] >= LEAST_SEEN * reachable:
+        return None
+    share = 100 * (1 - coverage["cells_seen"] / reachable)
+    part = f", mostly in the {coverage['missed']}" if coverage.get("missed") else ""
+    return f"The drive missed {share:.0f} % of the room{part}: drive more, with --drive.samples."
