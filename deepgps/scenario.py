@@ -130,6 +130,11 @@ class Scenario(SimSettings):
         return next(iter(name_sensors(self).values()))
 
     @property
+    def title(self) -> str:
+        """What reports call a run: the scenario's name, or the file of the user's own room."""
+        return self.name if self.room.mjcf is None else Path(self.room.mjcf).name
+
+    @property
     def sim(self) -> SimSettings:
         """The part that determines the recording."""
         return SimSettings.model_validate({name: getattr(self, name) for name in SimSettings.model_fields})

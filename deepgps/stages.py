@@ -117,7 +117,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         measured = measure(folder, scenario)
         progress("evaluate", 1, 1)
     remove_recording_of_run(folder)
-    head = {"scenario": scenario.name, "seed": scenario.seed}
+    head = {"scenario": scenario.title, "seed": scenario.seed}
     tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")

@@ -6,6 +6,7 @@ it stopped, and the result has the same bytes for any number of worker processes
 """
 
 import json
+import logging
 import math
 import time
 from collections.abc import Callable
@@ -37,6 +38,7 @@ from sim.rng import stream
 from sim.robot.drive import DriveMode, Segment, next_segment
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
+from sim.rooms.mjcf import list_notes
 from sim.sensors.camera_faults import spawn_streams
 from sim.sensors.camera_mount import draw_leans
 from sim.sensors.catalog import SENSORS, list_kept
@@ -48,6 +50,7 @@ CHUNK = 256
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
+log = logging.getLogger(__name__)
 Report = Callable[[str, int, int], None]
 
 
@@ -78,6 +81,8 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
     build_s = time.perf_counter() - start
+    for note in list_notes(world.model) if settings.room.mjcf is not None else ():
+        log.warning("%s", note)
     test_pose = np.empty((0, 1, 3)) if settings.grid.held_out else lay_grid(world, settings)
     check_space(folder, estimate_bytes(settings, world.model.nq, math.prod(test_pose.shape[:2]), work))
     deaths = 0

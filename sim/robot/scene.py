@@ -66,7 +66,8 @@ def _force_picture(spec: mujoco.MjSpec) -> None:
     # A headlight that follows the view would leave seams between the faces of the fisheye.
     headlight = spec.visual.headlight
     headlight.active = 1
-    headlight.ambient = [AMBIENT if spec.lights else AMBIENT_WITHOUT_LAMPS] * 3
+    shining = any(light.type != mujoco.mjtLightType.mjLIGHT_POINT for light in spec.lights)  # MuJoCo draws no others
+    headlight.ambient = [AMBIENT if shining else AMBIENT_WITHOUT_LAMPS] * 3
     headlight.diffuse = headlight.specular = [0.0] * 3
     # Clip planes scale with the extent, which is fixed so that they do not depend on the room's size.
     spec.stat.extent = 1.0

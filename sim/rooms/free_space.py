@@ -217,7 +217,8 @@ def _enclosed_region(
         column, row = np.rint((start - origin) / cell_m).astype(int)
         inside = 0 <= row < label.shape[0] and 0 <= column < label.shape[1]
         if not inside or label[row, column] == 0:
-            raise InputError(f"room: the site start at ({start[0]:g}, {start[1]:g}) m is not free for the robot")
+            where = f"({start[0]:g}, {start[1]:g}) m"
+            raise InputError(f"room: the site start at {where} is not free for the robot{_explain_meshes(model)}")
         if label[row, column] in outside:
             raise InputError("room: the free space about the site start is not enclosed by walls")
         return label == label[row, column], start
@@ -225,9 +226,16 @@ def _enclosed_region(
     cells[0] = 0
     cells[outside] = 0
     if not cells.any():
-        raise InputError("room: no free space is enclosed by walls")
+        raise InputError(f"room: no free space is enclosed by walls{_explain_meshes(model)}")
     region = label == cells.argmax()
     return region, _roomiest(region, origin, cell_m)
+
+
+def _explain_meshes(model: mujoco.MjModel) -> str:
+    """The end of a message for a room with meshes that collide: walls of one mesh fill the room."""
+    if not (model.geom_type[collides(model)] == mujoco.mjtGeom.mjGEOM_MESH).any():
+        return ""
+    return "; MuJoCo collides a mesh as its convex hull, so split walls that are one mesh into one for each wall"
 
 
 def _start_site(model: mujoco.MjModel) -> np.ndarray | None:

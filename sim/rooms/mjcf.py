@@ -15,6 +15,8 @@ FLOOR = "floor"
 _SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
 _SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 _SUPPORT_M = 0.001
+SLOW_TRIANGLES = 100_000
+"""Triangles from which the owner of a room is told what they cost."""
 
 
 def load_room(path: Path) -> mujoco.MjSpec:
@@ -87,9 +89,26 @@ def _refuse_large(model: mujoco.MjModel) -> None:
         raise InputError("a geom is infinitely large or far away")
     if model.ngeom > MOST.geoms:
         raise InputError(f"more than {MOST.geoms} geoms")
-    drawn = model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
-    if (triangles := int(model.mesh_facenum[drawn[drawn >= 0]].sum())) > MOST.triangles:
+    if (triangles := _count_triangles(model)) > MOST.triangles:
         raise InputError(f"its meshes draw {triangles} triangles; at most {MOST.triangles}")
+
+
+def list_notes(model: mujoco.MjModel) -> list[str]:
+    """What the owner of a room should know of it, in one line each; often nothing."""
+    notes = []
+    if lamps := int((model.light_type == mujoco.mjtLightType.mjLIGHT_POINT).sum()):
+        notes.append(
+            f'room: {lamps} of {model.nlight} lamps have type="point", which MuJoCo does not draw: they give no light, '
+            'and type="spot" does'
+        )
+    if (triangles := _count_triangles(model)) > SLOW_TRIANGLES:
+        notes.append(f"room: its meshes draw {triangles:,} triangles, which set the time of each picture")
+    return notes
+
+
+def _count_triangles(model: mujoco.MjModel) -> int:
+    drawn = model.geom_dataid[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
+    return int(model.mesh_facenum[drawn[drawn >= 0]].sum())
 
 
 def _has_floor(model: mujoco.MjModel) -> bool:

@@ -220,3 +220,8 @@ def test_a_fault_makes_another_run_and_another_recording(fault):
     plain, faulty = load_scenario("tiny", {}), load_scenario("tiny", {fault: 0.5})
     assert digest(plain) != digest(faulty)
     assert digest_recording(plain) != digest_recording(faulty)
+
+
+def test_a_run_in_a_room_of_the_user_s_own_is_called_after_its_file():
+    assert load_scenario("living_room", {"room.mjcf": "/homes/house.xml"}).title == "house.xml"
+    assert load_scenario("living_room", {}).title == "living_room"

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import InputError
-from sim.robot.scene import compile_scene
+from sim.robot.scene import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
 from sim.rooms.free_space import find_free_space
-from sim.rooms.mjcf import load_room, vet
+from sim.rooms.mjcf import list_notes, load_room, vet
 from sim.settings import SimSettings
 
 OUTSIDE = "lies outside the room's own folder"
@@ -353,3 +353,42 @@ def test_any_change_of_a_room_is_a_room_or_one_line(tmp_path_factory, changes):
     except InputError as error:
         assert str(error).isprintable()
         assert len(str(error)) < 1000
+
+
+def _mesh(name: str, points: str) -> str:
+    return f'<mesh name="{name}" vertex="{points}"/>'
+
+
+def test_walls_of_one_mesh_are_explained(tmp_path):
+    corners = " ".join(f"{x} {y} {z}" for x in (-2, 2) for y in (-2, 2) for z in (0, 1))
+    head = f"<asset>{_mesh('walls', corners)}</asset>"
+    model = load_room(_write(tmp_path, '<geom type="mesh" mesh="walls"/>', head)).compile()
+    with pytest.raises(
+        InputError, match="no free space is enclosed by walls; MuJoCo collides a mesh as its convex hull"
+    ):
+        find_free_space(model, 0.105, 0.37)
+    open_room = load_room(_write(tmp_path, '<geom type="box" size="1 1 1" pos="0 0 1"/>')).compile()
+    with pytest.raises(InputError, match=r"no free space is enclosed by walls$"):
+        find_free_space(open_room, 0.105, 0.37)
+
+
+@pytest.mark.parametrize(
+    ("lamps", "ambient", "notes"),
+    [
+        ("", AMBIENT_WITHOUT_LAMPS, 0),
+        ('<light type="point" pos="0 0 2"/>', AMBIENT_WITHOUT_LAMPS, 1),
+        ('<light type="point" pos="0 0 2"/><light pos="0 0 2"/>', AMBIENT, 1),
+        ('<light pos="0 0 2"/>', AMBIENT, 0),
+    ],
+)
+def test_lamps_that_are_not_drawn_do_not_count(lamps, ambient, notes, tmp_path):
+    room = load_room(_write(tmp_path, WALLS + lamps))
+    model = compile_scene(room, SimSettings())
+    assert model.vis.headlight.ambient == pytest.approx([ambient] * 3)
+    assert len(list_notes(room.compile())) == notes
+
+
+def test_many_triangles_are_named(tmp_path, monkeypatch):
+    model = load_room(_write(tmp_path, WALLS)).compile()
+    monkeypatch.setattr("sim.rooms.mjcf._count_triangles", lambda _: 146_000)
+    assert list_notes(model) == ["room: its meshes draw 146,000 triangles, which set the time of each picture"]
