@@ -51,7 +51,8 @@ def test_a_derived_drive_has_the_bytes_of_a_fresh_one(change, tmp_path, monkeypa
     own, other = read_json(fresh / "manifest.json"), read_json(derived / "manifest.json")
     assert other.pop("derived_from") == base.parent.name
     for name in ("collect_s", "samples_dropped", "times_relocated"):
-        own.pop(name, None), other.pop(name, None)
+        own.pop(name, None)
+        other.pop(name, None)
     assert other == own
     check_recording(derived)
     if "--drive.samples" not in change:
