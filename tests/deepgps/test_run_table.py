@@ -21,7 +21,7 @@ def make_run(home: Path, overrides: dict, rms_m: float | None = None, age_s: flo
         if rms_m is not None:
             write_json(home / folder / "metrics.json", {"methods": {"knn": {"rms_m": rms_m, "median_m": 0.02}}})
     for path in (home / folder).glob("*.*"):
-        os.utime(path, (time.time() - age_s,) * 2)
+        os.utime(path, (time.time() - age_s, time.time() - age_s))
     return folder.name
 
 

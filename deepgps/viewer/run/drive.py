@@ -119,7 +119,8 @@ def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarra
     seen, indexes = seen[::step], drive_index(time[::step], recording)
     if recording.kind == "polar_image":
         polar = recording.observation
-        warp = playback.make_warp(_camera(recording), *polar.shape[1:3], ROUND_PX)
+        _, rings, sectors, _ = polar.shape
+        warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
         _log_pictures(stream, "polar", (np.asarray(polar[number]) for number in seen), indexes)
         rounds = (playback.warp_round(np.asarray(polar[number]), warp) for number in seen)
         _log_pictures(stream, "fisheye", rounds, indexes)
