@@ -2,7 +2,7 @@
 BIN := .venv/bin
 export PYTHON TORCH_INDEX
 
-.PHONY: setup setup-dev demo tiny test faults check format dist clean
+.PHONY: setup setup-dev demo tiny test docs faults check format dist clean
 
 setup:  ## .venv with this project and what running needs; system packages where something is missing
 	@.ci/setup
@@ -18,6 +18,9 @@ tiny: setup  ## the same, small: under a minute
 
 test: setup-dev
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder  # one worker a file: what its tests share is made once
+
+docs: setup-dev  ## the documentation, in build/docs; warnings are errors
+	$(BIN)/sphinx-build -W --keep-going -q docs build/docs
 
 faults: setup-dev  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
 	$(BIN)/python -m tests.faults --out docs/faults.md

@@ -1,0 +1,44 @@
+"""Configuration of the documentation site; ``make docs`` builds it into build/docs."""
+
+import os
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+from sphinx.application import Sphinx
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+os.environ.setdefault("MUJOCO_GL", "off")  # modules are imported for their docstrings; nothing is rendered
+
+from docs.generate import fill_in
+
+project = "DeepGPS testbed"
+author = "The DeepGPS testbed developers"
+project_copyright = author
+version = release = version_of("deepgps")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["examples"]
+myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
+myst_heading_anchors = 3
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+default_role = "any"
+copybutton_prompt_text = "$ "
+
+html_theme = "furo"
+html_title = f"DeepGPS testbed {release}"
+html_static_path = ["_static"]
+html_css_files = ["style.css"]
+html_show_sphinx = False
+
+
+def setup(app: Sphinx) -> None:
+    """Fill in the parts of pages that come from the code."""
+    app.connect("source-read", lambda _app, _page, source: source.__setitem__(0, fill_in(source[0])))

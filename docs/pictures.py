@@ -1,0 +1,180 @@
+"""Draw the pictures of the page "Concepts" from a run of the scenario ``quick``.
+
+``.venv/bin/deepgps run quick --out runs/quick``, then ``.venv/bin/python docs/pictures.py runs/quick``.
+"""
+
+import sys
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from sim.sensors.gl import choose_backend
+
+choose_backend()  # before anything imports mujoco
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deepgps.alignment import fit_alignment
+from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.segment_errors import reckon_path
+from deepgps.figures.field_plot import add_scale, draw_field, draw_room
+from deepgps.figures.run_figures import read_histories
+from deepgps.figures.style import PAPER, count_by_decades, to_png
+from deepgps.learning.trainer import use_threads
+from deepgps.learning.training_data import prepare
+from deepgps.methods.catalog import colour_of
+from deepgps.methods.deepgps import make_initial_map, take_sample
+from deepgps.methods.fit import fit_method
+from deepgps.run_folder import open_run
+from deepgps.scenario import Scenario
+from deepgps.settings import LearnSettings
+from deepgps.viewer.playback import colours_of_places
+from sim.files import read_arrays, write_bytes
+from sim.recording.format import Recording, Truth, open_recording, open_truth
+from sim.robot.world import RoomWorld
+from sim.sensors.fisheye import Fisheye
+
+PICTURES = Path(__file__).parent / "pictures"
+ROUND_PX = 480
+TURN_SECTORS = 32
+"""Sectors that the robot turns left by in the picture of the camera: a quarter turn."""
+
+
+def draw_all(run: Path) -> None:
+    """Draw every picture from a run of ``quick``."""
+    scenario, recording, truth = open_run(run), open_recording(run / "recording"), open_truth(run / "recording")
+    figures = {
+        "camera": draw_camera(scenario, truth),
+        "segments": draw_segments(recording, truth),
+        "map": draw_maps(run, scenario, recording, truth),
+        "fold": draw_fold(run, scenario, recording, truth),
+        "error_field": draw_errors(run, truth),
+    }
+    for name, figure in figures.items():
+        write_bytes(PICTURES / f"{name}.png", to_png(figure))
+
+
+def draw_camera(scenario: Scenario, truth: Truth) -> Figure:
+    """The round image, the polar image, and the polar image after a quarter turn, all rendered."""
+    world = RoomWorld(scenario.sim)
+    pose = truth.pose[4000]
+    turned = pose + [0.0, 0.0, 2 * np.pi * TURN_SECTORS / scenario.camera.sectors]
+    with Fisheye(world.model, scenario.camera) as fisheye:
+        world.place(pose)
+        image, before = fisheye.round(world.data, ROUND_PX), fisheye.polar(world.data)
+        world.place(turned)
+        after = fisheye.polar(world.data)
+    figure = Figure(figsize=(11, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1, 1.75])
+    left.imshow(image)
+    left.set_title("the camera's image", loc="left", fontsize=12)
+    left.text(0.5, 1.0, "ahead", transform=left.transAxes, ha="center", va="top", fontsize=9, color="#ffffff")
+    left.set_axis_off()
+    right.set_axis_off()
+    titles = ("polar image: zenith at the top, once around the robot", "the same after a quarter turn to the left")
+    for picture, title, bottom in zip((before, after), titles, (0.53, 0.0), strict=True):
+        axes = right.inset_axes((0.0, bottom, 1.0, 0.42))
+        axes.imshow(picture, aspect="auto", interpolation="nearest")
+        axes.set_title(title, loc="left", fontsize=12)
+        axes.set_axis_off()
+        moved = (0 if picture is before else -TURN_SECTORS) % scenario.camera.sectors
+        axes.axvline(moved + (0.5 if not moved else -0.5), color="#ffffff", lw=2, ls=":")
+        axes.text(moved + 1.5, 2.5, "ahead before the turn", color="#ffffff", fontsize=9, va="center", ha="left" if not moved else "left")
+    return figure
+
+
+def draw_segments(recording: Recording, truth: Truth) -> Figure:
+    """The true path and the dead-reckoned one, with one segment and its readings marked."""
+    figure = Figure(figsize=(11, 4.1), layout="constrained")
+    paths = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
+    segment = recording.reading[:, 0]
+    marked = np.flatnonzero(segment == segment[np.linspace(0, len(segment) - 1, 5).astype(int)[3]])
+    length = np.linalg.norm(paths[0][marked[-1]] - paths[0][marked[0]])
+    titles = ("where the robot drove", "the same path, dead-reckoned from the wheels")
+    grid = figure.subplots(1, 2, sharex=True, sharey=True)
+    for axes, path, title in zip(grid, paths, titles, strict=True):
+        draw_room(axes, truth.free_space, PAPER)
+        axes.plot(*path.T, color="#8a94a6", lw=0.5)
+        axes.plot(*path[marked].T, "o-", color="#e8254f", ms=3.5, lw=1.5)
+        axes.set_title(title, loc="left", fontsize=12)
+        axes.label_outer()
+    low, high = paths[1].min(axis=0) - 0.2, paths[1].max(axis=0) + 0.2
+    grid[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+    grid[0].set_title(f"one segment: {len(marked)} readings, {length:.2f} m", loc="right", fontsize=10, color="#e8254f")
+    return figure
+
+
+def draw_maps(run: Path, scenario: Scenario, recording: Recording, truth: Truth) -> Figure:
+    """The initial map, and the network's map at three steps of the training."""
+    history = read_histories(run)["deepgps"]
+    data = prepare(recording, scenario.learn, scenario.seed, run)
+    sample = take_sample(data)
+    with use_threads(1):
+        initial = make_initial_map(sample, "paths", scenario.seed, 0).numpy()
+    mapped = np.isfinite(initial).all(axis=1)
+    place = truth.pose[history["snapshot_index"], :2]
+    maps = [("1. initial map, without a network", initial[mapped], truth.pose[sample.chosen.numpy()[mapped], :2])]
+    for number, words in ((0, "before training"), (3, "imitating"), (-1, "the result")):
+        step = int(history["snapshot_step"][number])
+        maps.append((f"network at step {step}: {words}", history["snapshot"][number].astype(float), place))
+    figure = Figure(figsize=(11, 7.0), layout="constrained")
+    for axes, (title, points, true) in zip(figure.subplots(2, 2, sharex=True, sharey=True).flat, maps, strict=True):
+        scatter(axes, truth, fit_alignment(points, true, "E2").apply(points), true)
+        axes.set_title(title, loc="left", fontsize=12)
+        axes.label_outer()
+    return figure
+
+
+def draw_fold(run: Path, scenario: Scenario, recording: Recording, truth: Truth) -> Figure:
+    """The run's map, its mirror image, and a map that a random start has folded."""
+    learn = LearnSettings.model_validate({**scenario.learn.model_dump(), "start": "random"})
+    with TemporaryDirectory() as folder:
+        fit_method("deepgps", recording, learn, scenario.seed, Path(folder) / "deepgps")
+        folded = read_arrays(Path(folder) / "deepgps" / "history.npz")
+    history = read_histories(run)["deepgps"]
+    place = truth.pose[history["snapshot_index"], :2]
+    right = fit_alignment(history["snapshot"][-1], place, "E2").apply(history["snapshot"][-1].astype(float))
+    wrong = fit_alignment(folded["snapshot"][-1], place, "E2").apply(folded["snapshot"][-1].astype(float))
+    maps = {"right": right, "mirrored: as good": right * [-1, 1], "folded: a failure (random start)": wrong}
+    figure = Figure(figsize=(11, 2.9), layout="constrained")
+    for axes, (title, points) in zip(figure.subplots(1, 3, sharex=True, sharey=True), maps.items(), strict=True):
+        axes.scatter(*points.T, s=4, c=colours_of_places(place) / 255, linewidths=0)
+        axes.set(aspect="equal", xticks=[], yticks=[])
+        axes.set_title(title, loc="left", fontsize=12)
+    return figure
+
+
+def draw_errors(run: Path, truth: Truth) -> Figure:
+    """The error field, and the distribution of its errors with RMS, median and maximum."""
+    field = read_fields(run)["deepgps"]
+    figure = Figure(figsize=(11, 4.1), layout="constrained")
+    left, right = figure.subplots(1, 2, width_ratios=[1.9, 1])
+    draw_field(left, truth.free_space, field)
+    left.set_title("error field: DeepGPS, scenario quick", loc="left", fontsize=12)
+    add_scale(figure, [left])
+    error = np.sort(100 * field.error)
+    right.plot(error, 100 * np.arange(1, len(error) + 1) / len(error), color=colour_of("deepgps"), lw=2)
+    marks = {"median": np.median(error), "RMS": np.sqrt(np.mean(error**2)), "max": error[-1]}
+    for name, value in marks.items():
+        right.axvline(value, color="#8a94a6", lw=1, ls="--")
+        right.text(value, 4, f" {name} {value:.1f} cm", rotation=90, va="bottom", ha="right", fontsize=9.5)
+    right.set(xscale="log", xlabel="error of the worst heading [cm]", ylabel="test positions with less [%]", ylim=(0, 101))
+    count_by_decades(right.xaxis)
+    right.set_title("the same errors, sorted", loc="left", fontsize=12)
+    right.grid(alpha=0.25)
+    return figure
+
+
+def scatter(axes: Axes, truth: Truth, points: np.ndarray, place: np.ndarray) -> None:
+    """Draw a map's points (n, 2) [m] over the floor, in the colours of their true places (n, 2) [m]."""
+    draw_room(axes, truth.free_space, PAPER)
+    axes.scatter(*points.T, s=5, c=colours_of_places(place) / 255, linewidths=0)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    draw_all(Path(sys.argv[1]))
