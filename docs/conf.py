@@ -26,6 +26,7 @@ extensions = [
 exclude_patterns = ["examples"]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+napoleon_use_rtype = False
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
@@ -37,6 +38,7 @@ html_title = f"DeepGPS testbed {release}"
 html_static_path = ["_static"]
 html_css_files = ["style.css"]
 html_show_sphinx = False
+html_copy_source = False
 
 
 def setup(app: Sphinx) -> None:

@@ -97,7 +97,11 @@ def _describe_fields(group: type[Group], prefix: str, label: str = "") -> Iterat
         details = schema["properties"][key]
         if "$ref" in details and group is not Study:  # a group, which has a section of its own
             continue
-        default = "none, it must be given" if field.is_required() else f"`{_as_yaml(field.get_default(call_default_factory=True))}`"
+        default = (
+            "none, it must be given"
+            if field.is_required()
+            else f"`{_as_yaml(field.get_default(call_default_factory=True))}`"
+        )
         yield (
             f"````{{confval}} {label}{prefix}{key}\n:type: {_name_type(key, details)}\n:default: {default}\n\n"
             f"{_markdown(documented[key])}\n````\n"
@@ -137,7 +141,9 @@ def _as_yaml(value: Any) -> str:
         return "{}"
     if isinstance(value, tuple):
         return f"[{', '.join(map(_as_yaml, value))}]"
-    return {None: "null", True: "true", False: "false"}[value] if value is None or isinstance(value, bool) else str(value)
+    return (
+        {None: "null", True: "true", False: "false"}[value] if value is None or isinstance(value, bool) else str(value)
+    )
 
 
 def _read_docstrings(group: type[Group]) -> dict[str, str]:
@@ -146,7 +152,9 @@ def _read_docstrings(group: type[Group]) -> dict[str, str]:
     for kind in reversed(group.__mro__):
         if kind.__module__.partition(".")[0] in {"sim", "deepgps"}:
             attributes = ModuleAnalyzer.for_module(kind.__module__).find_attr_docs()
-            found |= {key: " ".join(lines).strip() for (owner, key), lines in attributes.items() if owner == kind.__name__}
+            found |= {
+                key: " ".join(lines).strip() for (owner, key), lines in attributes.items() if owner == kind.__name__
+            }
     return found
 
 

@@ -4,6 +4,7 @@
 """
 
 import sys
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +18,7 @@ import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 
 from deepgps.alignment import fit_alignment
 from deepgps.evaluation.error_field import read_fields
@@ -34,6 +36,7 @@ from deepgps.scenario import Scenario
 from deepgps.settings import LearnSettings
 from deepgps.viewer.playback import colours_of_places
 from sim.files import read_arrays, write_bytes
+from sim.occupancy import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from sim.robot.world import RoomWorld
 from sim.sensors.fisheye import Fisheye
@@ -42,6 +45,8 @@ PICTURES = Path(__file__).parent / "pictures"
 ROUND_PX = 480
 TURN_SECTORS = 32
 """Sectors that the robot turns left by in the picture of the camera: a quarter turn."""
+SEGMENTS = 150
+"""Segments, from the start, in the picture of the path."""
 
 
 def draw_all(run: Path) -> None:
@@ -55,13 +60,21 @@ def draw_all(run: Path) -> None:
         "error_field": draw_errors(run, truth),
     }
     for name, figure in figures.items():
-        write_bytes(PICTURES / f"{name}.png", to_png(figure))
+        write_bytes(PICTURES / f"{name}.png", reduce(to_png(figure)))
+
+
+def reduce(png: bytes) -> bytes:
+    """The picture in 256 colours, a third of its size."""
+    buffer = BytesIO()
+    Image.open(BytesIO(png)).convert("RGB").quantize(256).save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
 
 
 def draw_camera(scenario: Scenario, truth: Truth) -> Figure:
     """The round image, the polar image, and the polar image after a quarter turn, all rendered."""
     world = RoomWorld(scenario.sim)
-    pose = truth.pose[4000]
+    middle = truth.pose[:, :2].mean(axis=0)
+    pose = truth.pose[np.linalg.norm(truth.pose[:, :2] - middle, axis=1).argmin()]
     turned = pose + [0.0, 0.0, 2 * np.pi * TURN_SECTORS / scenario.camera.sectors]
     with Fisheye(world.model, scenario.camera) as fisheye:
         world.place(pose)
@@ -72,39 +85,43 @@ def draw_camera(scenario: Scenario, truth: Truth) -> Figure:
     left, right = figure.subplots(1, 2, width_ratios=[1, 1.75])
     left.imshow(image)
     left.set_title("the camera's image", loc="left", fontsize=12)
-    left.text(0.5, 1.0, "ahead", transform=left.transAxes, ha="center", va="top", fontsize=9, color="#ffffff")
-    left.set_axis_off()
-    right.set_axis_off()
+    left.text(0.5, 0.98, "ahead", transform=left.transAxes, ha="center", va="top", fontsize=10, color="#ffffff")
     titles = ("polar image: zenith at the top, once around the robot", "the same after a quarter turn to the left")
-    for picture, title, bottom in zip((before, after), titles, (0.53, 0.0), strict=True):
+    shifts = (0, -TURN_SECTORS % scenario.camera.sectors)
+    for picture, title, shift, bottom in zip((before, after), titles, shifts, (0.53, 0.0), strict=True):
         axes = right.inset_axes((0.0, bottom, 1.0, 0.42))
         axes.imshow(picture, aspect="auto", interpolation="nearest")
         axes.set_title(title, loc="left", fontsize=12)
+        axes.axvline(shift, color="#ffffff", lw=2, ls=":")
+        axes.text(shift + 1.5, 29, "ahead before the turn", color="#ffffff", fontsize=10, va="center")
         axes.set_axis_off()
-        moved = (0 if picture is before else -TURN_SECTORS) % scenario.camera.sectors
-        axes.axvline(moved + (0.5 if not moved else -0.5), color="#ffffff", lw=2, ls=":")
-        axes.text(moved + 1.5, 2.5, "ahead before the turn", color="#ffffff", fontsize=9, va="center", ha="left" if not moved else "left")
+    for axes in (left, right):
+        axes.set_axis_off()
     return figure
 
 
 def draw_segments(recording: Recording, truth: Truth) -> Figure:
     """The true path and the dead-reckoned one, with one segment and its readings marked."""
-    figure = Figure(figsize=(11, 4.1), layout="constrained")
-    paths = truth.pose[recording.reading[:, 1], :2], reckon_path(recording, truth.pose)
-    segment = recording.reading[:, 0]
-    marked = np.flatnonzero(segment == segment[np.linspace(0, len(segment) - 1, 5).astype(int)[3]])
+    some = recording.reading[:, 0] < SEGMENTS
+    segment = recording.reading[some, 0]
+    paths = truth.pose[recording.reading[some, 1], :2], reckon_path(recording, truth.pose)[some]
+    marked = np.flatnonzero(segment == np.bincount(segment).argmax())
     length = np.linalg.norm(paths[0][marked[-1]] - paths[0][marked[0]])
-    titles = ("where the robot drove", "the same path, dead-reckoned from the wheels")
+    titles = (
+        f"where the robot drove; one segment: {len(marked)} readings, {length:.2f} m",
+        "the same path, dead-reckoned from the wheels",
+    )
+    figure = Figure(figsize=(11, 4.3), layout="constrained")
     grid = figure.subplots(1, 2, sharex=True, sharey=True)
     for axes, path, title in zip(grid, paths, titles, strict=True):
         draw_room(axes, truth.free_space, PAPER)
-        axes.plot(*path.T, color="#8a94a6", lw=0.5)
-        axes.plot(*path[marked].T, "o-", color="#e8254f", ms=3.5, lw=1.5)
-        axes.set_title(title, loc="left", fontsize=12)
+        axes.plot(*path.T, color="#5b6b85", lw=0.6)
+        axes.plot(*path[marked].T, "o-", color="#e8254f", ms=3, lw=1.5)
+        axes.set_title(title, loc="left", fontsize=11)
         axes.label_outer()
-    low, high = paths[1].min(axis=0) - 0.2, paths[1].max(axis=0) + 0.2
+    corners = np.concatenate([np.stack(limits(truth.free_space)), *paths])
+    low, high = corners.min(axis=0) - 0.1, corners.max(axis=0) + 0.1
     grid[0].set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    grid[0].set_title(f"one segment: {len(marked)} readings, {length:.2f} m", loc="right", fontsize=10, color="#e8254f")
     return figure
 
 
@@ -118,9 +135,10 @@ def draw_maps(run: Path, scenario: Scenario, recording: Recording, truth: Truth)
     mapped = np.isfinite(initial).all(axis=1)
     place = truth.pose[history["snapshot_index"], :2]
     maps = [("1. initial map, without a network", initial[mapped], truth.pose[sample.chosen.numpy()[mapped], :2])]
-    for number, words in ((0, "before training"), (3, "imitating"), (-1, "the result")):
+    steps = ((0, "2. the network before training"), (3, "3. imitating it"), (-1, "4. refined by distances"))
+    for number, words in steps:
         step = int(history["snapshot_step"][number])
-        maps.append((f"network at step {step}: {words}", history["snapshot"][number].astype(float), place))
+        maps.append((f"{words}, step {step}", history["snapshot"][number].astype(float), place))
     figure = Figure(figsize=(11, 7.0), layout="constrained")
     for axes, (title, points, true) in zip(figure.subplots(2, 2, sharex=True, sharey=True).flat, maps, strict=True):
         scatter(axes, truth, fit_alignment(points, true, "E2").apply(points), true)
@@ -161,8 +179,11 @@ def draw_errors(run: Path, truth: Truth) -> Figure:
     marks = {"median": np.median(error), "RMS": np.sqrt(np.mean(error**2)), "max": error[-1]}
     for name, value in marks.items():
         right.axvline(value, color="#8a94a6", lw=1, ls="--")
-        right.text(value, 4, f" {name} {value:.1f} cm", rotation=90, va="bottom", ha="right", fontsize=9.5)
-    right.set(xscale="log", xlabel="error of the worst heading [cm]", ylabel="test positions with less [%]", ylim=(0, 101))
+        side = "right" if name == "max" else "left"
+        right.text(value, 4, f" {name} {value:.1f} cm ", rotation=90, va="bottom", ha=side, fontsize=9.5)
+    right.set(
+        xscale="log", xlabel="error of the worst heading [cm]", ylabel="test positions with less [%]", ylim=(0, 101)
+    )
     count_by_decades(right.xaxis)
     right.set_title("the same errors, sorted", loc="left", fontsize=12)
     right.grid(alpha=0.25)

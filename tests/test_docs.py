@@ -1,0 +1,158 @@
+"""The documentation: its commands run, its code works, its tables are complete, its generated parts say everything."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from deepgps.cli import COMMANDS
+from deepgps.evaluation.error_field import read_fields
+from deepgps.methods.catalog import METHODS
+from deepgps.scenario import Scenario, names_in
+from deepgps.studies.study import Study
+from docs.generate import describe_commands, describe_settings, describe_study, list_groups
+from sim.files import read_json
+from sim.paths import SCENARIOS, STUDIES
+from sim.settings import EncoderSettings
+from tests.helpers.pages import PAGES, ROOT, Reader, find_blocks
+
+RUN = {"bash", "python", "yaml"}
+SHOWN = {"text", "xml", "bibtex"}
+"""Languages that are only shown; an xml block is a file that a command reads."""
+FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
+    return Reader(tmp_path_factory.mktemp("reader"))
+
+
+@pytest.fixture(scope="module")
+def demo(reader: Reader) -> Path:
+    reader.deepgps(["run", "living_room", "--out", "runs/demo"], "demo")
+    return reader.folder / "runs" / "demo"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_block_of_a_page_runs(page: Path, reader: Reader) -> None:
+    for block in find_blocks(page):
+        assert block.language in RUN | SHOWN, block.place
+        reader.follow(block)
+
+
+def test_a_page_s_blocks_are_found_with_their_languages_and_without_indents(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "how-to" / "study.md"
+    assert [block.language for block in find_blocks(page)][:3] == ["bash", "yaml", "bash"]
+    inner = [block.text for block in find_blocks(ROOT / "README.md") if "tiny --out" in block.text]
+    assert inner == ["deepgps run tiny --out runs/first && deepgps view runs/first\n"]
+
+
+def test_the_readme_is_a_door() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 150
+    links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if "://" not in link]
+    assert links and not [link for link in links if not (ROOT / link).exists()]
+
+
+def test_every_setting_is_described_with_its_default() -> None:
+    page = describe_settings()
+    described = dict(re.findall(r"\{confval\} (\S+)\n:type: .+\n:default: `(.*)`\n\n\S", page))
+    defaults = {
+        f"{name}.{key}".lstrip("."): value
+        for name, group in list_groups(Scenario)
+        for key, value in group().model_dump(mode="json").items()
+        if not isinstance(value, dict)
+    }
+    assert {name: yaml.safe_load(text) for name, text in described.items()} == defaults
+
+
+def test_limits_and_choices_of_settings_are_told() -> None:
+    page = describe_settings()
+    assert "confval} encoder.ticks_per_rev\n:type: integer, 4 to 65,536\n" in page
+    assert "confval} drive.speed_mps\n:type: number, more than 0.01, at most 0.5\n" in page
+    assert "confval} room.width_m\n:type: number, 2 to 30 or `null`\n" in page
+    assert all(f"`{method}`" in page for method in METHODS)
+
+
+def test_every_key_of_a_study_is_described() -> None:
+    assert set(re.findall(r"confval\} study\.(\S+)", describe_study())) == set(Study.model_fields)
+
+
+def test_every_command_is_described_by_its_own_help() -> None:
+    page = describe_commands()
+    for command in COMMANDS:
+        assert re.search(rf"^## `deepgps {command}`\n\n````text\nusage: deepgps {command}", page, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("page", "names"),
+    [
+        ("how-to/run.md", names_in(SCENARIOS)),
+        ("how-to/run.md", list(METHODS)),
+        ("how-to/study.md", names_in(STUDIES)),
+        (
+            "how-to/encoder-faults.md",
+            [f"encoder.{name}" for name in EncoderSettings.model_fields if name != "rounding"],
+        ),
+    ],
+    ids=["scenarios", "methods", "studies", "encoder faults"],
+)
+def test_a_table_of_names_is_complete(page: str, names: list[str]) -> None:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    assert not [name for name in names if f"`{name}`" not in text]
+
+
+@pytest.mark.slow
+def test_every_file_of_a_run_is_in_the_page_of_formats(demo: Path) -> None:
+    paths = [path.relative_to(demo).as_posix() for path in demo.rglob("*") if path.is_file()]
+    names = {re.sub(r"^recording/", "", path) for path in paths}
+    names = {re.sub("(?<=/)fisheye(?=[._])", "<sensor>", name) for name in names}
+    parts = {part for name in names for part in (name, name.rpartition("/")[2], f"{name.partition('/')[0]}/")}
+    known = {part for part in parts if f"`{part}`" in FORMATS} | {f"{method}/" for method in METHODS}
+    lost = [
+        name
+        for name in names
+        if not {name, name.rpartition("/")[2]} & known and not name.startswith(("features/", "figures/"))
+    ]
+    assert len(names) > 20 and lost == []
+
+
+@pytest.mark.slow
+def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(demo: Path) -> None:
+    rows = dict(re.findall(r"^\| `(\S+\.npy)` \| (\(.*?\) \w+) \|", FORMATS, re.MULTILINE))
+    paths = [path for path in (demo / "recording").rglob("*.npy") if path.parent.name != "test"]
+    for path in paths:
+        name = path.relative_to(demo / "recording").as_posix().replace("fisheye", "<sensor>")
+        if name == "observations/<sensor>.npy":
+            continue  # by kind: below
+        array = np.load(path, mmap_mode="r")
+        shape, kind = rows[name].rsplit(" ", 1)
+        assert (len(shape.split(",")) - shape.endswith(",)"), kind) == (array.ndim, str(array.dtype)), name
+    images = np.load(demo / "recording" / "observations" / "fisheye.npy", mmap_mode="r")
+    assert (images.ndim, images.dtype) == (4, np.uint8) and "(N, rings, sectors, 3) uint8" in FORMATS
+
+
+@pytest.mark.slow
+def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(demo: Path) -> None:
+    metrics, manifest = read_json(demo / "metrics.json"), read_json(demo / "recording" / "manifest.json")
+    first, *_ = metrics["methods"].values()
+    nested = {f"{key}.{inner}" for key in ("test", "coverage", "trajectory", "distances") for inner in metrics[key]}
+    fold = {f"fold.{inner}" for inner in first["fold"]}
+    own = {"samples_dropped", "times_relocated", "images_drawn_twice", "images_that_differed", "renderer_deaths"}
+    named = {"schema", "sensors", "settings", "sha256", "odometry", "samples", "segments", "readings", "seed"}
+    wanted = {*metrics, *nested, *first, *fold, *manifest} - {"test", "coverage", "trajectory", "distances", "fold"}
+    wanted -= {"methods", "checksum", *own}
+    assert named <= wanted
+    assert sorted(key for key in wanted if f"`{key}`" not in FORMATS) == []
+
+
+@pytest.mark.slow
+def test_the_error_field_is_as_the_page_of_formats_says(demo: Path) -> None:
+    field = np.load(demo / "error_field.npz")
+    (cells, _), (headings,) = field["truth"].shape, field["heading"].shape
+    assert field["deepgps"].shape == (cells, headings, 2)
+    worst = np.linalg.norm(field["deepgps"] - field["truth"][:, None], axis=-1).max(axis=1)
+    np.testing.assert_allclose(worst, read_fields(demo)["deepgps"].error)
