@@ -1,18 +1,12 @@
 """Draw the pictures of the page "Concepts" from a run of the scenario ``quick``.
 
-``.venv/bin/deepgps run quick --out runs/quick``, then ``.venv/bin/python docs/pictures.py runs/quick``.
+``.venv/bin/deepgps run quick --out runs/quick``, then ``.venv/bin/python -m docs.pictures runs/quick``.
 """
 
 import sys
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-
-from sim.sensors.gl import choose_backend
-
-choose_backend()  # before anything imports mujoco
 
 import numpy as np
 import torch
@@ -38,8 +32,7 @@ from deepgps.viewer.playback import colours_of_places
 from sim.files import read_arrays, write_bytes
 from sim.occupancy import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
-from sim.robot.world import RoomWorld
-from sim.sensors.fisheye import Fisheye
+from sim.sensors.gl import choose_backend
 
 PICTURES = Path(__file__).parent / "pictures"
 ROUND_PX = 480
@@ -72,6 +65,10 @@ def reduce(png: bytes) -> bytes:
 
 def draw_camera(scenario: Scenario, truth: Truth) -> Figure:
     """The round image, the polar image, and the polar image after a quarter turn, all rendered."""
+    choose_backend()  # before mujoco is imported
+    from sim.robot.world import RoomWorld
+    from sim.sensors.fisheye import Fisheye
+
     world = RoomWorld(scenario.sim)
     middle = truth.pose[:, :2].mean(axis=0)
     pose = truth.pose[np.linalg.norm(truth.pose[:, :2] - middle, axis=1).argmin()]

@@ -22,6 +22,7 @@ from deepgps.progress import ignore
 from deepgps.scenario import load_scenario
 from deepgps.studies.study import load_study, plan_runs
 from tests.helpers.command import deepgps_here
+from tests.helpers.live_server import serve_grpc
 from tests.helpers.small_study import SCENARIO
 
 ROOT = Path(__file__).parents[2]
@@ -136,14 +137,16 @@ class Reader:
         with chdir(self.folder):
             arguments, _ = parse_scenario(stage, words, None)
         words[0] = SMALL
-        if arguments.live is not None:  # no window here: it streams to an address where nothing listens
-            del words[words.index("--live") : len(words) if arguments.live == () else words.index("--live") + 2]
-            words += ["--live", "127.0.0.1:9"]
+        if arguments.live is not None:
+            at = words.index("--live")
+            del words[at : at + 1 + len(arguments.live)]
+            with serve_grpc("--serve-grpc") as (address, _):  # a viewer without a window
+                return self.call([stage, *words, "--live", address, "--out", f"runs/live-{len(self.done)}"], place)
         out = arguments.out
         if out is not None:
             at = words.index("--out")
             del words[at : at + 2]
-        elif not {"--methods", "--live"} & set(words):
+        elif "--methods" not in words:
             stage = "collect"
         key = (stage, *words)
         made = self.folder / (out or Path("runs") / f"small-{len(self.done)}")
@@ -161,7 +164,7 @@ class Reader:
             plan_runs(study, ignore)
             self.write_small_study(arguments.study)
         small = SMALL_STUDY[arguments.study]
-        folder = self.folder / "runs" / "studies" / study.name
+        folder = self.folder / "runs" / "studies" / Path(arguments.study).stem
         if self.done.setdefault(("study", *small), folder) == folder and not folder.exists():
             self.call(["study", *small, "--out", str(folder.relative_to(self.folder))], place)
 
@@ -212,9 +215,9 @@ class Reader:
 
     def execute(self, block: Block) -> None:
         """Execute Python code; what it reads has been made before."""
-        for path in MADE_EARLIER:
+        for path, words in MADE_EARLIER.items():
             if path in block.text and not (self.folder / path).exists():
-                self.deepgps(MADE_EARLIER[path], block.place)
+                self.deepgps(words, block.place)
         with chdir(self.folder), patch.dict(os.environ):
             exec(compile(block.text, block.place, "exec"), {"__name__": "__main__"})
 
