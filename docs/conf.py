@@ -27,10 +27,12 @@ exclude_patterns = ["examples"]
 myst_enable_extensions = ["attrs_inline", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
 napoleon_use_rtype = False
+napoleon_use_ivar = True
+autodoc_default_options = {"exclude-members": "model_config"}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented"
-default_role = "any"
+default_role = "literal"
 copybutton_prompt_text = "$ "
 
 html_theme = "furo"

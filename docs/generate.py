@@ -5,23 +5,24 @@ A page has a comment in the place of such a part: ``<!-- generated: settings -->
 
 import os
 import re
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
-from contextlib import redirect_stdout, suppress
 from inspect import cleandoc
-from io import StringIO
+from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 from sphinx.pycode import ModuleAnalyzer
 
 import deepgps
-from deepgps.cli import COMMANDS, main
+from deepgps.cli import COMMANDS
 from deepgps.methods.catalog import METHODS
 from deepgps.scenario import Scenario
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from sim.settings import Group
 
+ROOT = Path(__file__).parents[1]
 Schema = Mapping[str, Any]
 NAMES = {"methods": METHODS, "report": REPORTS}
 """Names that a setting allows, where the JSON schema of the settings does not tell them."""
@@ -82,12 +83,14 @@ def list_groups(group: type[Group], name: str = "") -> Iterator[tuple[str, type[
 
 
 def read_help(*command: str) -> str:
-    """What ``deepgps COMMAND --help`` prints, without colours."""
-    said = StringIO()
-    with patch.dict(os.environ, COLUMNS=str(COLUMNS), NO_COLOR="1"), redirect_stdout(said), suppress(SystemExit):
-        main([*command, "--help"])
-    plain = re.sub(r"\x1b\[[0-9;]*m", "", said.getvalue())
-    return "\n".join(line.rstrip() for line in plain.strip().splitlines())
+    """What ``deepgps COMMAND --help`` prints, without colours.
+
+    In a process of its own, since Sphinx imports modules as a type checker does, after which tyro cannot read them.
+    """
+    words = [sys.executable, "-m", "deepgps.cli", *command, "--help"]
+    environment = {**os.environ, "COLUMNS": str(COLUMNS), "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
+    said = subprocess.run(words, env=environment, check=True, capture_output=True, text=True).stdout
+    return "\n".join(line.rstrip() for line in said.strip().splitlines())
 
 
 def _describe_fields(group: type[Group], prefix: str, label: str = "") -> Iterator[str]:

@@ -19,7 +19,7 @@ from sim.settings import EncoderSettings
 from tests.helpers.pages import PAGES, ROOT, Reader, find_blocks
 
 RUN = {"bash", "python", "yaml"}
-SHOWN = {"text", "xml", "bibtex"}
+SHOWN = {"text", "xml", "toml", "bibtex"}
 """Languages that are only shown; an xml block is a file that a command reads."""
 FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8")
 
