@@ -31,6 +31,7 @@ napoleon_use_ivar = True
 autodoc_default_options = {"exclude-members": "model_config"}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
+autodoc_typehints_format = "short"
 autodoc_typehints_description_target = "documented"
 default_role = "literal"
 copybutton_prompt_text = "$ "
@@ -44,5 +45,6 @@ html_copy_source = False
 
 
 def setup(app: Sphinx) -> None:
-    """Fill in the parts of pages that come from the code."""
+    """Fill in the parts of pages that come from the code, and skip what Python itself says of a tuple's fields."""
+    app.connect("autodoc-skip-member", lambda *details: "Alias for field number" in str(details[3].__doc__) or None)
     app.connect("source-read", lambda _app, _page, source: source.__setitem__(0, fill_in(source[0])))

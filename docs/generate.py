@@ -37,7 +37,8 @@ IN_MODULES = {
 
 
 def fill_in(text: str) -> str:
-    """A page's text with its generated parts."""
+    """A page's text with its generated parts; "RMS / median / max" stays on one line."""
+    text = re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
     parts = {"settings": describe_settings, "study": describe_study, "commands": describe_commands, "api": describe_api}
     return re.sub(r"^<!-- generated: (\w+) -->$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
 
