@@ -25,14 +25,8 @@ FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8
 
 
 @pytest.fixture(scope="module")
-def reader(tmp_path_factory: pytest.TempPathFactory) -> Reader:
-    return Reader(tmp_path_factory.mktemp("reader"))
-
-
-@pytest.fixture(scope="module")
-def demo(reader: Reader) -> Path:
-    reader.deepgps(["run", "living_room", "--out", "runs/demo"], "demo")
-    return reader.folder / "runs" / "demo"
+def reader(tmp_path_factory: pytest.TempPathFactory, finished_run: Path) -> Reader:
+    return Reader(tmp_path_factory.mktemp("reader"), finished_run)
 
 
 @pytest.mark.slow
@@ -107,8 +101,8 @@ def test_a_table_of_names_is_complete(page: str, names: list[str]) -> None:
 
 
 @pytest.mark.slow
-def test_every_file_of_a_run_is_in_the_page_of_formats(demo: Path) -> None:
-    paths = [path.relative_to(demo).as_posix() for path in demo.rglob("*") if path.is_file()]
+def test_every_file_of_a_run_is_in_the_page_of_formats(finished_run: Path) -> None:
+    paths = [path.relative_to(finished_run).as_posix() for path in finished_run.rglob("*") if path.is_file()]
     names = {re.sub(r"^recording/", "", path) for path in paths if not path.startswith("pairs/")}
     names = {re.sub("(?<=/)fisheye(?=[._])", "<sensor>", name) for name in names}
     parts = {part for name in names for part in (name, name.rpartition("/")[2], f"{name.partition('/')[0]}/")}
@@ -122,23 +116,26 @@ def test_every_file_of_a_run_is_in_the_page_of_formats(demo: Path) -> None:
 
 
 @pytest.mark.slow
-def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(demo: Path) -> None:
+def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(finished_run: Path) -> None:
     rows = dict(re.findall(r"^\| `(\S+\.npy)` \| (\(.*?\) \w+) \|", FORMATS, re.MULTILINE))
-    paths = [path for path in (demo / "recording").rglob("*.npy") if path.parent.name != "test"]
+    paths = [path for path in (finished_run / "recording").rglob("*.npy") if path.parent.name != "test"]
     for path in paths:
-        name = path.relative_to(demo / "recording").as_posix().replace("fisheye", "<sensor>")
+        name = path.relative_to(finished_run / "recording").as_posix().replace("fisheye", "<sensor>")
         if name == "observations/<sensor>.npy":
             continue  # by kind: below
         array = np.load(path, mmap_mode="r")
         shape, kind = rows[name].rsplit(" ", 1)
         assert (len(shape.split(",")) - shape.endswith(",)"), kind) == (array.ndim, str(array.dtype)), name
-    images = np.load(demo / "recording" / "observations" / "fisheye.npy", mmap_mode="r")
+    images = np.load(finished_run / "recording" / "observations" / "fisheye.npy", mmap_mode="r")
     assert (images.ndim, images.dtype) == (4, np.uint8) and "(N, rings, sectors, 3) uint8" in FORMATS
 
 
 @pytest.mark.slow
-def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(demo: Path) -> None:
-    metrics, manifest = read_json(demo / "metrics.json"), read_json(demo / "recording" / "manifest.json")
+def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(finished_run: Path) -> None:
+    metrics, manifest = (
+        read_json(finished_run / "metrics.json"),
+        read_json(finished_run / "recording" / "manifest.json"),
+    )
     first, *_ = metrics["methods"].values()
     nested = {f"{key}.{inner}" for key in ("test", "coverage", "trajectory", "distances") for inner in metrics[key]}
     fold = {f"fold.{inner}" for inner in first["fold"]}
@@ -150,9 +147,9 @@ def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(demo: Path)
 
 
 @pytest.mark.slow
-def test_the_error_field_is_as_the_page_of_formats_says(demo: Path) -> None:
-    field = np.load(demo / "error_field.npz")
+def test_the_error_field_is_as_the_page_of_formats_says(finished_run: Path) -> None:
+    field = np.load(finished_run / "error_field.npz")
     (cells, _), (headings,) = field["truth"].shape, field["heading"].shape
     assert field["deepgps"].shape == (cells, headings, 2)
     worst = np.linalg.norm(field["deepgps"] - field["truth"][:, None], axis=-1).max(axis=1)
-    np.testing.assert_allclose(worst, read_fields(demo)["deepgps"].error)
+    np.testing.assert_allclose(worst, read_fields(finished_run)["deepgps"].error)

@@ -21,9 +21,8 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.progress import ignore
 from deepgps.scenario import load_scenario
 from deepgps.studies.study import load_study, plan_runs
-from tests.helpers.command import deepgps_here
+from tests.helpers.command import MINI, deepgps_here
 from tests.helpers.live_server import serve_grpc
-from tests.helpers.small_study import SCENARIO
 
 ROOT = Path(__file__).parents[2]
 GENERATED = ("docs/results", "docs/examples", "docs/faults.md", "docs/tables.md")
@@ -77,13 +76,21 @@ def find_blocks(page: Path) -> Iterator[Block]:
 
 @dataclass
 class Reader:
-    """Someone who types everything that the documentation says into one folder, small; nothing is done twice."""
+    """Someone who types everything that the documentation says into one folder, small; nothing is done twice.
+
+    Attributes:
+        folder: Where everything is typed.
+        finished: A finished run of the small scenario.
+        done: What each command made, if others can use it.
+    """
 
     folder: Path
+    finished: Path
     done: dict[tuple[str, ...], Path | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        (self.folder / SMALL).write_text(f"{SCENARIO}methods: [deepgps, posenet]\n")
+        (self.folder / SMALL).write_text(MINI)
+        self.done["run", SMALL] = self.finished
 
     def follow(self, block: Block) -> None:
         """Do what a block says; raises AssertionError, or what its code raises."""
