@@ -74,6 +74,11 @@ def find_blocks(page: Path) -> Iterator[Block]:
             yield Block(page, text.count("\n", 0, found.start()) + 1, found[2], dedent(found[3]))
 
 
+def is_folder(words: Sequence[str]) -> bool:
+    """Whether a command takes a folder that an earlier one made in place of a scenario."""
+    return bool(words) and words[0].startswith("runs/")
+
+
 @dataclass
 class Reader:
     """Someone who types everything that the documentation says into one folder, small; nothing is done twice.
@@ -123,9 +128,8 @@ class Reader:
         if shlex.join(["deepgps", *words]) in TESTED_ELSEWHERE:
             return
         if "--help" not in words:
-            for path in words[1:] if name == "view" else ():
-                if path in MADE_EARLIER and not (self.folder / path).exists():
-                    self.deepgps(MADE_EARLIER[path], place)
+            if name == "view" or is_folder(words[1:]):
+                self.make_earlier(words, place)
             if name in {"run", "collect", "train", "evaluate"}:
                 return self.run(name, list(words[1:]), place)
             if name == "study":
@@ -143,7 +147,8 @@ class Reader:
         """
         with chdir(self.folder):
             arguments, _ = parse_scenario(stage, words, None)
-        words[0] = SMALL
+        if not is_folder(words):
+            words[0] = SMALL
         if arguments.live is not None:
             at = words.index("--live")
             del words[at : at + 1 + len(arguments.live)]
@@ -222,11 +227,15 @@ class Reader:
 
     def execute(self, block: Block) -> None:
         """Execute Python code; what it reads has been made before."""
-        for path, words in MADE_EARLIER.items():
-            if path in block.text and not (self.folder / path).exists():
-                self.deepgps(words, block.place)
+        self.make_earlier([path for path in MADE_EARLIER if path in block.text], block.place)
         with chdir(self.folder), patch.dict(os.environ):
             exec(compile(block.text, block.place, "exec"), {"__name__": "__main__"})
+
+    def make_earlier(self, paths: Sequence[str], place: str) -> None:
+        """Make those of these paths that earlier pages make, and that are missing because those pages were not read."""
+        for path in paths:
+            if path in MADE_EARLIER and not (self.folder / path).exists():
+                self.deepgps(MADE_EARLIER[path], place)
 
     def environment(self) -> dict[str, str]:
         """This process's environment, in which the project is found from any folder."""
