@@ -35,6 +35,8 @@ NAMED = re.compile(r"(?:#|<!--) (\S+\.(?:yaml|xml|py))(?: -->)?\n")
 
 SMALL = "mini.yaml"
 """The scenario that every long run becomes."""
+SMALLER = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
+"""Settings of runs with settings of their own, which cannot be copies of the finished run."""
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
@@ -153,13 +155,16 @@ class Reader:
             at = words.index("--live")
             del words[at : at + 1 + len(arguments.live)]
             with serve_grpc("--serve-grpc") as (address, _):  # a viewer without a window
-                return self.call([stage, *words, "--live", address, "--out", f"runs/live-{len(self.done)}"], place)
+                folder = f"runs/live-{len(self.done)}"
+                return self.call([stage, *words, *SMALLER, "--live", address, "--out", folder], place)
         out = arguments.out
         if out is not None:
             at = words.index("--out")
             del words[at : at + 2]
         elif "--methods" not in words:
             stage = "collect"
+        if words != [SMALL] and not is_folder(words):
+            words += SMALLER
         key = (stage, *words)
         made = self.folder / (out or Path("runs") / f"small-{len(self.done)}")
         if (before := self.done.get(key)) and before != made:
