@@ -56,9 +56,9 @@ def test_every_setting_is_described_with_its_default() -> None:
     described = dict(re.findall(r"\{confval\} (\S+)\n:type: .+\n:default: `(.*)`\n\n\S", page))
     groups = dict(list_groups(Scenario))
     defaults = {
-        f"{name}.{key}".lstrip("."): value
+        f"{name}.{key}".lstrip("."): list(value) if isinstance(value, tuple) else value
         for name, group in groups.items()
-        for key, value in group().model_dump(mode="json").items()
+        for key, value in group()
         if f"{name}.{key}".lstrip(".") not in groups
     }
     assert {name: yaml.safe_load(text) for name, text in described.items()} == defaults
@@ -90,7 +90,7 @@ def test_every_command_is_described_by_its_own_help() -> None:
         ("how-to/study.md", names_in(STUDIES)),
         (
             "how-to/encoder-faults.md",
-            [f"encoder.{name}" for name in EncoderSettings.model_fields if name != "rounding"],
+            [f"encoder.{name}" for name in EncoderSettings.model_fields if name not in {"rounding", "plugins"}],
         ),
     ],
     ids=["scenarios", "methods", "studies", "encoder faults"],
