@@ -156,6 +156,8 @@ def view_command(words: Sequence[str]) -> None:
     if arguments.port is not None and not arguments.web:
         raise InputError("--port needs --web")
     load_plugins(arguments.plugin)
+    if arguments.screenshot is not None and arguments.web:
+        raise InputError("--screenshot writes one picture and ends; leave out --web")
     from deepgps.viewer.study.read import is_study
     from deepgps.viewer.window.show import view
     from deepgps.viewer.window.web import choose_ports, serve
@@ -163,7 +165,13 @@ def view_command(words: Sequence[str]) -> None:
     for folder in folders:
         if len(folders) == 2 or not is_study(folder):
             open_run(folder)
-    if arguments.web:
+    if arguments.screenshot is not None:
+        from deepgps.viewer.window.screenshot import is_screenshot, write_screenshot
+
+        check_overwrite(arguments.screenshot, is_screenshot)
+        write_screenshot(folders, arguments.screenshot)
+        console.print(f"wrote {arguments.screenshot}", soft_wrap=True)
+    elif arguments.web:
         serve(folders, choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
     else:
         view(folders)

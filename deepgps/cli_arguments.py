@@ -86,6 +86,8 @@ class ViewArguments:
     """Port of the page that --web serves; its data comes from the next port. None: free ports."""
     plugin: Plugins = ()
     """Files of plugins, whose methods then have their titles and colours."""
+    screenshot: Path | None = None
+    """Write a picture of the first tab as PNG instead of opening a window; needs Chromium, or a display."""
 
 
 @dataclass(frozen=True)

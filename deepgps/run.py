@@ -7,7 +7,7 @@ from deepgps.adopted_recording import link_recording
 from deepgps.progress import Report
 from deepgps.run_folder import claim
 from deepgps.scenario import Scenario
-from deepgps.stages import ask_for_device, collect, evaluate, train
+from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
 from deepgps.timing import timed
 from sim.files import is_intact
 
@@ -41,13 +41,19 @@ def run(
 def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.figures.run_figures import draw_figures
+    from deepgps.viewer.run.pictures import PICTURES, choose_views, write_pictures
     from deepgps.viewer.run.recording import write_recording
 
     path = folder / "run.rrd"
     if not is_intact(path):
         with timed(folder, "show"):
-            progress("show", 0, 2)
+            progress("show", 0, 3)
             draw_figures(folder)
-            progress("show", 1, 2)
+            progress("show", 1, 3)
+            if scenario.world == "room" and scenario.observation == "polar_image" and not (folder / PICTURES).is_file():
+                observation, poses = choose_views(folder)
+                if (pictures := draw_views(scenario, poses)) is not None:
+                    write_pictures(folder, observation, pictures)
+            progress("show", 2, 3)
             write_recording(folder)
-            progress("show", 2, 2)
+            progress("show", 3, 3)

@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
@@ -13,7 +15,7 @@ from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario
 from deepgps.shared_drive import find_base
 from deepgps.timing import stage_times, timed
-from sim.errors import DamagedError
+from sim.errors import DamagedError, InputError, WorkError
 from sim.files import drop_sum, read_arrays, read_json, write_json
 from sim.recording.derive import derive
 from sim.recording.format import is_whole
@@ -141,6 +143,20 @@ def read_measured(folder: Path) -> dict[str, Any] | None:
         log.warning("%s; the methods are measured again", error)
         return None
     return metrics
+
+
+def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
+    """Draw large fisheye pictures (n, rows, columns, 3) at poses (n, 3); None if this machine cannot draw the room."""
+    from sim.sensors.gl import choose_backend
+
+    try:
+        choose_backend()
+        from sim.tools.pictures import draw_round
+
+        return draw_round(scenario.sim, poses)
+    except (InputError, WorkError) as error:
+        log.info("the viewer goes without large pictures: %s", error)
+        return None
 
 
 def _record_room(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -51,15 +51,22 @@ class WorstField:
         truth: Test positions (C, 2) [m].
         predicted: Aligned prediction at the heading with the largest error, for each position (C, 2) [m].
         error: Its distance from the truth (C,) [m].
+        heading: That heading (C,) [rad].
     """
 
     truth: np.ndarray
     predicted: np.ndarray
     error: np.ndarray
+    heading: np.ndarray
 
 
 def read_fields(run: Path) -> dict[str, WorstField]:
     """Read error_field.npz: of each position the worst heading decides (paper, Sec. V)."""
+    return {name: find_worst(field) for name, field in read_all_headings(run).items()}
+
+
+def read_all_headings(run: Path) -> dict[str, ErrorField]:
+    """Read error_field.npz with the predictions at every heading; raises InputError if it is missing or damaged."""
     path = run / "error_field.npz"
     if not path.is_file():
         raise InputError(f"{run} is no whole run: error_field.npz is missing")
@@ -71,15 +78,16 @@ def read_fields(run: Path) -> dict[str, WorstField]:
     if missing:
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     methods = (name for name in data if name not in {"truth", "heading"})
-    return name_methods({name: worst_heading(data["truth"], data[name]) for name in methods})
+    fields = {name: ErrorField(data["truth"], data["heading"], data[name]) for name in methods}
+    return name_methods(fields)
 
 
-def worst_heading(truth: np.ndarray, predicted: np.ndarray) -> WorstField:
-    """The error field of predictions (C, H, 2) [m] at ``truth`` (C, 2) [m], with the largest error per position."""
-    error = np.linalg.norm(predicted - truth[:, None], axis=-1)  # (C, H)
-    worst = error.argmax(axis=1)
-    cells = np.arange(len(truth))
-    return WorstField(truth, predicted[cells, worst], error[cells, worst])
+def find_worst(field: ErrorField) -> WorstField:
+    """The error field with the largest error per position."""
+    error = field.error  # (C, H)
+    worst, cells = error.argmax(axis=1), np.arange(len(error))
+    heading = np.broadcast_to(field.heading, error.shape)
+    return WorstField(field.truth, field.predicted[cells, worst], error[cells, worst], heading[cells, worst])
 
 
 MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"

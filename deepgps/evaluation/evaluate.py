@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from deepgps.alignment import Alignment, fit_alignment
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
@@ -33,10 +33,6 @@ from sim.recording.format import (
     open_recording,
     open_truth,
 )
-
-SEEN_WITHIN_M = 0.25
-OFF_CENTRE = 0.25
-"""Distance from the middle of the room, as a fraction of half its extent, from which a part has a direction."""
 
 
 def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
@@ -237,33 +233,6 @@ def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) 
     (right_x, right_y), (up_x, up_y) = (predicted[right] - predicted).T, (predicted[up] - predicted).T
     area = (right_x * up_y - right_y * up_x)[whole]
     return float(min((area > 0).mean(), (area < 0).mean()))
-
-
-def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, Any]:
-    """Count test positions (C, 2) [m], and those with a training sample (N, 2) [m] near enough to have been seen; name
-    the part of the room in which most of the others are."""
-    distance, _ = KDTree(samples).query(cells)
-    seen = distance <= SEEN_WITHIN_M
-    part = name_part(cells, ~seen)
-    return {
-        "reachable_cells": len(cells),
-        "cells_seen": int(seen.sum()),
-        **({"missed": part} if part else {}),
-    }
-
-
-def name_part(cells: np.ndarray, chosen: np.ndarray) -> str | None:
-    """The part of the room, with north along +y, in which the chosen (C,) of the positions (C, 2) [m] lie on average.
-
-    None if there are none, or if they lie all around the middle.
-    """
-    if not chosen.any():
-        return None
-    low, high = cells.min(axis=0), cells.max(axis=0)
-    x, y = (cells[chosen].mean(axis=0) - (low + high) / 2) / np.maximum((high - low) / 2, 1e-9)
-    north = "north" if y > OFF_CENTRE else "south" if y < -OFF_CENTRE else ""
-    east = "east" if x > OFF_CENTRE else "west" if x < -OFF_CENTRE else ""
-    return "-".join(filter(None, (north, east))) or None
 
 
 def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:

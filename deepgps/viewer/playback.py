@@ -74,6 +74,11 @@ def warp_round(polar: np.ndarray, warp: np.ndarray) -> np.ndarray:
     return picture
 
 
+def enlarge(image: np.ndarray, times: int) -> np.ndarray:
+    """An image (rows, columns, 3) with each pixel ``times`` as high and wide."""
+    return np.repeat(np.repeat(image, times, axis=0), times, axis=1)
+
+
 def encode_jpeg(image: np.ndarray) -> bytes:
     """An RGB image (rows, columns, 3) uint8 as JPEG."""
     bgr = np.ascontiguousarray(image[..., ::-1])

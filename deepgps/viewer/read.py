@@ -11,7 +11,7 @@ from deepgps.evaluation.error_field import WorstField
 from sim.errors import InputError
 
 ROW_ID = "rerun.controls.RowId"
-COLUMNS = ("x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m")
+COLUMNS = ("x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg")
 
 
 def open_rrd(path: Path) -> RrdReader:
@@ -39,7 +39,7 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
     Returns:
         A row for each method and test position, for the worst heading at that position: the true position ``x_m`` and
         ``y_m`` [m], the predicted position ``predicted_x_m`` and ``predicted_y_m`` [m], their distance ``error_m`` [m],
-        and ``method``, the name in metrics.json. Positions are rounded to single precision.
+        the heading ``heading_deg`` [deg], and ``method``, the name in metrics.json.
 
     Raises:
         InputError: The file is missing, truncated, a study's recording, or has no error field below ``root``.
@@ -47,7 +47,10 @@ def read_error_table(path: Path, root: str = "world") -> pa.Table:
     fields = _read_fields(path, root)
     if not fields:
         raise InputError(f"{path} has no error field below {root!r}")
-    values = [np.column_stack([field.truth, field.predicted, field.error]) for field in fields.values()]
+    values = [
+        np.column_stack([field.truth, field.predicted, field.error, np.degrees(field.heading)])
+        for field in fields.values()
+    ]
     columns = dict(zip(COLUMNS, np.concatenate(values).T, strict=True))
     methods = [name for name, field in fields.items() for _ in range(len(field.error))]
     return pa.table({**columns, "method": methods})
@@ -99,21 +102,18 @@ def read_entity(path: Path, entity: str) -> pa.Table:
 def _read_fields(path: Path, root: str) -> dict[str, WorstField]:
     """The error fields below an entity by method name, in the order of the file."""
     below = f"/{root}/error_field/"
-    columns: dict[str, dict[str, np.ndarray]] = {}
+    fields, moving = {}, False
     for chunk in open_rrd(path).stream():
         name = chunk.entity_path.removeprefix(below)
-        if chunk.entity_path.startswith(below) and "/" not in name:
-            if chunk.timeline_names:
-                raise InputError(f"{path} has error fields of several runs; read_entity returns them with their times")
-            batch = chunk.to_record_batch()
-            for component in {"Arrows3D:origins", "Arrows3D:vectors"} & set(batch.schema.names):
-                flat = batch.column(component).flatten().flatten().to_numpy()
-                columns.setdefault(name, {})[component] = flat.reshape(-1, 3)[:, :2].astype(float)
-    return {
-        name: _make_field(*(found[f"Arrows3D:{part}"] for part in ("origins", "vectors")))
-        for name, found in columns.items()
-    }
+        if chunk.entity_path.startswith(below):
+            moving |= bool(chunk.timeline_names)
+            if "/" not in name:
+                fields[name] = _make_field(chunk.to_record_batch())
+    if moving:
+        raise InputError(f"{path} has error fields of several runs; read_entity returns them with their times")
+    return fields
 
 
-def _make_field(truth: np.ndarray, error: np.ndarray) -> WorstField:
-    return WorstField(truth, truth + error, np.linalg.norm(error, axis=1))
+def _make_field(batch: pa.RecordBatch) -> WorstField:
+    x, y, *predicted, error, heading = (batch.column(name).flatten().to_numpy() for name in COLUMNS)
+    return WorstField(np.stack([x, y], axis=1), np.stack(predicted, axis=1), error, np.radians(heading))

@@ -34,7 +34,8 @@ def save_recording(
     with stream:
         # Write to memory first: on a full disk, Rerun's own file writer hangs or truncates the file without an error.
         memory = stream.binary_stream()
-        stream.send_blueprint(blueprint, make_active=False, make_default=True)
+        # Active, not only the default: a busy browser may have made a layout of its own before this one arrives.
+        stream.send_blueprint(blueprint, make_active=True, make_default=True)
         stream.send_recording_name(title)
         log(stream)
         stream.flush()

@@ -1,4 +1,4 @@
-"""The static entities below ``world``: the room, its floor plan, the colour scale, the error fields.
+"""The static entities below ``world``: the room, its floor plan, the colour scale.
 
 In a study they change along its timelines: a function with the argument ``at``, places on timelines, logs an entity
 that is valid from these places on.
@@ -10,14 +10,12 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.evaluation.error_field import WorstField
 from deepgps.figures.field_plot import SCALE_M, TICKS_M, colours_of
 from deepgps.viewer import playback
 from sim.occupancy import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale
-DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
 Places = Sequence[rr.TimeColumn]  # one place on each of some timelines
 
 
@@ -97,27 +95,6 @@ def log_strip(
     at = colours[np.rint(share * (STRIP - 1)).astype(int)]
     ticks = rr.Points3D(points, radii=0.015, colors=at, labels=list(labels.values()), show_labels=True)
     stream.log(f"{path}/ticks", ticks, static=True)
-
-
-def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = (), root: str = "world") -> None:
-    """Log arrows from truth to prediction, and a dot at each truth, coloured by error; thin where places are dense."""
-    path, colours = f"{root}/error_field/{name}", colours_of(field.error)
-    thin = find_thinness(field.truth)
-    arrows = rr.Arrows3D(
-        origins=lift(field.truth, LAYER_M),
-        vectors=lift(field.predicted - field.truth, 0.0),
-        colors=colours,
-        radii=0.007 * thin,
-    )
-    put(stream, path, arrows, at)
-    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
-    put(stream, f"{path}/places", dots, at)
-
-
-def find_thinness(places: np.ndarray) -> float:
-    """Factor for the thickness of arrows at places (N, 2) [m]; one if there is room for them."""
-    area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
-    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
 
 
 def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Places = ()) -> None:

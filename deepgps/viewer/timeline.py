@@ -1,7 +1,8 @@
 """The timelines of a run's recording, and rows along them.
 
-The timelines are ``drive_time`` [s], ``step`` of training, and ``progress``, which runs from 0 to ``PROGRESS_END``
-through the drive and the training at the same time.
+The timelines are ``drive_time`` [s], ``step`` of training, ``place``, the number of a worst place, and ``progress``,
+which runs from 0 to ``PROGRESS_END_S`` through the drive, the training and the worst places at the same time, so that
+its slider changes every tab.
 """
 
 from collections.abc import Iterable, Sequence
@@ -11,8 +12,9 @@ import rerun as rr
 
 from sim.recording.format import Recording
 
-DRIVE_TIME, STEP, PROGRESS = "drive_time", "step", "progress"
-PROGRESS_END = 10_000
+DRIVE_TIME, STEP, PLACE, PROGRESS = "drive_time", "step", "place", "progress"
+PROGRESS_END_S = 100.0
+"""Seconds in which the viewer plays everything; a second is one per cent."""
 
 
 def send_series(
@@ -22,20 +24,29 @@ def send_series(
     values: np.ndarray,
     label: str,
     colour: Sequence[int],
+    width: float = 1.5,
 ) -> None:
-    stream.log(path, rr.SeriesLines(colors=[colour], names=label, widths=1.5), static=True)
+    stream.log(path, rr.SeriesLines(colors=[colour], names=label, widths=width), static=True)
     stream.send_columns(path, indexes, rr.Scalars.columns(scalars=np.asarray(values, float)))
 
 
 def drive_index(time: np.ndarray, recording: Recording) -> list[rr.TimeColumn]:
     start, end = recording.time[0], recording.time[-1]
     share = (time - start) / max(end - start, 1e-9)
-    return [rr.TimeColumn(DRIVE_TIME, duration=time), rr.TimeColumn(PROGRESS, sequence=_progress(share))]
+    return [rr.TimeColumn(DRIVE_TIME, duration=time), rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * share)]
 
 
 def step_index(step: np.ndarray, last: int) -> list[rr.TimeColumn]:
-    return [rr.TimeColumn(STEP, sequence=step), rr.TimeColumn(PROGRESS, sequence=_progress(step / last))]
+    return [
+        rr.TimeColumn(STEP, sequence=step),
+        rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * np.asarray(step) / last),
+    ]
 
 
-def _progress(share: np.ndarray) -> np.ndarray:
-    return np.rint(share * PROGRESS_END).astype(np.int64)
+def place_index(count: int) -> list[rr.TimeColumn]:
+    """Rows for the worst places, the worst first; on ``progress`` it is the last."""
+    left = np.arange(count, 0, -1) - 1
+    return [
+        rr.TimeColumn(PLACE, sequence=np.arange(1, count + 1)),
+        rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * left / max(count - 1, 1)),
+    ]

@@ -70,8 +70,6 @@ def assert_one_clear_line(done: CompletedProcess[str], code: int, message: str, 
 
 
 def arrays(run: Path) -> dict[str, bytes]:
-    """Every array of a run, by its path."""
-    kinds = {".npy", ".npz", ".safetensors"}
-    return {
-        path.relative_to(run).as_posix(): path.read_bytes() for path in sorted(run.rglob("*")) if path.suffix in kinds
-    }
+    """Every array of a run, by its path, but for the pictures for people, which not every command draws."""
+    paths = (path for path in sorted(run.rglob("*")) if path.suffix in {".npy", ".npz", ".safetensors"})
+    return {path.relative_to(run).as_posix(): path.read_bytes() for path in paths if path.name != "pictures.npz"}

@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import POLAR_PICTURES
-from deepgps.viewer.run.layout import aim_eye
+from deepgps.viewer.run.layout import aim_eye, arrange, camera_views, field_view, hold_still
 from sim.occupancy import FreeSpace
 
 RUN_TIME = "run_time"
@@ -34,13 +34,8 @@ def make_live_blueprint(
         tabs.append(_training(space, trained, began_s))
     if space and measured:
         tabs.append(_error_fields(space, measured))
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=len(tabs) - 1),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=RUN_TIME, play_state="following"),
-        auto_views=False,
-    )
+    time = rrb.TimePanel(state="collapsed", timeline=RUN_TIME, play_state="following")
+    return arrange(tabs, time, len(tabs) - 1)
 
 
 def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
@@ -53,12 +48,11 @@ def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
         contents=["world/room", "world/drive/**"],
         eye_controls=aim_eye(space, tilt=0.45, reach=1.3) if space else EYE,
         line_grid=space is None,
-        overrides={"world/drive/path": rrb.VisibleTimeRanges([until_now])},
+        overrides={**hold_still(), "world/drive/path": rrb.VisibleTimeRanges([until_now])},
     )
-    cameras = [rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in POLAR_PICTURES.items()]
     return rrb.Horizontal(
         room,
-        rrb.Vertical(*(cameras if pictures else []), _steps(), row_shares=[3, 1, 2] if pictures else [1]),
+        rrb.Vertical(*camera_views(POLAR_PICTURES if pictures else {}), _steps()),
         column_shares=[5, 2],
         name="Drive",
     )
@@ -72,6 +66,7 @@ def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.V
             contents=["world/floor_plan", "world/outline", f"world/training/{name}"],
             eye_controls=aim_eye(space, reach=0.9),
             line_grid=False,
+            overrides=hold_still(),
         )
         for name in trained
     ]
@@ -87,12 +82,11 @@ def _training(space: FreeSpace, trained: Sequence[str], began_s: float) -> rrb.V
 
 def _error_fields(space: FreeSpace, measured: Sequence[str]) -> rrb.Horizontal:
     fields = [
-        rrb.Spatial3DView(
-            name=f"Error field of {title_of(name)}",
-            origin="world",
-            contents=["world/room", "world/floor_plan", "world/scale/**", f"world/error_field/{name}/**"],
-            eye_controls=aim_eye(space, tilt=0.45, reach=1.08),
-            line_grid=False,
+        field_view(
+            f"Error field of {title_of(name)}",
+            name,
+            aim_eye(space, tilt=0.45, reach=1.08),
+            ["room", "floor_plan", "scale/**"],
         )
         for name in measured
     ]

@@ -16,10 +16,11 @@ from deepgps.figures import field_plot
 from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
 from deepgps.methods.catalog import title_of
 from deepgps.scenario import Scenario
+from deepgps.viewer.error_field import log_field
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
 from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint
 from deepgps.viewer.live.training import LiveTraining
-from deepgps.viewer.scene import log_field, log_room, log_scale
+from deepgps.viewer.scene import log_room, log_scale
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_recording, open_truth
 

@@ -6,14 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import style, ticker
 from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
 
 from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.figures.field_plot import SCALE_M
 from deepgps.figures.run_report import COLUMNS, Column, read_metrics
-from deepgps.figures.style import SCREEN, colour_on_dark
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
 from sim.errors import InputError
@@ -123,29 +120,6 @@ def describe_pair(pair: Pair) -> str:
             *(line for names in TABLES for line in [*_list_figures(pair, names), ""]),
         ]
     )
-
-
-def draw_distributions(pair: Pair) -> Figure:
-    """Draw the cumulative distributions of errors over test positions: A dashed, B solid."""
-    with style.context("dark_background"):
-        figure = Figure(figsize=(9, 5.6), layout="constrained", facecolor=SCREEN[0])
-        axes = figure.add_subplot(facecolor=SCREEN[0])
-        for name in pair.methods:
-            colour = f"#{bytes(colour_on_dark(name)).hex()}"
-            for letter, side, line in (("A", pair.a, "--"), ("B", pair.b, "-")):
-                error = np.sort(side.fields[name].error)
-                share = 100 * np.arange(1, len(error) + 1) / len(error)
-                label = f"{title_of(name)}, {letter}"
-                axes.step(error, share, line, where="post", color=colour, label=label, linewidth=1.8)
-        axes.set_xscale("log")
-        axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
-        axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-        axes.axhline(50, color="#999999", linewidth=0.8, linestyle=":")
-        axes.grid(alpha=0.2, which="both")
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9)
-        axes.set_title("Distribution of errors", fontsize=13)
-    return figure
 
 
 def _open_side(folder: Path) -> Side:

@@ -2,30 +2,29 @@
 
 import hashlib
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.style import to_png
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
+from deepgps.viewer.distribution import distribution_view, log_distribution
+from deepgps.viewer.error_field import find_thinness, log_field
 from deepgps.viewer.pair.difference import (
     Pair,
     Side,
     colours_of_change,
     describe_pair,
-    draw_distributions,
     measure_change,
     open_pair,
     scale_change,
 )
-from deepgps.viewer.run.layout import aim_eye
+from deepgps.viewer.run.layout import aim_eye, arrange, field_view, hold_still
 from deepgps.viewer.run.recording import hash_run
 from deepgps.viewer.save import holds, save_recording
-from deepgps.viewer.scene import LAYER_M, STRIP, find_thinness, lift, log_field, log_room, log_scale, log_strip
+from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
 from sim.occupancy import FreeSpace, limits
 
 PAIRS = "pairs"
@@ -51,18 +50,8 @@ def write_pair(folders: Sequence[Path]) -> Path:
 
 def make_pair_blueprint(pair: Pair) -> rrb.Blueprint:
     """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
-    return rrb.Blueprint(
-        rrb.Tabs(
-            *([_change(pair)] if pair.same_floor else []),
-            _sides(pair),
-            rrb.Spatial2DView(name="Error distribution", origin="report/error_cdf"),
-            active_tab=0,
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="hidden"),
-        auto_views=False,
-    )
+    tabs = [*([_change(pair)] if pair.same_floor else []), _sides(pair), distribution_view()]
+    return arrange(tabs, rrb.TimePanel(state="hidden"))
 
 
 def _hash_pair(folders: Sequence[Path]) -> str:
@@ -78,10 +67,10 @@ def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
         log_room(stream, pair.a.folder / "recording" / "scene.glb", pair.a.space, "change")
         _log_change_scale(stream, pair.a.space)
         for name in pair.methods:
-            _log_change(stream, name, pair.a.fields[name].truth, measure_change(pair, name))
+            _log_change(stream, name, pair)
     stream.log("report/pair", rr.TextDocument(describe_pair(pair), media_type="text/markdown"), static=True)
-    picture = BytesIO(to_png(draw_distributions(pair)))
-    stream.log("report/error_cdf", rr.EncodedImage(contents=picture, media_type="image/png"), static=True)
+    errors = {name: [side.fields[name].error for side in (pair.a, pair.b)] for name in pair.methods}
+    log_distribution(stream, errors, ("A", "B"))
 
 
 def _log_side(stream: rr.RecordingStream, root: str, side: Side, methods: Sequence[str]) -> None:
@@ -91,16 +80,20 @@ def _log_side(stream: rr.RecordingStream, root: str, side: Side, methods: Sequen
         log_field(stream, name, side.fields[name], root=root)
 
 
-def _log_change(stream: rr.RecordingStream, name: str, place: np.ndarray, change: np.ndarray) -> None:
-    """Log a dot at each test position, larger the more the error changed, and the changes themselves as values."""
-    share = scale_change(change)
+def _log_change(stream: rr.RecordingStream, name: str, pair: Pair) -> None:
+    """Log a dot at each test position with both errors as text, and the changes themselves as values."""
+    a, b, change = pair.a.fields[name], pair.b.fields[name], measure_change(pair, name)
+    radius = 0.03 * find_thinness(a.truth)
     dots = rr.Points3D(
-        lift(place, LAYER_M),
-        radii=find_thinness(place) * (0.012 + 0.028 * np.abs(share)),
-        colors=colours_of_change(share),
+        lift(a.truth, LAYER_M + radius),  # on the floor, not half below it
+        radii=radius,
+        colors=colours_of_change(scale_change(change)),
         point_shading="Flat",
     )
-    stream.log(f"change/field/{name}", dots, rr.AnyValues(change_m=change), static=True)
+    rows = zip(100 * change, 100 * a.error, 100 * b.error, strict=True)
+    said = [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]
+    stream.log(f"change/field/{name}/places", dots, rr.AnyValues(change=said), static=True)
+    stream.log(f"change/field/{name}", rr.AnyValues(change_m=change), static=True)
 
 
 def _log_change_scale(stream: rr.RecordingStream, space: FreeSpace) -> None:
@@ -114,17 +107,19 @@ def _change(pair: Pair) -> rrb.Horizontal:
     room = rrb.Spatial3DView(
         name=f"Where the error of {title_of(first)} changed from A to B",
         origin="change",
-        contents=["change/room", "change/floor_plan", "change/scale/**", f"change/field/{first}"],
+        contents=["change/room", "change/floor_plan", "change/scale/**", f"change/field/{first}/**"],
         eye_controls=aim_eye(pair.a.space, tilt=0.45, reach=1.08),
         line_grid=False,
+        overrides=hold_still("change"),
     )
     plans = [
         rrb.Spatial3DView(
             name=f"{title_of(name)}: A to B",
             origin="change",
-            contents=["change/floor_plan", f"change/field/{name}"],
+            contents=["change/floor_plan", f"change/field/{name}/**"],
             eye_controls=aim_eye(pair.a.space, reach=0.85, before=0.0),
             line_grid=False,
+            overrides=hold_still("change"),
         )
         for name in others
     ]
@@ -136,17 +131,12 @@ def _sides(pair: Pair) -> rrb.Horizontal:
     fields = [
         rrb.Vertical(
             *(
-                rrb.Spatial3DView(
-                    name=f"{letter}: error field of {title_of(name)}",
-                    origin=root,
-                    contents=[
-                        f"{root}/room",
-                        f"{root}/floor_plan",
-                        f"{root}/scale/**",
-                        f"{root}/error_field/{name}/**",
-                    ],
-                    eye_controls=aim_eye(side.space, tilt=0.35, reach=1.0),
-                    line_grid=False,
+                field_view(
+                    f"{letter}: error field of {title_of(name)}",
+                    name,
+                    aim_eye(side.space, tilt=0.35, reach=1.0),
+                    ["room", "floor_plan", "scale/**"],
+                    root=root,
                 )
                 for letter, root, side in (("A", "a", pair.a), ("B", "b", pair.b))
             ),

@@ -18,6 +18,8 @@ ROBOT = "world/drive/robot"
 Colour = tuple[int, int, int]
 TRUE: Colour = (90, 160, 255)
 LEG: Colour = (255, 196, 60)
+WRONG: Colour = (232, 37, 79)
+RIGHT: Colour = (63, 208, 165)
 IMAGES_AT_MOST = 4_000  # more pictures than anyone plays; keeps a long drive's file small
 ROUND_PX = 144
 POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top"}
@@ -25,7 +27,7 @@ POLAR_PICTURES = {"fisheye": "Fisheye", "polar": "Polar image, zenith at the top
 
 
 def log_drive(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:
-    height_m = _camera(recording).height_m
+    height_m = camera_of(recording).height_m
     _log_robot(stream, _find_track_m(recording), height_m)
     observation = recording.reading[:, 1]
     seen, first = np.unique(observation, return_index=True)
@@ -98,7 +100,8 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
     series = {
         "drive/distance/encoder": (encoder, "by encoder", (255, 150, 40)),
         "drive/distance/truth": (true, "true", TRUE),
-        "drive/difference": (1000 * difference, "encoder minus truth", (232, 37, 79)),
+        "drive/segment_error": (1000 * (encoder - true), "encoder minus truth", WRONG),
+        "drive/difference": (1000 * difference, "encoder minus truth, cumulative", WRONG),
     }
     indexes = drive_index(recording.time, recording)
     for path, (values, label, colour) in series.items():
@@ -107,10 +110,15 @@ def _log_distances(stream: rr.RecordingStream, recording: Recording, truth: Trut
 
 
 def log_ticks(stream: rr.RecordingStream, recording: Recording) -> None:
-    """Log the cumulative ticks of both wheels."""
-    indexes = drive_index(recording.time, recording)
-    for column, side, colour in ((2, "left", (90, 160, 255)), (3, "right", (63, 208, 165))):
-        send_series(stream, f"drive/ticks/{side}", indexes, recording.reading[:, column], side, colour)
+    """Log the ticks of both wheels since the reading before on the same segment; the first reading has none."""
+    segment = recording.reading[:, 0]
+    later = segment[1:] == segment[:-1]
+    rows = 1 + np.flatnonzero(later)
+    indexes = drive_index(recording.time[rows], recording)
+    ticks = np.diff(recording.reading[:, 2:], axis=0)[later]
+    send_series(stream, "drive/ticks/left", indexes, ticks[:, 0], "left", TRUE, width=4.0)  # seen under an equal right
+    send_series(stream, "drive/ticks/right", indexes, ticks[:, 1], "right", RIGHT)
+    send_series(stream, "drive/tick_difference", indexes, ticks[:, 1] - ticks[:, 0], "right minus left", WRONG)
 
 
 def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarray, time: np.ndarray) -> None:
@@ -120,7 +128,7 @@ def log_images(stream: rr.RecordingStream, recording: Recording, seen: np.ndarra
     if recording.kind == "polar_image":
         polar = recording.observation
         _, rings, sectors, _ = polar.shape
-        warp = playback.make_warp(_camera(recording), rings, sectors, ROUND_PX)
+        warp = playback.make_warp(camera_of(recording), rings, sectors, ROUND_PX)
         _log_pictures(stream, "polar", (np.asarray(polar[number]) for number in seen), indexes)
         rounds = (playback.warp_round(np.asarray(polar[number]), warp) for number in seen)
         _log_pictures(stream, "fisheye", rounds, indexes)
@@ -163,7 +171,8 @@ def _find_track_m(recording: Recording) -> float:
     return float(recording.manifest.odometry["track_m"]) / (1.0 + wrong)
 
 
-def _camera(recording: Recording) -> CameraSettings:
+def camera_of(recording: Recording) -> CameraSettings:
+    """Settings of the camera that took a recording's images."""
     return CameraSettings.model_validate(recording.manifest.settings.get("camera", {}))
 
 

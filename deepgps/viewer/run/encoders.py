@@ -8,13 +8,12 @@ import rerun as rr
 from deepgps.evaluation.segment_errors import measure_segments, reckon_path
 from deepgps.figures import style
 from deepgps.figures.encoder_plots import describe_encoders, draw_segments
-from deepgps.viewer.run.drive import Colour, log_path
+from deepgps.viewer.run.drive import WRONG, Colour, log_path
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import drive_index, send_series
 from sim.recording.format import Recording, Truth
 
 ENCODER: Colour = (255, 150, 40)
-WRONG: Colour = (232, 37, 79)
 
 
 def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth) -> None:

@@ -1,33 +1,44 @@
 """A run's recording for the Rerun viewer, with a blueprint.
 
 Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (sensor data),
-``encoders`` (encoder errors), ``training`` (loss) and ``report`` (text and figures).
+``encoders`` (encoder errors), ``training`` (loss), ``place`` (pictures of the worst places) and ``report`` (text and
+plots).
 """
 
 from collections.abc import Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.evaluation.error_field import WorstField
-from deepgps.figures import field_plot, run_figures, style
+from deepgps.evaluation.error_field import find_worst, read_all_headings
+from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
+from deepgps.viewer.distribution import log_distribution
+from deepgps.viewer.error_field import list_headings, log_field, log_headings
 from deepgps.viewer.read import open_rrd
+from deepgps.viewer.run.coverage import log_coverage
 from deepgps.viewer.run.drive import find_pictures, log_drive
 from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
-from deepgps.viewer.run.training import Data, log_training
+from deepgps.viewer.run.pictures import LARGE, PICTURES, log_pictures, read_pictures
+from deepgps.viewer.run.places import find_places, log_places
+from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
 from deepgps.viewer.save import hash_files, save_recording
-from deepgps.viewer.scene import log_field, log_room, log_scale
+from deepgps.viewer.scene import log_room, log_scale
 from sim.files import is_intact
-from sim.occupancy import FreeSpace
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
+HELP = (
+    "Point at an arrow or a dot: error, heading → predicted x, y [m].",
+    "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
+    "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
+    "The panel on the left (button at the top right) switches on and off: each heading, errors above or below 10 cm, "
+    "floor that is not covered by images, images per cell of 0.25 m.",
+)
 
 
 def write_recording(run: Path) -> Path:
@@ -35,23 +46,36 @@ def write_recording(run: Path) -> Path:
 
     Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
     """
-    if _lacks_truth(run):
+    if lacks_truth(run):
         return write_without_truth(run, run / RECORDING)
-    metrics, fields, histories = read_metrics(run), field_plot.read_fields(run), run_figures.read_histories(run)
+    metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)
     recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
-    drive_s = float(recording.time[-1] - recording.time[0])
-    blueprint = make_blueprint(truth.free_space, list(fields), list(histories), find_pictures(recording), drive_s)
+    space, driven = truth.free_space, truth.pose[:, :2]
+    pictures = read_pictures(run)
+    titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
+    blueprint = make_blueprint(
+        space,
+        {name: list_headings(name, field) for name, field in fields.items()},
+        list(histories),
+        titles,
+        float(recording.time[-1] - recording.time[0]),
+    )
 
     def log(stream: rr.RecordingStream) -> None:
-        log_room(stream, recording.folder / "scene.glb", truth.free_space)
-        log_scale(stream, truth.free_space)
+        log_room(stream, recording.folder / "scene.glb", space)
+        log_scale(stream, space)
         for name, field in fields.items():
-            log_field(stream, name, field)
+            log_field(stream, name, find_worst(field))
+            log_headings(stream, name, field)
+        log_coverage(stream, driven, space)
+        log_places(stream, fields, find_places(fields), recording, truth)
         log_drive(stream, recording, truth)
+        log_pictures(stream, pictures, recording)
         log_encoders(stream, recording, truth)
         for name, history in histories.items():
-            log_training(stream, name, history, truth.pose[:, :2])
-        _log_report(stream, metrics, fields, histories, truth.free_space)
+            log_training(stream, name, history, driven)
+        _log_report(stream, metrics)
+        log_distribution(stream, {name: [find_worst(field).error] for name, field in fields.items()})
 
     path = run / RECORDING
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
@@ -60,7 +84,7 @@ def write_recording(run: Path) -> Path:
 
 def find_recording(run: Path) -> Path:
     """Return a run's recording, written if it is missing or damaged; raise InputError if it cannot be read."""
-    if not _lacks_truth(run):
+    if not lacks_truth(run):
         read_metrics(run)
     path = run / RECORDING
     if not is_intact(path):
@@ -69,45 +93,29 @@ def find_recording(run: Path) -> Path:
     return path
 
 
-def _lacks_truth(run: Path) -> bool:
+def lacks_truth(run: Path) -> bool:
+    """Whether a run's recording is finished and has no truth, so that there is no error field."""
     return is_whole(run / "recording") and not has_truth(run / "recording")
 
 
-def _log_report(
-    stream: rr.RecordingStream,
-    metrics: Mapping[str, Any],
-    fields: Mapping[str, WorstField],
-    histories: Mapping[str, Data],
-    space: FreeSpace,
-) -> None:
-    summary = "\n".join(
-        [
-            f"# {metrics['scenario']}, seed {metrics['seed']}",
-            "",
-            markdown_table(metrics, OVERVIEW),
-            "",
-            *(f"- {sentence}" for sentence in describe(metrics)),
-            "",
-            "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
-            "methods share one colour scale.",
-            "",
-            "The slider below runs through the drive and the training at the same time; choose the timeline "
-            "`drive_time` or `step` to move in seconds or in training steps.",
-        ]
-    )
-    for name, text in {"figures": summary, "text": markdown_report(metrics)}.items():
+def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
+    lines = [
+        f"# {metrics['scenario']}, seed {metrics['seed']}",
+        "",
+        markdown_table(metrics, OVERVIEW),
+        "",
+        *(f"- {sentence}" for sentence in describe(metrics)),
+        "",
+        "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
+        "methods share one colour scale.",
+        "",
+        *(f"- {sentence}" for sentence in HELP),
+    ]
+    for name, text in {"figures": "\n".join(lines), "text": markdown_report(metrics)}.items():
         stream.log(f"report/{name}", rr.TextDocument(text, media_type="text/markdown"), static=True)
-    pictures = {
-        "error_fields": run_figures.draw_comparison(space, fields, metrics),
-        "error_cdf": run_figures.draw_error_cdf(fields),
-    }
-    if histories:
-        pictures["training"] = run_figures.draw_training(histories)
-    for name, figure in pictures.items():
-        image = rr.EncodedImage(contents=BytesIO(style.to_png(figure)), media_type="image/png")
-        stream.log(f"report/{name}", image, static=True)
 
 
 def hash_run(run: Path) -> str:
-    """Thirty-two hexadecimal digits of a run's metrics, error fields and recording."""
-    return hash_files(run, [run / "metrics.json", run / "error_field.npz", run / "recording" / "manifest.json"])
+    """Thirty-two hexadecimal digits of a run's metrics, error fields and recording, and of its pictures."""
+    names = ["metrics.json", "error_field.npz", "recording/manifest.json"]
+    return hash_files(run, [run / name for name in [*names, *([PICTURES] if (run / PICTURES).is_file() else [])]])

@@ -3,7 +3,7 @@
 Nothing here is an error: each map is in a frame of its own.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +15,10 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
+from deepgps.viewer.run.layout import aim_eye_at, arrange, camera_views, loss_view, series_view, ticks_view, until_now
 from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
 from deepgps.viewer.save import hash_files, save_recording
-from deepgps.viewer.timeline import drive_index, send_series
+from deepgps.viewer.timeline import PROGRESS, drive_index, send_series
 from sim.recording.format import Recording, open_recording
 
 RECKONED = (255, 150, 40)
@@ -42,7 +43,7 @@ def write_without_truth(run: Path, path: Path) -> Path:
             _log_map(stream, name, history)
         stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
 
-    blueprint = _make_blueprint(list(histories), find_pictures(recording))
+    blueprint = _make_blueprint(recording, {name: history["snapshot"][-1] for name, history in histories.items()})
     identity = hash_files(run, [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz"))])
     save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
     return path
@@ -65,19 +66,31 @@ def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
     log_snapshots(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_index(history))
 
 
-def _make_blueprint(methods: Sequence[str], pictures: Mapping[str, str]) -> rrb.Blueprint:
-    cameras = [rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()]
-    curves = [
-        rrb.TimeSeriesView(name="Distance travelled [m]", origin="drive/distance"),
-        rrb.TimeSeriesView(name="Ticks", origin="drive/ticks"),
+def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb.Blueprint:
+    """The viewer's layout for a recording and the methods' last maps (n, 2)."""
+    methods, pictures = list(last), find_pictures(recording)
+    drive_s = float(recording.time[-1] - recording.time[0])
+    curves = [series_view("Distance travelled [m]", "drive/distance"), ticks_view(drive_s)]
+    path = rrb.Spatial3DView(
+        name="Dead-reckoned path",
+        origin="world",
+        eye_controls=_aim_at(dead_reckon(recording)[:, :2]),
+        overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
+    )
+    maps = [
+        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points))
+        for name, points in last.items()
     ]
-    path = rrb.Spatial3DView(name="Dead-reckoned path", origin="world")
-    maps = [rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}") for name in methods]
-    losses = [rrb.TimeSeriesView(name="Loss, log10", origin=f"training/{name}") for name in methods]
+    losses = [loss_view(name) for name in methods]
     note = rrb.TextDocumentView(name="Without truth", origin="report")
     tabs: list[rrb.Horizontal | rrb.Vertical] = [
-        rrb.Horizontal(path, rrb.Vertical(*cameras, *curves, note), name="Drive", column_shares=[3, 2])
+        rrb.Horizontal(path, rrb.Vertical(*camera_views(pictures), *curves, note), name="Drive", column_shares=[3, 2])
     ]
     if methods:
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
-    return rrb.Blueprint(rrb.Tabs(*tabs), collapse_panels=True)
+    return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=PROGRESS, play_state="following"))
+
+
+def _aim_at(points: np.ndarray) -> rrb.EyeControls3D:
+    """Place the eye so that points (n, 2) [m] are seen from above."""
+    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=1.2)

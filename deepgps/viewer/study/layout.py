@@ -6,35 +6,28 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
-from deepgps.viewer.run.layout import whole_axis
+from deepgps.viewer.plot import plot_view
+from deepgps.viewer.run.layout import STILL, arrange
+from deepgps.viewer.study.sliders import Slider
 
 Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
 STEPS_PER_SECOND = 1.5
 CURVES = {"rms": "RMS", "median": "Median"}
 
 
-def make_blueprint(slider: str, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
+def make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
     """The viewer's layout for a study, which opens with the error fields of all methods side by side.
 
     Args:
-        slider: Name of the timeline to open with.
+        slider: The slider to open with.
         methods: Names of the methods.
         figures: Names of the study's figures.
         frame: Rectangle in which every room is drawn.
     """
-    return rrb.Blueprint(
-        rrb.Tabs(
-            _error_fields(methods, frame),
-            _curves(),
-            *([_figures(figures)] if figures else []),
-            rrb.TextDocumentView(name="Report", origin="report/table"),
-            active_tab=0,
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=slider, fps=STEPS_PER_SECOND, play_state="paused"),
-        auto_views=False,
-    )
+    tabs = [_error_fields(methods, frame), _curves(), *([_figures(figures)] if figures else []), _report()]
+    apart = float(np.ptp(slider.places)) / max(len(slider.steps) - 1, 1)
+    fps = STEPS_PER_SECOND * max(apart, 1.0)
+    return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=slider.timeline, fps=fps, play_state="paused"))
 
 
 def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
@@ -48,14 +41,15 @@ def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
             ],
             eye_controls=_eye(frame, wide=len(methods) != 2),
             line_grid=False,
+            overrides=dict.fromkeys(["world/floor_plan", "world/outline", "world/metre", "scale"], STILL),
         )
         for method in methods
     )
     return rrb.Horizontal(
         rrb.Vertical(
             rrb.Grid(*fields, grid_columns=1 if len(methods) == 1 else 2),
-            rrb.Horizontal(*(_curve(name, methods) for name in CURVES)),
-            row_shares=[4, 1],
+            rrb.Horizontal(*_plots()),
+            row_shares=[5, 2],
         ),
         rrb.Vertical(
             rrb.TextDocumentView(name="Here", origin="report/here"),
@@ -66,37 +60,32 @@ def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
     )
 
 
-def _curve(name: str, methods: Sequence[str]) -> rrb.TimeSeriesView:
-    """A small plot without a legend, since its colours are those of the text above each field."""
-    return rrb.TimeSeriesView(
-        name=f"{CURVES[name]} along the slider [cm]",
-        origin=f"curve/{name}",
-        contents=[f"curve/{name}/{method}" for method in methods],
-        axis_x=whole_axis(),
-        plot_legend=rrb.PlotLegend(visible=False),
-    )
+def _plots() -> list[rrb.Spatial2DView]:
+    return [plot_view(f"{title} along the slider [cm]", f"curve/{name}") for name, title in CURVES.items()]
 
 
 def _curves() -> rrb.Horizontal:
-    views = (
-        rrb.TimeSeriesView(
-            name=f"{title} [cm], mean, best and worst of the seeds", origin=f"curve/{name}", axis_x=whole_axis()
-        )
-        for name, title in CURVES.items()
-    )
     return rrb.Horizontal(
-        rrb.Vertical(*views),
+        rrb.Vertical(*_plots()),
         rrb.TextDocumentView(name="Here", origin="report/here"),
         column_shares=[5, 2],
         name="Curves",
     )
 
 
-def _figures(figures: Sequence[str]) -> rrb.Tabs:
-    return rrb.Tabs(
-        *(rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures),
-        name="Figures",
+def _report() -> rrb.Horizontal:
+    return rrb.Horizontal(
+        rrb.TextDocumentView(name="Table", origin="report/table"),
+        rrb.TextDocumentView(name="Here", origin="report/here"),
+        column_shares=[5, 2],
+        name="Report",
     )
+
+
+def _figures(figures: Sequence[str]) -> rrb.Horizontal:
+    pictures = (rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures)
+    here = rrb.TextDocumentView(name="Here", origin="report/here")
+    return rrb.Horizontal(rrb.Tabs(*pictures), here, column_shares=[5, 2], name="Figures")
 
 
 def _eye(frame: Frame, wide: bool) -> rrb.EyeControls3D:

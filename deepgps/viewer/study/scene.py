@@ -1,6 +1,7 @@
 """What a study shows along a slider: the floor plan, a heading above each error field, and curves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import rerun as rr
@@ -8,7 +9,8 @@ import rerun as rr
 from deepgps.figures import field_plot
 from deepgps.figures.style import colour_on_dark
 from deepgps.methods.catalog import title_of
-from deepgps.studies.table import Row, find_methods, mean
+from deepgps.studies.table import Row, find_methods
+from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis
 from deepgps.viewer.scene import Places, lift, log_floor, put
 from deepgps.viewer.study.layout import CURVES, Frame
 from deepgps.viewer.study.sliders import Slider, Step
@@ -16,8 +18,9 @@ from deepgps.viewer.study.text import describe_field
 from sim.occupancy import FreeSpace
 
 FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
+MOST_TICKS, MOST_LETTERS = 8, 12
+WIDE = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording
-Take = Callable[[Sequence[Row], str], float]
 
 
 def find_frame(spaces: Spaces) -> Frame:
@@ -30,11 +33,11 @@ def find_frame(spaces: Spaces) -> Frame:
 def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame: Frame) -> None:
     """Log the floor plan where it changes along a slider, scaled into the frame, and a scale bar of known length."""
     shown = None
-    for index, step in enumerate(slider.steps):
+    for place, step in zip(slider.places, slider.steps, strict=True):
         space = spaces[step.rows[0]["recording"]] if step.done else None
         if space is None or (shown is not None and _is_same(space, shown)):
             continue
-        shown, at = space, [rr.TimeColumn(slider.name, sequence=[index])]
+        shown, at = space, [rr.TimeColumn(slider.timeline, sequence=[place])]
         low, high = field_plot.limits(space)
         scale = float(np.min((frame[1] - frame[0]) / (high - low)))
         middle = -scale * (low + high) / 2
@@ -70,26 +73,63 @@ def log_heading(
 
 
 def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
-    """Log errors along a slider: the mean over seeds, and the best and the worst seed if there are several."""
-    rows = [(index, row) for index, step in enumerate(slider.steps) for row in step.repeats]
-    for method in find_methods(row for _, row in rows):
-        groups = {
-            index: [row for at, row in rows if at == index and row["method"] == method]
-            for index in dict.fromkeys(at for at, row in rows if row["method"] == method)
-        }
-        title, colour, pale = title_of(method), colour_on_dark(method), (*colour_on_dark(method), 110)
-        curves: dict[str, tuple[Take, str, Sequence[int]]] = {"": (mean, title, colour)}
-        if max(map(len, groups.values())) > 1:
-            curves |= {"/best": (_least, f"{title}, best seed", pale), "/worst": (_most, f"{title}, worst seed", pale)}
-        index = [rr.TimeColumn(slider.name, sequence=list(groups))]
-        for name in CURVES:
-            for end, (take, label, tint) in curves.items():
-                path, values = (
-                    f"curve/{name}/{method}{end}",
-                    [100 * take(group, f"{name}_m") for group in groups.values()],
-                )
-                put(stream, path, rr.SeriesLines(colors=[tint], names=label, widths=1.0 if end else 2.0))
-                stream.send_columns(path, index, rr.Scalars.columns(scalars=values))
+    """Plot errors against a slider's values: the mean over seeds, and the best and the worst seed if there are several.
+
+    A cursor in the plots is where the slider is.
+    """
+    where = slider.numbers or [float(place) for place in slider.places]
+    rows = [(place, row) for place, step in zip(where, slider.steps, strict=True) for row in step.repeats]
+    if not rows:
+        return
+    x, first = _make_abscissa(slider, where), min(slider.places)
+    for name, title in CURVES.items():
+        curves = [
+            curve for method in find_methods(row for _, row in rows) for curve in _make_curves(method, name, rows)
+        ]
+        errors = np.concatenate([curve.y for curve in curves])
+        y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > WIDE), zero=True)
+        log_plot(stream, f"curve/{name}", x, y, curves, [rr.TimeColumn(slider.timeline, sequence=[first])])
+        for place, value in zip(slider.places, where, strict=True):
+            at = [rr.TimeColumn(slider.timeline, sequence=[place])]
+            log_cursor(stream, f"curve/{name}", x, value, at)
+
+
+def _make_abscissa(slider: Slider, where: Sequence[float]) -> Axis:
+    """The axis of a slider's values: in proportion where they are numbers, else one step after another."""
+    if slider.numbers:
+        axis = make_axis(slider.name, where, log=min(where) > 0 and max(where) > 30 * min(where))
+        axis = replace(axis, low=min(axis.low, *where), high=max(where))
+        return replace(axis, ticks=_choose_ticks(axis, slider))
+    every = -(-len(where) // MOST_TICKS)
+    ticks = {place: _cut(step.value) for place, step in list(zip(where, slider.steps, strict=True))[::every]}
+    return Axis(slider.name, min(where) - 0.5, max(where) + 0.5, ticks)
+
+
+def _choose_ticks(axis: Axis, slider: Slider) -> dict[float, str]:
+    """The slider's own values, without those too close to the one before."""
+    ticks: dict[float, str] = {}
+    for value, step in sorted(zip(slider.numbers, slider.steps, strict=True), key=lambda pair: pair[0]):
+        if not ticks or axis.share([value])[0] - axis.share([list(ticks)[-1]])[0] > 1 / MOST_TICKS:
+            ticks[value] = step.value
+    return ticks
+
+
+def _make_curves(method: str, name: str, rows: Sequence[tuple[float, Row]]) -> list[Curve]:
+    """A method's curves over places: the mean of its rows there, and pale without a title the least and the most."""
+    groups = {
+        place: [100 * row[f"{name}_m"] for at, row in rows if at == place and row["method"] == method]
+        for place in dict.fromkeys(at for at, row in rows if row["method"] == method)
+    }
+    colour, places = colour_on_dark(method), list(groups)
+    curves = [Curve(method, title_of(method), colour, places, [float(np.mean(one)) for one in groups.values()], True)]
+    if max(map(len, groups.values())) > 1:
+        for end, take in (("best", min), ("worst", max)):
+            curves.append(Curve(f"{method}_{end}", "", (*colour, 110), places, [take(one) for one in groups.values()]))
+    return curves
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 1]}…"
 
 
 def _round_length(most: float) -> float:
@@ -101,11 +141,3 @@ def _round_length(most: float) -> float:
 def _is_same(one: FreeSpace, other: FreeSpace) -> bool:
     same = one.cell_m == other.cell_m and np.array_equal(one.origin, other.origin)
     return same and np.array_equal(one.free, other.free) and np.array_equal(one.reachable, other.reachable)
-
-
-def _least(rows: Sequence[Row], name: str) -> float:
-    return min(row[name] for row in rows)
-
-
-def _most(rows: Sequence[Row], name: str) -> float:
-    return max(row[name] for row in rows)

@@ -1,13 +1,14 @@
 """The sliders of a study: for each setting that varies, a timeline of runs in which nothing else varies."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from deepgps.studies.grouping import shorten
 from deepgps.studies.table import Row, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"
+MOST_DIGITS = 6
 NO_CHANGE = "no change"  # a case with the scenario's own settings
 Point = tuple[tuple[Any, ...], ...]  # values of each dimension: case, axes, seed
 
@@ -21,12 +22,14 @@ class Step:
         words: What distinguishes the run shown here from all others, in words.
         rows: Rows of the run shown here, one for each method; of runs that differ in seed, the first finished one.
         repeats: Rows of all finished seeds.
+        number: The setting's value, if it is a number.
     """
 
     value: str
     words: str
     rows: Sequence[Row]
     repeats: Sequence[Row]
+    number: float | None = None
 
     @property
     def done(self) -> bool:
@@ -47,6 +50,31 @@ class Slider:
     name: str
     steps: Sequence[Step]
     others: str
+
+    @property
+    def numbers(self) -> list[float]:
+        """The setting's values; empty unless all are numbers."""
+        numbers = [step.number for step in self.steps if step.number is not None]
+        return numbers if len(numbers) == len(self.steps) else []
+
+    @property
+    def timeline(self) -> str:
+        """Name of the timeline, with the unit of its values where they are fractions: ``noise [1/100]``."""
+        return self.name if self._per_unit == 1 else f"{self.name} [1/{self._per_unit}]"
+
+    @property
+    def places(self) -> list[int]:
+        """Place of each step on the timeline: the setting's value in its unit, or a number from 1."""
+        scaled = [number * self._per_unit for number in self.numbers]
+        if scaled and all(map(_is_whole, scaled)):
+            return [round(number) for number in scaled]
+        return list(range(1, len(self.steps) + 1))
+
+    @property
+    def _per_unit(self) -> int:
+        """The smallest power of ten that makes all values whole numbers; 1 where none of reasonable size does."""
+        units = (10**power for power in range(MOST_DIGITS + 1))
+        return next((unit for unit in units if all(_is_whole(number * unit) for number in self.numbers)), 1)
 
 
 def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any]) -> list[Slider]:
@@ -124,7 +152,8 @@ def _make(
         tried = [point[SEED], *(seed for seed in seeds if seed != point[SEED])] if dimension != SEED else [value]
         there = [at[place] for seed in tried if (place := tuple({**point, SEED: seed}.values())) in at]
         if there:
-            steps.append(_make_step(dimensions, text, there, usual))
+            number = value[0] if len(value) == 1 and _is_number(value[0]) else None
+            steps.append(replace(_make_step(dimensions, text, there, usual), number=number))
     others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != dimension]
     return Slider(name, steps, ", ".join(text for text in others if text))
 
@@ -159,6 +188,14 @@ def _order(values: Mapping[tuple, None]) -> list[tuple]:
     """Sort numbers, so that a slider is monotonic; keep all else in the study's order."""
     numbers = all(len(value) == 1 and isinstance(value[0], int | float) for value in values)
     return sorted(values) if numbers else list(values)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_whole(number: float) -> bool:
+    return abs(number - round(number)) < 1e-9 * max(abs(number), 1.0) and abs(number) < 2**53
 
 
 def _choose(values: Sequence[tuple], own: Sequence[Any]) -> tuple:

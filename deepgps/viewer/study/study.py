@@ -7,15 +7,14 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import rerun as rr
 
-from deepgps.evaluation.error_field import WorstField
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, varied_in
+from deepgps.viewer.error_field import NO_PLACES, log_field, take
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import holds, save_recording
-from deepgps.viewer.scene import Places, log_field, log_scale_below, put
+from deepgps.viewer.scene import Places, log_scale_below, put
 from deepgps.viewer.study import text as study_text
 from deepgps.viewer.study.layout import make_blueprint
 from deepgps.viewer.study.read import count_arrows, hash_study, open_space, own_values, read_step, read_study
@@ -26,7 +25,6 @@ from sim.files import is_intact
 STUDY = "study.rrd"
 MOST_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
 MOST_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
-NOTHING = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0))
 
 
 def write_study(folder: Path) -> Path:
@@ -69,11 +67,11 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
         log_scale_below(stream, "scale", *frame)
         for slider in sliders:
             log_rooms(stream, slider, spaces, frame)
-            for index, step in enumerate(slider.steps):
-                at = [rr.TimeColumn(slider.name, sequence=[index])]
+            for place, step in zip(slider.places, slider.steps, strict=True):
+                at = [rr.TimeColumn(slider.timeline, sequence=[place])]
                 fields = read_step(folder, step) if step.done else {}
                 for method in methods:
-                    log_field(stream, method, _keep(fields.get(method, NOTHING), every), at)
+                    log_field(stream, method, take(fields.get(method, NO_PLACES), slice(None, None, every)), at)
                     log_heading(stream, method, slider, step, frame, at)
                 _log_text(stream, "here", study_text.describe_step(slider, step), at)
             log_curves(stream, slider)
@@ -83,7 +81,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
             image = rr.EncodedImage(contents=path.read_bytes(), media_type="image/png")
             put(stream, f"report/figures/{path.stem}", image)
 
-    blueprint = make_blueprint(sliders[0].name, methods, [path.stem for path in pictures], frame)
+    blueprint = make_blueprint(sliders[0], methods, [path.stem for path in pictures], frame)
     save_recording(folder / STUDY, identity, study.name, blueprint, log)
 
 
@@ -96,7 +94,3 @@ def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
     steps = [step for slider in sliders for step in slider.steps if step.done]
     arrows = sum(count_arrows(folder, step) for step in steps)
     return max(1, -(-arrows // MOST_ARROWS))
-
-
-def _keep(field: WorstField, every: int) -> WorstField:
-    return WorstField(field.truth[::every], field.predicted[::every], field.error[::every])

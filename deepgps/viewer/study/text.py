@@ -53,7 +53,8 @@ def describe_study(
     reading = (
         "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
         "methods and all positions of a slider share one colour scale. Every room is scaled to fill the same "
-        "rectangle; the bar above it shows its scale."
+        "rectangle; the bar above it shows its scale. Point at an arrow or a dot: error, heading → predicted x, y [m]. "
+        "The numbers on a slider are the setting's values, in the unit in brackets after its name."
     )
     notes = [f"Left out because it has too many positions: {name}." for name in left_out]
     notes += [f"Only one in {every} test positions is drawn, to keep the file small."] if every > 1 else []

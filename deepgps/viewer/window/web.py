@@ -2,7 +2,8 @@
 
 import socket
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import quote
 
@@ -27,15 +28,22 @@ def serve(paths: Sequence[Path], ports: tuple[int, int], say: Callable[[str], No
         InputError: As in ``find_shown``.
         WorkError: The viewer is missing or has no page.
     """
-    recording = Served("application/octet-stream", find_shown(paths))
+    with serve_recording(find_shown(paths), ports) as address:
+        say(f"open {address}\npress Ctrl-C to stop")
+        threading.Event().wait()
+
+
+@contextmanager
+def serve_recording(path: Path, ports: tuple[int, int]) -> Iterator[str]:
+    """Serve a recording and the viewer's page while this is entered; yields the address to open."""
     page, data = ports
+    recording = Served("application/octet-stream", path)
     with (
         serve_files(page, take_page(), headers={"Content-Security-Policy": _allow(data)}),
         serve_files(data, {RECORDING: recording}, readers=(page,)),
     ):
         source = quote(f"http://{HOST}:{data}{RECORDING}", safe="")
-        say(f"open http://{HOST}:{page}/?url={source}\npress Ctrl-C to stop")
-        threading.Event().wait()
+        yield f"http://{HOST}:{page}/?url={source}"
 
 
 def _allow(data: int) -> str:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from deepgps.evaluation.error_field import read_fields, worst_heading
+from deepgps.evaluation.error_field import ErrorField, find_worst, read_fields
 from deepgps.figures.field_plot import SCALE_M, colours_of
 from deepgps.figures.run_figures import draw_error_field, draw_figures, make_figures
 from deepgps.figures.style import smooth, to_png
@@ -27,7 +27,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(POSITIONS)
 def test_the_worst_heading_decides(predicted: np.ndarray) -> None:
     truth = np.arange(10.0).reshape(5, 2)
-    field = worst_heading(truth, predicted)
+    field = find_worst(ErrorField(truth, np.zeros(3), predicted))
     for cell in range(5):
         errors = [np.hypot(*(predicted[cell, heading] - truth[cell])) for heading in range(3)]
         assert field.error[cell] == pytest.approx(max(errors))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepgps.evaluation.evaluate import measure_coverage, name_part
+from deepgps.evaluation.coverage import measure_coverage, name_part
 from deepgps.figures.run_report import markdown_report
 from deepgps.figures.verdict import TRY_OUT, judge_run
 from deepgps.studies.study import Study

@@ -21,6 +21,7 @@ from rerun.chunk import RrdReader
 from deepgps.evaluation.error_field import read_fields
 from deepgps.progress import Look, ignore
 from deepgps.scenario import Scenario
+from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.live.drive import LiveDrive
 from deepgps.viewer.live.layout import RUN_TIME
 from deepgps.viewer.live.live import show_live
@@ -88,8 +89,12 @@ def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> No
     static = {chunk.entity_path: chunk for chunk in RrdReader(got).stream() if not chunk.timeline_names}
     for name, field in read_fields(run).items():
         batch = static[f"/world/error_field/{name}"].to_record_batch()
-        arrows = batch.column("Arrows3D:vectors").flatten().flatten().to_numpy().reshape(-1, 3)[:, :2]
-        np.testing.assert_allclose(arrows, field.predicted - field.truth, atol=1e-6)
+        shown = [batch.column(f"predicted_{axis}_m").flatten().to_numpy() for axis in "xy"]
+        np.testing.assert_allclose(np.transpose(shown), field.predicted, atol=1e-6)
+        paths = {f"/world/error_field/{name}/worst/{part}/arrows" for part in PARTS}
+        batches = [chunk.to_record_batch() for chunk in RrdReader(got).stream() if chunk.entity_path in paths]
+        said = [batch.column("error")[0] for batch in batches if "error" in batch.schema.names]
+        assert sum(map(len, said)) == len(field.error)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= set(static)
     assert find_missing(got) == []
 

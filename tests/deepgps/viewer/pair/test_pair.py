@@ -64,6 +64,7 @@ def test_the_change_reads_back_as_it_was_measured(runs: tuple[Path, Path], writt
     rows = read_entity(written, f"change/field/{method}")
     change = worst_errors(runs[1], method) - worst_errors(runs[0], method)
     np.testing.assert_allclose(np.concatenate(rows["change_m"].to_pylist()), change, atol=1e-12)
+    rows = read_entity(written, f"change/field/{method}/places")
     places = np.array(rows["Points3D:positions"].to_pylist()[0])[:, :2]
     with np.load(runs[0] / "error_field.npz") as arrays:
         np.testing.assert_allclose(places, arrays["truth"], atol=1e-6)

@@ -4,6 +4,7 @@ import re
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +14,16 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import read_all_headings, read_fields
+from deepgps.methods.catalog import title_of
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
+from deepgps.viewer.run.coverage import DENSITY
 from deepgps.viewer.run.drive import ROBOT
+from deepgps.viewer.run.pictures import choose_views, write_pictures
+from deepgps.viewer.run.places import PICTURES, find_places
 from deepgps.viewer.run.recording import RECORDING, find_recording, write_recording
-from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END, STEP
+from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
@@ -45,11 +50,11 @@ def copied(run: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run, tmp_path / "copy"))
 
 
-def rows(path: Path) -> dict[str, int]:
+def rows_by_entity(path: Path) -> dict[str, int]:
     """Rows of each entity over time; static ones count none."""
     counts: dict[str, int] = {}
     for chunk in RrdReader(path).stream():
-        timed = set(chunk.to_record_batch().schema.names) & {DRIVE_TIME, STEP}
+        timed = set(chunk.to_record_batch().schema.names) & {DRIVE_TIME, STEP, PLACE}
         counts[chunk.entity_path] = counts.get(chunk.entity_path, 0) + (chunk.num_rows if timed else 0)
     return counts
 
@@ -67,7 +72,7 @@ def test_the_error_field_reads_back_as_it_was_measured(run: Path, method: str) -
 
 def test_the_table_holds_all_error_fields(run: Path) -> None:
     table = read_error_table(run / RECORDING)
-    assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "method"]
+    assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg", "method"]
     with np.load(run / "error_field.npz") as arrays:
         assert table.num_rows == len(METHODS) * len(arrays["truth"])
         for method in METHODS:
@@ -130,9 +135,9 @@ def test_an_entity_that_is_not_there_is_told_with_those_that_are(run: Path) -> N
 
 
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
-    counts = rows(run / RECORDING)
+    counts = rows_by_entity(run / RECORDING)
     readings = len(np.load(run / "recording" / "reading.npy"))
-    for path in ("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/ticks/left"):
+    for path in ("drive/distance/encoder", "drive/distance/truth", "drive/difference", "drive/segment_error"):
         assert counts[f"/{path}"] == readings
     for path in ("drive/fisheye", "drive/polar", ROBOT):
         assert counts[f"/{path}"] == SAMPLES
@@ -146,6 +151,92 @@ def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
     assert counts["/world/reckoned/path"] == counts["/world/drive/path"]
     assert {"/encoders/faults", "/encoders/segments"} <= set(counts)
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/report/text"} <= set(counts)
+
+
+def test_ticks_are_counted_from_reading_to_reading_of_a_segment(run: Path) -> None:
+    reading = np.load(run / "recording" / "reading.npy")
+    rows = read_entity(run / RECORDING, "drive/ticks/right")
+    rows = rows.filter(pc.field(DRIVE_TIME).is_valid()).sort_by(DRIVE_TIME)
+    expected = [later[3] - before[3] for before, later in pairwise(reading) if before[0] == later[0]]
+    np.testing.assert_array_equal(np.concatenate(rows["Scalars:scalars"].to_pylist()), expected)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: str) -> None:
+    """The viewer lists at most three components that differ from arrow to arrow."""
+    field = read_fields(run)[method]
+    for part, large in (("above_10_cm", True), ("below_10_cm", False)):
+        chosen = (field.error > 0.1) == large
+        expected = [
+            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:.2f}, {y:.2f}"
+            for error, heading, (x, y) in zip(field.error, field.heading, field.predicted, strict=True)
+        ]
+        for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
+            rows = read_entity(run / RECORDING, f"world/error_field/{method}/worst/{part}/{shape}")
+            values = {
+                name: column.combine_chunks().flatten()
+                for name, column in zip(rows.column_names, rows.columns, strict=True)
+            }
+            assert values["error"].to_pylist() == [text for text, one in zip(expected, chosen, strict=True) if one]
+            assert len(values[position]) == chosen.sum()
+            assert sum(len(column) > 1 for column in values.values()) <= 3
+
+
+def test_each_heading_can_be_switched_on(run: Path) -> None:
+    with np.load(run / "error_field.npz") as arrays:
+        truth, heading, predicted = arrays["truth"], arrays["heading"], arrays["deepgps"]
+    for number, one in enumerate(heading):
+        path = f"world/error_field/deepgps/heading/{round(np.degrees(one)) % 360:03d}_deg"
+        rows = read_entity(run / RECORDING, f"{path}/arrows")
+        strips = np.array(rows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())
+        np.testing.assert_allclose(strips[:, 0, :2], truth, atol=1e-6)
+        np.testing.assert_allclose(strips[:, 1, :2], predicted[:, number], atol=1e-6)
+        hidden = [
+            entity for entity, values in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(values)
+        ]
+        assert any(entity.endswith(f"{path}/visualizers") for entity in hidden)
+
+
+def test_the_density_counts_every_training_image(run: Path) -> None:
+    rows = read_entity(run / RECORDING, DENSITY)
+    assert sum(rows["images"].combine_chunks().flatten().to_pylist()) == SAMPLES
+
+
+def test_the_timeline_of_places_begins_with_the_worst_of_each_method(run: Path) -> None:
+    rows = read_entity(run / RECORDING, "place/text")
+    rows = rows.filter(pc.field(PLACE).is_valid()).sort_by(PLACE)
+    texts = ["".join(text) for text in rows["TextDocument:text"].to_pylist()]
+    fields = read_all_headings(run)
+    places = find_places(fields)
+    assert len(texts) == len(places) == rows[PLACE][-1].as_py()
+    for place, text in zip(places, texts, strict=True):
+        error = 100 * fields[place.method].error[place.cell, place.heading]
+        assert text.startswith(f"# {title_of(place.method)}: {error:.1f} cm")
+        if place.rank == 1:
+            assert error == pytest.approx(100 * fields[place.method].error.max())
+    counts = rows_by_entity(run / RECORDING)
+    for name in PICTURES:
+        for kind in ("round", "polar"):
+            assert counts[f"/place/{name}/{kind}"] == counts["/world/place/error"] == len(places)
+
+
+def test_worst_places_are_apart_and_in_order(run: Path) -> None:
+    fields = read_all_headings(run)
+    for method, field in fields.items():
+        cells = [place.cell for place in find_places(fields) if place.method == method]
+        errors = field.error[cells].max(axis=1)
+        assert (np.diff(errors) <= 0).all()
+        assert pdist(field.truth[cells]).min() > 0.25
+
+
+def test_large_pictures_are_shown_where_they_were_drawn(copied: Path) -> None:
+    observation, poses = choose_views(copied)
+    assert len(observation) == len(poses) <= SAMPLES
+    picture = np.zeros((32, 32, 3), np.uint8)
+    write_pictures(copied, observation, np.repeat(picture[None], len(observation), axis=0))
+    counts = rows_by_entity(write_recording(copied))
+    assert counts["/drive/large"] == len(observation)
+    assert find_missing(copied / RECORDING) == []
 
 
 def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(copied: Path) -> None:
@@ -162,7 +253,7 @@ def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(copied: Path)
 def test_the_timelines_hold_no_wall_clock(run: Path) -> None:
     reader = RrdReader(run / RECORDING)
     names = {name for chunk in reader.stream() for name in chunk.timeline_names}
-    assert names == {DRIVE_TIME, STEP, PROGRESS}
+    assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
 
 
 def test_a_blueprint_is_embedded(run: Path) -> None:
@@ -187,7 +278,7 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> No
         begins = {one["timeline"]: one["range"]["start"] for one in ranges}
         if begins[DRIVE_TIME] is not None:
             starts.add(begins[DRIVE_TIME] / 1e9)
-            assert begins[PROGRESS] / PROGRESS_END * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
+            assert begins[PROGRESS] / 1e9 / PROGRESS_END_S * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
     assert starts == {-60, -120}
 
 
@@ -210,7 +301,7 @@ def test_the_file_verifies(run: Path) -> None:
 
 def test_images_of_a_long_drive_are_thinned(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drive, "IMAGES_AT_MOST", 25)
-    counts = rows(write_recording(copied))
+    counts = rows_by_entity(write_recording(copied))
     assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
     assert counts[f"/{ROBOT}"] == SAMPLES
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from deepgps.viewer.run.recording import RECORDING, find_recording
 from sim.recording.format import check_recording, finish_recording, open_recording, read_manifest
-from tests.deepgps.viewer.run.test_run import rows
+from tests.deepgps.viewer.run.test_run import rows_by_entity
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import write_synthetic_run
 
@@ -31,9 +31,9 @@ def test_the_drive_and_the_maps_are_viewed(tmp_path: Path):
         (run / name).unlink()
     forget_truth(run / "recording")
     assert find_recording(run) == run / RECORDING
-    counts = rows(run / RECORDING)
+    counts = rows_by_entity(run / RECORDING)
     readings = len(open_recording(run / "recording").reading)
-    assert counts["/world/reckoned/leg"] == counts["/drive/ticks/left"] == counts["/drive/distance/encoder"] == readings
+    assert counts["/world/reckoned/leg"] == counts["/drive/distance/encoder"] == readings > counts["/drive/ticks/left"]
     assert counts["/drive/fisheye"] > 1
     assert counts["/map/deepgps"] > 1
     assert not any("truth" in path or "error" in path for path in counts)

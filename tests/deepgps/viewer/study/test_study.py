@@ -17,6 +17,7 @@ from rerun.chunk import RrdReader
 from deepgps.figures import field_plot
 from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, write_table
+from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.study import study as viewer
 from deepgps.viewer.study.sliders import find_sliders
@@ -33,6 +34,7 @@ from tests.helpers.small_study import finish, start, write_study
 from tests.helpers.synthetic_study import METHODS, NOISES, ROOMS, STUDY, make_room, write_synthetic_study
 
 AXIS = "encoder.step_noise"
+LINE = f"{AXIS} [1/10]"
 
 
 @pytest.fixture(scope="module")
@@ -66,16 +68,20 @@ def cells(path: Path, entity: str, component: str) -> Iterator[tuple[str, int, A
 
 
 def fields(path: Path, method: str) -> dict[tuple[str, int], tuple[np.ndarray, np.ndarray]]:
-    """Arrows of a method at every place of every slider: where they begin, and their way (n, 2)."""
-    entity = f"/world/error_field/{method}"
-    origins = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:origins")}
-    vectors = {(line, at): value for line, at, value in cells(path, entity, "Arrows3D:vectors")}
-    assert origins.keys() == vectors.keys()
-    return {key: (flatten(origins[key]), flatten(vectors[key])) for key in origins}
+    """Arrows of a method at every place of every slider in order: where they begin, and their way (n, 2)."""
+    strips: dict[tuple[str, int], list[np.ndarray]] = {}
+    for part in PARTS:
+        entity = f"/world/error_field/{method}/worst/{part}/arrows"
+        for line, at, value in cells(path, entity, "LineStrips3D:strips"):
+            strips.setdefault((line, at), []).append(np.reshape(value, (-1, 5, 3))[:, :2, :2])
+    ends = {key: in_order(np.concatenate(parts)) for key, parts in strips.items()}
+    return {key: (points[:, 0], points[:, 1] - points[:, 0]) for key, points in ends.items()}
 
 
-def flatten(points: Any) -> np.ndarray:
-    return np.reshape(points, (-1, 3))[:, :2]
+def in_order(rows: np.ndarray) -> np.ndarray:
+    """Rows (n, ...) in the order of the places (n, 2) that they begin with."""
+    place = np.round(rows.reshape(len(rows), int(np.prod(rows.shape[1:])))[:, :2], 4)
+    return rows[np.lexsort(place.T)]
 
 
 def texts(path: Path, entity: str, component: str = "TextDocument:text") -> dict[tuple[str, int], str]:
@@ -96,19 +102,19 @@ def test_each_place_of_each_slider_shows_the_error_field_of_its_run(study, metho
     folder, plans = study
     shown = fields(folder / STUDY_RRD, method)
     expected = {
-        **{(AXIS, index): find(plans, ROOMS[0], noise, 0) for index, noise in enumerate(NOISES)},
-        **{("case", index): find(plans, room, NOISES[0], 0) for index, room in enumerate(ROOMS)},
+        **{(LINE, round(10 * noise)): find(plans, ROOMS[0], noise, 0) for noise in NOISES},
+        **{("case", index + 1): find(plans, room, NOISES[0], 0) for index, room in enumerate(ROOMS)},
         **{("seed", seed): find(plans, ROOMS[0], NOISES[0], seed) for seed in (0, 1)},
-        **{("run", index): plan for index, plan in enumerate(plans)},
+        **{("run", index + 1): plan for index, plan in enumerate(plans)},
     }
     assert shown.keys() == expected.keys()
     for key, plan in expected.items():
         with np.load(folder / "runs" / plan.run / "error_field.npz") as arrays:
             truth, predicted = arrays["truth"], arrays[method]
         error = predicted - truth[:, None]
-        worst = np.linalg.norm(error, axis=-1).argmax(axis=1)
-        np.testing.assert_allclose(shown[key][0], truth, atol=1e-5)
-        np.testing.assert_allclose(shown[key][1], error[np.arange(len(truth)), worst], atol=1e-5)
+        worst = error[np.arange(len(truth)), np.linalg.norm(error, axis=-1).argmax(axis=1)]
+        expected_rows = in_order(np.concatenate([truth, worst], axis=1))
+        np.testing.assert_allclose(np.concatenate(shown[key], axis=1), expected_rows, atol=1e-5)
 
 
 def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
@@ -117,13 +123,14 @@ def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
         read_error_table(path)
     with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
         read_error_field(path, "deepgps")
-    assert AXIS in read_entity(path, "world/error_field/deepgps").column_names
+    assert LINE in read_entity(path, f"world/error_field/deepgps/worst/{PARTS[0]}/arrows").column_names
 
 
 def test_arrows_grow_with_the_noise_where_it_matters_and_nowhere_else(study):
     lengths = {
         method: [
-            np.linalg.norm(fields(study[0] / STUDY_RRD, method)[AXIS, index][1], axis=1).mean() for index in range(3)
+            np.linalg.norm(fields(study[0] / STUDY_RRD, method)[LINE, round(10 * noise)][1], axis=1).mean()
+            for noise in NOISES
         ]
         for method in METHODS
     }
@@ -135,11 +142,11 @@ def test_every_room_fills_the_same_rectangle(study):
     path = study[0] / STUDY_RRD
     scales = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:scale")}
     moves = {key[:2]: key[2][0] for key in cells(path, "/world", "Transform3D:translation")}
-    assert set(scales) == {("case", 0), ("case", 1), (AXIS, 0), ("seed", 0), ("run", 0), ("run", 6)}
+    assert set(scales) == {("case", 1), ("case", 2), (LINE, 0), ("seed", 0), ("run", 1), ("run", 7)}
     assert {(line, at) for line, at, _ in cells(path, "/world/floor_plan", "GridMap:data")} == set(scales)
     corners = []
     for index, room in enumerate(ROOMS):
-        scale, move = scales["case", index][0], np.array(moves["case", index][:2])
+        scale, move = scales["case", index + 1][0], np.array(moves["case", index + 1][:2])
         corners.append(np.stack(field_plot.limits(make_room(room))) * scale + move)
     for corner in corners:
         np.testing.assert_allclose(corner[0], -corner[1], atol=1e-5)
@@ -149,11 +156,11 @@ def test_every_room_fills_the_same_rectangle(study):
 def test_the_text_says_where_a_slider_stands_and_what_the_others_are(study):
     path = study[0] / STUDY_RRD
     here = texts(path, "/report/here")
-    assert here[AXIS, 2].startswith(f"# {AXIS} 0.3\n")
-    assert "RMS of all 2 seeds: DeepGPS " in here[AXIS, 2]
-    assert "| PoseNet |" in here[AXIS, 2]
-    assert here["case", 1].startswith("# case room.seed 2")
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1].startswith(f"{AXIS} 0.1\nRMS ")
+    assert here[LINE, 3].startswith(f"# {AXIS} 0.3\n")
+    assert "RMS of all 2 seeds: DeepGPS " in here[LINE, 3]
+    assert "| PoseNet |" in here[LINE, 3]
+    assert here["case", 2].startswith("# case room.seed 2")
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[LINE, 1].startswith(f"{AXIS} 0.1\nRMS ")
     (guide,) = [value[0] for value in static(path, "/report/sliders")]
     assert f"The slider at the bottom moves `{AXIS}`" in guide
     assert f"- **{AXIS}**: `0`, `0.1`, `0.3` (with room.seed 1, seed 0)" in guide
@@ -170,24 +177,40 @@ def static(path: Path, entity: str) -> Iterator[Any]:
 def test_curves_run_along_the_slider_with_the_best_and_the_worst_seed(study):
     folder, plans = study
     rows = gather(plans, {}, folder)
-    takes = {"": np.mean, "/best": np.min, "/worst": np.max}
+    takes = {"": np.mean, "_best": np.min, "_worst": np.max}
     for (end, take), name in product(takes.items(), ("rms", "median")):
-        curve = cells(folder / STUDY_RRD, f"/curve/{name}/deepgps{end}", "Scalars:scalars")
-        shown = {at: value[0] for line, at, value in curve if line == AXIS}
-        for index, noise in enumerate(NOISES):
+        curve = cells(folder / STUDY_RRD, f"/curve/{name}/curves/deepgps{end}", "LineStrips2D:strips")
+        ((points,),) = (value for line, _, value in curve if line == LINE)
+        across, up = np.array(points).T
+        np.testing.assert_allclose(across / across[-1], np.array(NOISES) / NOISES[-1], atol=1e-6)  # in proportion
+        expected = []
+        for noise in NOISES:
             group = [
                 100 * row[f"{name}_m"]
                 for row in rows
                 if (row["method"], row["room.seed"], row[AXIS]) == ("deepgps", ROOMS[0], noise)
             ]
             assert len(group) == 2
-            assert shown[index] == pytest.approx(take(group))
+            expected.append(take(group))
+        assert np.corrcoef(1 - up, np.log(expected))[0, 1] == pytest.approx(1) or np.corrcoef(1 - up, expected)[
+            0, 1
+        ] == pytest.approx(1)
+
+
+def test_a_cursor_in_the_curves_is_where_the_slider_is(study):
+    shown = {
+        at: value
+        for line, at, value in cells(study[0] / STUDY_RRD, "/curve/rms/cursor", "LineStrips2D:strips")
+        if line == LINE
+    }
+    across = np.array([np.reshape(shown[round(10 * noise)], (-1, 2))[0, 0] for noise in NOISES])
+    np.testing.assert_allclose(across / across[-1], np.array(NOISES) / NOISES[-1], atol=1e-6)
 
 
 def test_no_wall_clock_is_written_and_the_file_verifies_and_is_small(study):
     path = study[0] / STUDY_RRD
     assert {name for chunk in RrdReader(path).stream() for name in chunk.timeline_names} == {
-        AXIS,
+        LINE,
         "case",
         "seed",
         "run",
@@ -226,26 +249,28 @@ def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
     path = write_rrd(tmp_path)
     shown = fields(path, "deepgps")
     with np.load(tmp_path / "runs" / plans[1].run / "error_field.npz") as arrays:
-        np.testing.assert_allclose(shown[AXIS, 0][0], arrays["truth"], atol=1e-5)
-    assert len(shown[AXIS, 1][0]) == 0
-    assert texts(path, "/heading/deepgps", "Points3D:labels")[AXIS, 1] == f"{AXIS} 0.1\nfailed"
-    assert texts(path, "/report/here")[AXIS, 1].endswith("This run failed: it did not want to")
+        np.testing.assert_allclose(shown[LINE, 0][0], in_order(arrays["truth"]), atol=1e-5)
+    assert len(shown[LINE, 1][0]) == 0
+    assert texts(path, "/heading/deepgps", "Points3D:labels")[LINE, 1] == f"{AXIS} 0.1\nfailed"
+    assert texts(path, "/report/here")[LINE, 1].endswith("This run failed: it did not want to")
 
 
 def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monkeypatch):
     monkeypatch.setattr(viewer, "MOST_PLACES", 11)
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
-    assert {line for line, _ in fields(path, "deepgps")} == {AXIS, "case", "seed"}
+    assert {line for line, _ in fields(path, "deepgps")} == {LINE, "case", "seed"}
     assert any("it has too many positions: run." in value[0] for value in static(path, "/report/sliders"))
 
 
 def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
-    whole = fields(study[0] / STUDY_RRD, "deepgps")[AXIS, 0][0]
+    whole = fields(study[0] / STUDY_RRD, "deepgps")[LINE, 0][0]
     monkeypatch.setattr(viewer, "MOST_ARROWS", 19 * 2 * len(whole) // 3 + 1)  # 19 places on four sliders, two methods
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
-    np.testing.assert_array_equal(fields(path, "deepgps")[AXIS, 0][0], whole[::3])
+    with np.load(copied / "runs" / find(study[1], ROOMS[0], NOISES[0], 0).run / "error_field.npz") as arrays:
+        thin = in_order(arrays["truth"][::3])
+    np.testing.assert_allclose(fields(path, "deepgps")[LINE, 0][0], thin, atol=1e-5)
     assert any("Only one in 3 test positions is drawn" in value[0] for value in static(path, "/report/sliders"))
 
 
@@ -390,10 +415,10 @@ def test_a_study_that_was_killed_leaves_its_recording_when_it_is_run_again(tmp_p
     assert not list(out.glob("*.deepgps-part"))
     verify(out / STUDY_RRD)
     runs = {plan.scenario.encoder.step_noise: plan.run for plan in plan_runs(load_study(str(study), tiny=True))}
-    for index, noise in enumerate((0.0, 0.3)):
+    for noise in (0.0, 0.3):
         with np.load(out / "runs" / runs[noise] / "error_field.npz") as arrays:
-            shown = fields(out / STUDY_RRD, "deepgps")[AXIS, index]
-            np.testing.assert_allclose(shown[0], arrays["truth"], atol=1e-6)
+            shown = fields(out / STUDY_RRD, "deepgps")[LINE, round(10 * noise)]
+            np.testing.assert_allclose(shown[0], in_order(arrays["truth"]), atol=1e-6)
     done = deepgps_here("view", str(out), cwd=tmp_path)
     assert done.returncode == 1
     assert f"without a display, copy {out / STUDY_RRD} to a machine that has one" in done.stderr

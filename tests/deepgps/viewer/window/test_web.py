@@ -22,12 +22,13 @@ from PIL import Image
 
 from deepgps.cli import main
 from deepgps.evaluation.error_field import read_fields
-from deepgps.figures.field_plot import colours_of
+from deepgps.figures.field_plot import COLOURS, colours_of
 from deepgps.viewer.run.recording import RECORDING, write_recording
+from deepgps.viewer.window import screenshot
+from deepgps.viewer.window.chromium import NAMES, find_chromium, open_page
 from deepgps.viewer.window.connect import HOST, find_free_port
 from deepgps.viewer.window.web import choose_ports
 from sim.errors import InputError
-from tests.helpers.chromium import NAMES, find_chromium, open_page
 from tests.helpers.synthetic_run import write_synthetic_run
 
 PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
@@ -245,3 +246,46 @@ def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
     assert shown_colours(np.zeros_like(picture), colours) == 0.0, "a blank page shows none"
     if folder := os.environ.get("SCREENSHOTS"):  # to look at, and for the README
         (Path(folder) / "web.png").write_bytes(png)
+
+
+def test_a_screenshot_without_chromium_and_display_says_what_to_install(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(screenshot, "find_chromium", lambda: None)
+    monkeypatch.setattr(screenshot.shutil, "which", lambda name: None)
+    with pytest.raises(SystemExit) as caught:
+        main(["view", str(run), "--screenshot", str(tmp_path / "out.png")])
+    said = capsys.readouterr().err
+    assert caught.value.code == 1
+    assert len(said.splitlines()) == 1 and "install chromium, or xvfb and mesa-vulkan-drivers" in said
+    assert not (tmp_path / "out.png").exists()
+
+
+def test_a_screenshot_overwrites_no_file_of_someone_else(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "mine.png").write_bytes(b"\x89PNG mine")
+    said = fail_to_view(capsys, str(run), "--screenshot", str(tmp_path / "mine.png"))
+    assert "mine.png exists, and deepgps did not write it" in said
+    assert (tmp_path / "mine.png").read_bytes() == b"\x89PNG mine"
+
+
+def test_a_picture_counts_as_drawn_once_it_shows_a_scale() -> None:
+    strip = (255 * COLOURS(np.linspace(0, 1, 400))[None, :, :3]).astype(np.uint8)
+    picture = np.full((60, 400, 3), 13, np.uint8)
+    assert not screenshot.shows_scale(picture)
+    picture[30:32] = strip
+    assert screenshot.shows_scale(picture)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_chromium() is None, reason=f"no Chromium: there is no command {', '.join(NAMES)}")
+def test_a_screenshot_shows_the_error_field(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.png"
+    main(["view", str(run), "--screenshot", str(out)])
+    picture = np.asarray(Image.open(out).convert("RGB"))
+    assert picture.shape == (1000, 1600, 3)
+    colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
+    assert shown_colours(picture, colours) > 0.6

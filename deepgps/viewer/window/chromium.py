@@ -1,4 +1,4 @@
-"""A real Chromium without a window, told what to do through its DevTools pipe: JSON between zero bytes."""
+"""A Chromium without a window, controlled through its DevTools pipe: JSON between zero bytes."""
 
 import base64
 import fcntl
@@ -13,6 +13,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from sim.errors import WorkError
+
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 # WebGL on the processor, for machines without a graphics card.
 SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -26,6 +28,7 @@ Picture = Callable[[], bytes]
 
 
 def find_chromium() -> str | None:
+    """Path of a Chromium on this machine."""
     return next((path for name in NAMES if (path := shutil.which(name))), None)
 
 
@@ -34,13 +37,17 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
     """Open a page in the dark theme; yields a function that takes its picture as PNG, empty where there is none yet.
 
     Args:
-        url: Of the page.
+        url: The page's address.
         profile: An empty folder for Chromium's own files.
-        width_px: Of the page.
-        height_px: Of the page.
+        width_px: Width of the page.
+        height_px: Height of the page.
+
+    Raises:
+        WorkError: There is no Chromium.
     """
     chromium = find_chromium()
-    assert chromium
+    if chromium is None:
+        raise WorkError(f"there is no Chromium: no command {', '.join(NAMES)}")
     read_here, write_there = os.pipe()
     read_there, write_here = os.pipe()
     theirs = [_move_up(end) for end in (read_there, write_there)]
@@ -79,7 +86,7 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
 
 
 def _move_up(end: int) -> int:
-    """The same pipe under a number that Chromium has no use for."""
+    """Return the same pipe under a number that Chromium does not use."""
     moved = fcntl.fcntl(end, fcntl.F_DUPFD, 10)
     os.close(end)
     return moved

@@ -1,0 +1,104 @@
+"""Error fields: an arrow from each true place to the predicted one, a dot at the true one, and its numbers.
+
+The viewer's tooltip lists up to three components that differ between the arrows of an entity, and more only by their
+number. So an entity has its shape, its colours and one short text, and other values are logged above it.
+"""
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+
+from deepgps.evaluation.error_field import ErrorField, WorstField
+from deepgps.figures.field_plot import colours_of
+from deepgps.methods.catalog import title_of
+from deepgps.viewer.scene import LAYER_M, Places, lift, put
+
+LARGE_M = 0.1
+PARTS = ("above_10_cm", "below_10_cm")
+"""Entities of the worst headings: switching the second one off leaves the large errors."""
+DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
+HEAD_M = 0.05
+HEAD_SHARE = 0.35
+"""Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's."""
+NO_PLACES = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+
+
+def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = (), root: str = "world") -> None:
+    """Log a method's errors at the worst heading of each place, large and small ones as separate entities."""
+    path = f"{root}/error_field/{name}"
+    large = field.error > LARGE_M
+    for part, chosen in zip(PARTS, (large, ~large), strict=True):
+        _log_arrows(stream, f"{path}/worst/{part}", name, take(field, chosen), find_thinness(field.truth), at)
+    if not at:
+        put(stream, path, _list_values(field))
+
+
+def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField, root: str = "world") -> None:
+    """Log a method's errors at each heading that all places share, if there are several."""
+    for number, path in enumerate(list_headings(name, field, root)):
+        predicted, heading = field.predicted[:, number], np.full(len(field.truth), field.heading[number])
+        one = WorstField(field.truth, predicted, field.error[:, number], heading)
+        _log_arrows(stream, path, name, one, find_thinness(field.truth))
+
+
+def list_headings(name: str, field: ErrorField, root: str = "world") -> list[str]:
+    """Entities of a method's errors at each heading; empty if places have headings of their own, or only one."""
+    if field.heading.ndim != 1 or len(field.heading) < 2:
+        return []
+    return [f"{root}/error_field/{name}/heading/{_degrees(one):03.0f}_deg" for one in field.heading]
+
+
+def describe_errors(field: WorstField) -> list[str]:
+    """Error, heading and predicted position of each place, short enough for one line of a tooltip."""
+    rows = zip(100 * field.error, _degrees(field.heading), *field.predicted.T, strict=True)
+    return [f"{error:.1f} cm, {heading:.0f}° → {x:.2f}, {y:.2f}" for error, heading, x, y in rows]
+
+
+def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = LAYER_M) -> np.ndarray:
+    """Draw arrows between places (n, 2) [m] as lines (n, 5, 3) that lie flat at height ``z`` [m]."""
+    vector = tips - origins
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    head = np.minimum(HEAD_SHARE, HEAD_M / np.maximum(length, 1e-9)) * vector
+    side = 0.5 * np.stack([-head[:, 1], head[:, 0]], axis=1)
+    corners = [origins, tips, tips - head + side, tips, tips - head - side]
+    return np.stack([lift(corner, z) for corner in corners], axis=1)
+
+
+def find_thinness(places: np.ndarray) -> float:
+    """Factor for the thickness of arrows at places (N, 2) [m]; one if there is room for them."""
+    area = np.prod(np.ptp(places, axis=0)) if len(places) else 0.0
+    return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
+
+
+def take(field: WorstField, chosen: np.ndarray | slice) -> WorstField:
+    """The error field at some of its places."""
+    return WorstField(field.truth[chosen], field.predicted[chosen], field.error[chosen], field.heading[chosen])
+
+
+def _log_arrows(
+    stream: rr.RecordingStream, path: str, name: str, field: WorstField, thin: float, at: Places = ()
+) -> None:
+    colours, said = (
+        colours_of(field.error),
+        rr.AnyValues(error=pa.array(describe_errors(field), pa.utf8()), method=[title_of(name)]),
+    )
+    lines = rr.LineStrips3D(draw_arrows(field.truth, field.predicted), radii=0.007 * thin, colors=colours)
+    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
+    for below, shape in (("arrows", lines), ("places", dots)):
+        put(stream, f"{path}/{below}", shape, at)
+        put(stream, f"{path}/{below}", said, at)
+
+
+def _list_values(field: WorstField) -> rr.AnyValues:
+    return rr.AnyValues(
+        x_m=field.truth[:, 0],
+        y_m=field.truth[:, 1],
+        predicted_x_m=field.predicted[:, 0],
+        predicted_y_m=field.predicted[:, 1],
+        error_m=field.error,
+        heading_deg=_degrees(field.heading),
+    )
+
+
+def _degrees(heading: np.ndarray) -> np.ndarray:
+    return np.round(np.degrees(heading)) % 360

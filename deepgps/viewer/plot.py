@@ -1,0 +1,143 @@
+"""Plots with axes of their own, drawn as lines in a 2D view: the viewer's own plots have only timelines as abscissa.
+
+A plot is ``WIDTH`` wide and 1 high with its origin at the lower left; its legend to the right of it covers nothing.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from matplotlib import ticker
+
+from deepgps.viewer.scene import Places, put
+
+WIDTH = 1.7
+LEGEND = 0.6  # width of the legend
+ROW = 0.15  # of the legend
+TICKS = 4
+GRID, INK = (44, 49, 60), (170, 177, 190)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a plot.
+
+    Attributes:
+        title: What is along it, with its unit.
+        low: Value at its start.
+        high: Value at its end.
+        ticks: Labels by value.
+        log: Whether it is logarithmic.
+    """
+
+    title: str
+    low: float
+    high: float
+    ticks: Mapping[float, str]
+    log: bool = False
+
+    def share(self, values: np.ndarray | Sequence[float]) -> np.ndarray:
+        """Positions of values along the axis, from 0 to 1 between its ends; values beyond them are moved there."""
+        low, high, values = self.low, self.high, np.clip(np.asarray(values, float), self.low, self.high)
+        if self.log:
+            low, high, values = np.log(low), np.log(high), np.log(values)
+        return (values - low) / (high - low)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One line of a plot.
+
+    Attributes:
+        name: Entity below the plot.
+        title: Its line in the legend; empty: none.
+        colour: RGB or RGBA, up to 255.
+        x: Abscissas (n,).
+        y: Ordinates (n,).
+        marked: Whether there is a dot at each point.
+    """
+
+    name: str
+    title: str
+    colour: tuple[int, ...]
+    x: Sequence[float] | np.ndarray
+    y: Sequence[float] | np.ndarray
+    marked: bool = False
+
+
+def make_axis(title: str, values: np.ndarray | Sequence[float], log: bool = False, zero: bool = False) -> Axis:
+    """Make an axis around values, with about four ticks at round numbers; ``zero`` makes it start at zero."""
+    values = np.asarray(values, float)
+    low, high = float(values.min()), float(values.max())
+    if log:
+        exponents = np.arange(np.floor(np.log10(low)) - 1, np.ceil(np.log10(high)) + 2)
+        found = (10.0 ** exponents[:, None] * [1, 2, 5]).reshape(-1)
+        first, last = np.searchsorted(found, low, "right") - 1, np.searchsorted(found, high, "left")
+        found = found[first : max(last, first + 1) + 1]
+        if len(found) > 2 * TICKS:  # only powers of ten between the ends
+            found = np.unique([found[0], *found[np.isclose(np.log10(found) % 1, [[0], [1]]).any(axis=0)], found[-1]])
+        low, high = float(found[0]), float(found[-1])
+    else:
+        low = 0.0 if zero else low
+        found = ticker.MaxNLocator(TICKS).tick_values(low, high if high > low else low + 1)
+        low, high = float(found[0]), float(found[-1])
+    return Axis(title, low, high, {float(one): f"{one:.6g}" for one in found}, log)
+
+
+def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Sequence[Curve], at: Places = ()) -> None:
+    """Log a plot below an entity, statically or from the places ``at`` on."""
+    columns, rows = WIDTH * x.share(list(x.ticks)), 1 - y.share(list(y.ticks))
+    grid = [[(column, 0), (column, 1)] for column in columns] + [[(0, row), (WIDTH, row)] for row in rows]
+    put(stream, f"{path}/axes", rr.LineStrips2D(grid, colors=GRID, radii=rr.Radius.ui_points(0.6)), at)
+    _put_text(
+        stream, f"{path}/axes/x", list(zip(columns, np.ones(len(columns)), strict=True)), list(x.ticks.values()), at
+    )
+    beside = [(-0.09, row - 0.035) for row in rows]  # a label is drawn below its point
+    _put_text(stream, f"{path}/axes/y", beside, list(y.ticks.values()), at)
+    _put_text(stream, f"{path}/axes/titles", [(WIDTH + 0.6 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], at)
+    told = [curve for curve in curves if curve.title]
+    places = [(WIDTH + LEGEND / 2, ROW * row) for row in range(len(told))]
+    _put_text(stream, f"{path}/legend", places, [one.title for one in told], at, [one.colour for one in told])
+    for curve in curves:
+        points = np.stack([WIDTH * x.share(curve.x), 1 - y.share(curve.y)], axis=1)
+        line = rr.LineStrips2D([points], colors=[curve.colour], radii=rr.Radius.ui_points(1.2 if curve.title else 0.6))
+        put(stream, f"{path}/curves/{curve.name}", line, at)
+        if curve.marked:
+            said = rr.AnyValues(x=np.asarray(curve.x, float), y=np.asarray(curve.y, float))
+            dots = rr.Points2D(points, colors=[curve.colour], radii=rr.Radius.ui_points(3.5))
+            for thing in (dots, said):
+                put(stream, f"{path}/curves/{curve.name}/points", thing, at)
+
+
+def log_cursor(stream: rr.RecordingStream, path: str, x: Axis, value: float, at: Places) -> None:
+    """Log a vertical line at a value of a plot's abscissa, where the slider is."""
+    column = WIDTH * float(x.share([value])[0])
+    line = rr.LineStrips2D([[(column, 0), (column, 1)]], colors=INK, radii=rr.Radius.ui_points(0.8))
+    put(stream, f"{path}/cursor", line, at)
+
+
+def plot_view(name: str, path: str) -> rrb.Spatial2DView:
+    """A view of a plot and its legend; its grid and its labels do not catch the pointer."""
+    still = rrb.EntityBehavior(interactive=False)
+    return rrb.Spatial2DView(
+        name=name,
+        origin=path,
+        background=(13, 14, 17),
+        visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, WIDTH + LEGEND), y_range=(-0.24, 1.2)),
+        overrides={f"{path}/{one}": still for one in ("axes", "legend", "cursor")},
+    )
+
+
+def _put_text(
+    stream: rr.RecordingStream,
+    path: str,
+    places: Sequence[tuple[float, float]],
+    labels: Sequence[str],
+    at: Places,
+    colours: Sequence[tuple[int, ...]] = (INK,),
+) -> None:
+    points = np.asarray(places, float).reshape(-1, 2)
+    radius = rr.Radius.ui_points(0)
+    put(stream, path, rr.Points2D(points, labels=labels, show_labels=True, radii=radius, colors=list(colours)), at)
