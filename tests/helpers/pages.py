@@ -42,6 +42,7 @@ SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.
 TESTED_ELSEWHERE = {
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps bench": "tests/deepgps/bench/test_bench.py",
+    "deepgps view runs/demo --screenshot demo.png": "tests/deepgps/viewer/window/test_web.py",
 }
 MADE_EARLIER: dict[str, tuple[str, ...]] = {
     "runs/demo": ("run", "living_room", "--out", "runs/demo"),
@@ -129,7 +130,9 @@ class Reader:
         name = next(iter(words), "")
         if shlex.join(["deepgps", *words]) in TESTED_ELSEWHERE:
             return
-        if "--help" not in words:
+        if ">" in words:
+            words = words[: words.index(">")]
+        if not any(word.startswith("--help") for word in words):
             if name == "view" or is_folder(words[1:]):
                 self.make_earlier(words, place)
             if name in {"run", "collect", "train", "evaluate"}:
@@ -158,6 +161,8 @@ class Reader:
                 folder = f"runs/live-{len(self.done)}"
                 return self.call([stage, *words, *SMALLER, "--live", address, "--out", folder], place)
         out = arguments.out
+        if out is None and is_folder(words):
+            return self.call([stage, *words], place)  # the folder itself is changed
         if out is not None:
             at = words.index("--out")
             del words[at : at + 2]
