@@ -18,7 +18,8 @@ cv2.imwrite("raw.png", cv2.cvtColor(raw, cv2.COLOR_RGB2BGR))
 image = cv2.cvtColor(np.asarray(cv2.imread("raw.png")), cv2.COLOR_BGR2RGB)  # a recording has RGB
 centre, radius_px = ((size_px - 1) / 2, (size_px - 1) / 2), size_px / 2
 unwrapped = deepgps.unwrap_fisheye(image, centre, radius_px, rings, sectors)
-truth = run.errors("knn").to_pandas().iloc[place * run.recording.test_observation.shape[1] + heading]
+row = place * run.recording.test_observation.shape[1] + heading
+truth = run.errors("knn").slice(row, 1).to_pylist()[0]
 for method in run.methods:
     x, y = run.position(unwrapped, method)
-    print(f"{method}: x {x:.2f} m, y {y:.2f} m; the truth is x {truth.x_m:.2f} m, y {truth.y_m:.2f} m")
+    print(f"{method}: x {x:.2f} m, y {y:.2f} m; the truth is x {truth['x_m']:.2f} m, y {truth['y_m']:.2f} m")

@@ -1,4 +1,7 @@
-"""Run a scenario from Python and draw its error field: the largest error over the headings at each test position."""
+"""Run a scenario from Python and draw its error field: the largest error over the headings at each test position.
+
+Needs pandas, which `pip install pandas` brings.
+"""
 
 import matplotlib.pyplot as plt
 
