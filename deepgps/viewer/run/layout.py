@@ -18,7 +18,7 @@ from sim.occupancy import FreeSpace, limits
 RECENT_S, TRAIL_S = 60.0, 120.0
 STILL = rrb.EntityBehavior(interactive=False)
 HIDDEN = rrb.EntityBehavior(visible=False)
-BACKDROP = ("room", "floor_plan", "outline", "scale")
+BACKDROP = ("room", "floor_plan", "outline", "scale", "place/error")
 Overrides = dict[Any, Any]  # by entity
 Headings = Mapping[str, Sequence[str]]
 """Entities of a method's error field at each heading, by method."""
