@@ -18,7 +18,7 @@ from sim.occupancy import FreeSpace, limits
 RECENT_S, TRAIL_S = 60.0, 120.0
 STILL = rrb.EntityBehavior(interactive=False)
 HIDDEN = rrb.EntityBehavior(visible=False)
-BACKDROP = ("room", "floor_plan", "outline", "scale", "place/error")
+BACKDROP = ("room", "floor_plan", "outline", "scale")
 Overrides = dict[Any, Any]  # by entity
 Headings = Mapping[str, Sequence[str]]
 """Entities of a method's error field at each heading, by method."""
@@ -90,7 +90,7 @@ def _error_fields(space: FreeSpace, headings: Headings) -> rrb.Horizontal | rrb.
     first, *others = headings
     layers = [path.removeprefix("world/") for path in (COVERAGE, DENSITY)]
     hidden = {method: [*paths, COVERAGE, DENSITY] for method, paths in headings.items()}
-    around = ["floor_plan", "scale/**", "place/error", *layers]
+    around = ["floor_plan", "scale/**", "place/test", *layers]
     oblique, above = aim_eye(space, tilt=0.45, reach=1.08), aim_eye(space, reach=1.0)
     room = rrb.Tabs(
         field_view(f"Error field of {title_of(first)}", first, oblique, ["room", *around], hidden[first]),
