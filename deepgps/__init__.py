@@ -3,7 +3,7 @@
 The names below are imported when they are first used, so that ``import deepgps`` takes no time.
 """
 
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def __getattr__(name: str) -> Any:
         return version("deepgps")
     if name not in _HOMES:
         raise AttributeError(f"module 'deepgps' has no attribute {name!r}")
-    value = getattr(import_module(_HOMES[name]), name)
+    value = resolve_name(f"{_HOMES[name]}:{name}")
     globals()[name] = value  # the next use finds it at once
     return value
 

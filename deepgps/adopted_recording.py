@@ -11,6 +11,9 @@ from sim.errors import InputError
 from sim.files import sha256
 from sim.recording.format import read_manifest
 
+DEFAULT_METHODS = ("deepgps",)
+"""Methods that are trained on a recording if none are named: it may hold neither truth nor labels."""
+
 
 def describe_recording(recording: Path, overrides: Mapping[str, Any]) -> Scenario:
     """The scenario of a training on a recording, by what its manifest knows of the world and the sensors.

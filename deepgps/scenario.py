@@ -11,11 +11,9 @@ import yaml
 from pydantic import (
     AfterValidator,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_serializer,
     model_validator,
 )
 from pydantic_core import ErrorDetails
@@ -29,7 +27,7 @@ from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
-from sim.settings import LARGEST_MJCF, Group, SimSettings
+from sim.settings import LARGEST_MJCF, Group, SimSettings, WithPlugins
 from sim.user_input import quote, read_file, shorten
 
 
@@ -58,7 +56,7 @@ class PluginSource(Group):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
-class Scenario(SimSettings):
+class Scenario(WithPlugins, SimSettings):
     """Every setting that determines a run."""
 
     name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
@@ -70,9 +68,6 @@ class Scenario(SimSettings):
     methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
     """Methods to train and compare."""
     learn: LearnSettings = LearnSettings()
-
-    def __hash__(self) -> int:
-        return hash(self.model_dump_json())  # a dictionary has no hash
 
     @model_validator(mode="before")
     @classmethod
@@ -93,13 +88,6 @@ class Scenario(SimSettings):
         if not methods or len(set(methods)) != len(methods):
             raise ValueError("at least one method, each once")
         return methods
-
-    @model_serializer(mode="wrap")
-    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values = write(self)
-        if not self.plugins:
-            values.pop("plugins", None)
-        return values
 
     @model_validator(mode="after")
     def _methods_suit_the_world(self) -> "Scenario":

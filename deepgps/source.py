@@ -6,7 +6,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import choose_folder, describe_recording
+from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording
 from deepgps.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
 from deepgps.scenario import Scenario, Spell, load_scenario, names_in, override_scenario
 from deepgps.spelling import as_option
@@ -15,8 +15,6 @@ from sim.paths import SCENARIOS
 from sim.user_input import shorten
 
 MANIFEST = "manifest.json"
-DEFAULT_METHODS = ("deepgps",)
-"""Methods that are trained on a recording if none are named: it may hold neither truth nor labels."""
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,20 @@ class Group(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
+class WithPlugins(Group):
+    """A group with a dictionary ``plugins``: an empty one is not written, so a run without plugins keeps its hash."""
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())  # a dictionary has no hash
+
+    @model_serializer(mode="wrap")
+    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = write(self)
+        if not values.get("plugins"):
+            values.pop("plugins", None)
+        return values
+
+
 class RoomSettings(Group):
     """The room to build, or the MJCF file to use instead."""
 
@@ -152,7 +166,7 @@ class FaultSetting(Group):
     sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
 
 
-class EncoderSettings(Group):
+class EncoderSettings(WithPlugins):
     """The wheel encoders and their faults; all but the first two are faults of measurement."""
 
     ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
@@ -176,9 +190,6 @@ class EncoderSettings(Group):
     plugins: dict[str, FaultSetting] = Field(default_factory=dict)
     """Faults that plugins define: their strengths by name."""
 
-    def __hash__(self) -> int:
-        return hash(self.model_dump_json())  # a dictionary has no hash
-
     @field_validator("plugins", mode="before")
     @classmethod
     def _add_the_checksums(cls, given: Any) -> Any:
@@ -192,13 +203,6 @@ class EncoderSettings(Group):
             if setting.value and not low <= setting.value <= high:
                 raise ValueError(f"{shorten(name)} {setting.value}: must be from {low:g} to {high:g}, or 0")
         return {name: plugins[name] for name in sorted(plugins) if plugins[name].value}
-
-    @model_serializer(mode="wrap")
-    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values = write(self)
-        if not self.plugins:
-            values.pop("plugins", None)
-        return values
 
 
 def _add_checksum(name: str, value: Any) -> Any:

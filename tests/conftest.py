@@ -23,6 +23,20 @@ SMALL = SimSettings(
 )
 
 
+@pytest.fixture(autouse=True)
+def without_plugins():
+    """Forget the plugins that a test has loaded: no other test knows of them."""
+    from deepgps.methods.catalog import METHODS
+    from sim.plugins import ENCODER_FAULTS
+
+    methods, faults = dict(METHODS), dict(ENCODER_FAULTS)
+    yield
+    METHODS.clear()
+    METHODS.update(methods)
+    ENCODER_FAULTS.clear()
+    ENCODER_FAULTS.update(faults)
+
+
 @pytest.fixture(scope="session")
 def small_settings() -> SimSettings:
     return SMALL

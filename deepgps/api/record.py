@@ -12,7 +12,7 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import check_readings
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import Truth, check_recording, grid_file, observation_file, stamp, time_file
+from sim.recording.format import Truth, check_recording, grid_file, measure_driven, observation_file, stamp, time_file
 from sim.recording.format import write_recording as write_files
 from sim.recording.manifest import DIMENSIONS, ObservationKind
 from sim.sensors.encoder import check_odometry, ticks_to_distance
@@ -94,6 +94,7 @@ def write_recording(
         "reading.npy": reading,
         "time.npy": seconds,
     }
+    travelled_m = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
     known = _take_truth(pose, test_pose, free_space, reading, observation, test)
     manifest = {
         "sensors": {sensor: kind},
@@ -101,7 +102,7 @@ def write_recording(
         "samples": len(observation),
         "segments": len(np.unique(reading[:, 0])),
         "readings": len(reading),
-        "distance_driven_m": _measure_way(reading, odometry),
+        "distance_driven_m": measure_driven(reading[:, 0], travelled_m.mean(axis=1)),
         "odometry": dict(odometry),
     }
     if known is not None:
@@ -185,12 +186,6 @@ def _describe(
         given = {} if camera is None else camera.model_dump(exclude_unset=True)
         settings["camera"] = {**given, "rings": rings, "sectors": sectors}
     return settings
-
-
-def _measure_way(reading: np.ndarray, odometry: Mapping[str, float]) -> float:
-    """Distance driven along all segments, by the encoders [m]."""
-    way = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])).mean(axis=1)
-    return round(float(np.abs(np.diff(way)[np.diff(reading[:, 0]) == 0]).sum()), 3)
 
 
 def _take_truth(

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import choose_folder, describe_recording, link_recording
+from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, link_recording
 from deepgps.api.run import Run, load
 from deepgps.plugins import load_plugins
 from deepgps.progress import Report, ignore, show_progress
@@ -79,7 +79,7 @@ def train(
     """
     load_plugins(plugins)
     home = Path(recording)
-    scenario = describe_recording(home, {**(settings or {}), **_name_methods(methods or ("deepgps",))})
+    scenario = describe_recording(home, {**(settings or {}), **_name_methods(methods or DEFAULT_METHODS)})
     folder = choose_folder(home, scenario) if out is None else Path(out)
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)

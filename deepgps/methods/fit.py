@@ -1,9 +1,9 @@
 """Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
 
 import time
-from collections.abc import Callable, Mapping
-from importlib import import_module
+from collections.abc import Mapping
 from pathlib import Path
+from pkgutil import resolve_name
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.attempts import remove_leftovers
-from deepgps.methods.catalog import METHODS, Method
+from deepgps.methods.catalog import METHODS
 from deepgps.methods.positioner import (
     ArrayPositioner,
-    Fitted,
     Positioner,
     is_finished,
     load_positioner,
@@ -43,13 +42,14 @@ def fit_method(
         InputError: The method cannot learn from these readings or observations.
     """
     method = METHODS[name]
+    fit = resolve_name(method.fit) if isinstance(method.fit, str) else method.fit
     with use_threads(settings.train.threads):
         if not is_finished(folder):
             recording = keep_plausible(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             start = time.perf_counter()
             with calling(method.source):
-                positioner, training = _find_function(method)(recording, settings, seed, folder, progress)
+                positioner, training = fit(recording, settings, seed, folder, progress)
             if method.predict is not None and isinstance(positioner, Mapping):
                 parameters = sum(np.asarray(array).size for array in positioner.values())
                 took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
@@ -57,10 +57,3 @@ def fit_method(
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)
-
-
-def _find_function(method: Method) -> Callable[..., Fitted]:
-    if not isinstance(method.fit, str):
-        return method.fit
-    module, _, function = method.fit.partition(":")
-    return getattr(import_module(module), function)

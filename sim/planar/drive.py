@@ -15,7 +15,15 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import grid_file, observation_file, remove_recording, stamp, time_file, write_recording
+from sim.recording.format import (
+    grid_file,
+    measure_driven,
+    observation_file,
+    remove_recording,
+    stamp,
+    time_file,
+    write_recording,
+)
 from sim.recording.manifest import name_sensors
 from sim.rng import stream
 from sim.sensors.encoder import describe_odometry, read_encoders
@@ -194,5 +202,5 @@ def count_drive(drive: Drive) -> dict[str, float]:
         "samples": len(drive.pose),
         "segments": int(number[-1]) + 1,
         "readings": len(drive.reading),
-        "distance_driven_m": round(float(np.diff(travelled_m)[np.diff(number) == 0].sum()), 3),
+        "distance_driven_m": measure_driven(number, travelled_m),
     }

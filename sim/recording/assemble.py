@@ -13,7 +13,7 @@ from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
 from sim.files import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
-from sim.recording.format import grid_file, observation_file, stamp, time_file
+from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file
 from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.sensors.catalog import SENSORS, Measure, list_kept, load
@@ -56,7 +56,6 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
     write_array(folder / "truth" / "state.npy", state)
     write_array(folder / "truth" / "pose.npy", planar_pose(state))
     travelled_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
-    driven = np.diff(travelled_m)[np.diff(segment) == 0]
     return {
         "samples": samples,
         "segments": int(segment[-1]) + 1,
@@ -64,7 +63,7 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
         "readings_lost": int((~arrived).sum()),
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
         "times_relocated": int(sum(chunk.get("relocated", 0) for chunk in drive.chunks)),
-        "distance_driven_m": round(float(np.abs(driven).sum()), 3),
+        "distance_driven_m": measure_driven(segment, travelled_m),
     }
 
 

@@ -18,6 +18,7 @@ from sim.recording.format import (
     Truth,
     finish_recording,
     grid_file,
+    measure_driven,
     observation_file,
     open_recording,
     open_truth,
@@ -112,13 +113,12 @@ def _read_again(
     ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
     write_array(folder / "reading.npy", np.column_stack([number, ticks]).astype(np.int64)[arrived])
     write_array(folder / "time.npy", recording.time[:kept][arrived])
-    step_m = np.diff(angle.mean(axis=1) * odometry["wheel_radius_m"])[np.diff(number[:, 0]) == 0]
     track_m = odometry["track_m"] / (1.0 + recording.manifest.settings["encoder"]["track_error"])
     return {
         "segments": int(number[-1, 0]) + 1,
         "readings": kept,
         "readings_lost": int((~arrived).sum()),
-        "distance_driven_m": round(float(np.abs(step_m).sum()), 3),
+        "distance_driven_m": measure_driven(number[:, 0], angle.mean(axis=1) * odometry["wheel_radius_m"]),
         "odometry": describe_odometry(encoder, odometry["wheel_radius_m"], track_m),
     }
 

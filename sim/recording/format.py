@@ -147,6 +147,11 @@ def grid_file(sensor: str) -> str:
     return f"test/{sensor}.npy"
 
 
+def measure_driven(segment: np.ndarray, travelled_m: np.ndarray) -> float:
+    """Distance driven along all segments [m], from the segment and the distance travelled at each reading (R,) [m]."""
+    return round(float(np.abs(np.diff(travelled_m)[np.diff(segment) == 0]).sum()), 3)
+
+
 def stamp(observation: np.ndarray, time: np.ndarray, count: int) -> np.ndarray:
     """Times of observations (count,) [s]: those of their first readings; NaN where there is none.
 

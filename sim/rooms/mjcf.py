@@ -16,7 +16,7 @@ _SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuse
 _SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 _SUPPORT_M = 0.001
 SLOW_TRIANGLES = 100_000
-"""Triangles from which the owner of a room is told what they cost."""
+"""Number of triangles above which a warning says that the room draws slowly."""
 
 
 def load_room(path: Path) -> mujoco.MjSpec:

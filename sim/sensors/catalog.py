@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -110,5 +110,4 @@ def list_kept(settings: SimSettings) -> list[str]:
 
 def load(name: str) -> Callable[..., Any]:
     """Import the function "module:function" from a module of ``sim``."""
-    module, _, function = name.partition(":")
-    return getattr(import_module(f"sim.{module}"), function)
+    return resolve_name(f"sim.{name}")

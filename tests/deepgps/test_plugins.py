@@ -36,17 +36,6 @@ WARM = {"encoder.plugins.warming": 0.1}
 ANGLE = np.cumsum(np.random.default_rng(0).uniform(0.0, 1.0, (400, 2)), axis=0)
 
 
-@pytest.fixture(autouse=True)
-def only_here():
-    """Forget the plugins after each test, as other tests must not see them."""
-    methods, faults = dict(METHODS), dict(ENCODER_FAULTS)
-    yield
-    METHODS.clear()
-    METHODS.update(methods)
-    ENCODER_FAULTS.clear()
-    ENCODER_FAULTS.update(faults)
-
-
 def write_plugin(folder: Path, code: str, name: str = "mine.py") -> Path:
     (folder / name).write_text(textwrap.dedent(code))
     return folder / name

@@ -2,8 +2,8 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from deepgps.figures.markdown import tabulate
@@ -21,8 +21,7 @@ SUMS = "SHA256SUMS"
 
 def load(name: str) -> Callable[..., Any]:
     """Import the function "module:function" from a module of this package."""
-    module, _, function = name.partition(":")
-    return getattr(import_module(f"deepgps.studies.reports.{module}"), function)
+    return resolve_name(f"deepgps.studies.reports.{name}")
 
 
 def measure_targets(report: str, rows: Sequence[Row]) -> dict[str, Figure]:
