@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 import torch
@@ -26,28 +25,18 @@ from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
 from sim.errors import InputError, WorkError
 from sim.files import write_arrays
+from sim.rng import derive_seed
 
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP = 0.05
 
-Purpose = Literal["features", "start", "weights", "shuffling", "fold", "labels"]
-
-
 Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
 
 
-def make_generator(seed: int, purpose: Purpose, attempt: int = 0) -> torch.Generator:
+def make_generator(seed: int, purpose: str, attempt: int = 0) -> torch.Generator:
     """Return the CPU generator of one purpose and attempt: its RNG stream is independent of all others."""
     return torch.Generator().manual_seed(derive_seed(seed, purpose, attempt))
-
-
-def derive_seed(seed: int, purpose: Purpose, attempt: int = 0) -> int:
-    """The seed of one purpose and attempt."""
-    key = (get_args(Purpose).index(purpose), attempt)
-    # An offset keeps these streams apart from those of sim, which also number their purposes from zero.
-    state = np.random.SeedSequence(seed, spawn_key=(1000, *key)).generate_state(2, np.uint32)
-    return int(state[0]) << 31 | int(state[1]) >> 1
 
 
 def choose_device(name: str) -> torch.device:

@@ -24,7 +24,7 @@ from deepgps.learning.batches import Batch, sample_from
 from deepgps.learning.imitation import imitate_first, sample_mapped_first
 from deepgps.learning.lifting import find_plane, flatten_later
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.trainer import Loss, derive_seed, make_generator, predict, train
+from deepgps.learning.trainer import Loss, make_generator, predict, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.methods.attempts import Attempt, label_attempt, train_until_unfolded
 from deepgps.methods.positioner import Fitted, as_positioner
@@ -32,6 +32,7 @@ from deepgps.progress import Report
 from deepgps.settings import LearnSettings, Start
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.rng import derive_seed
 
 INITIAL_MAPS = {"paths": find_initial_map, "ends": find_end_point_map}
 SLACK_M = {"paths": 0.03, "ends": 1.0}

@@ -19,13 +19,13 @@ from scipy.sparse.csgraph import shortest_path
 
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.isomap import scale_classically
-from deepgps.learning.trainer import derive_seed
 from deepgps.methods.positioner import Fitted
 from deepgps.methods.trilateration import LandmarkPositioner, find_seen, trilaterate
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.rng import stream
 
 TOLERANCE = 1e-10
 
@@ -150,7 +150,7 @@ def _fit(
     reach_m = read_reach(recording)
     segments, chosen = choose_readings(read_segments(recording), settings.explicit.readings)
     distance = np.asarray(recording.observation[chosen.numpy()])
-    first = start(distance, reach_m, np.random.default_rng(derive_seed(seed, "start")))
+    first = start(distance, reach_m, stream(seed, "start"))
     solution = solve(set_up(distance, reach_m, segments), np.concatenate(first), settings.explicit.evaluations)
     landmark = solution.x.reshape(-1, 2)[len(distance) :]
     training = {

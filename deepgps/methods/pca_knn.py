@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.learning.trainer import derive_seed
 from deepgps.methods.nearest_scan import ScanPositioner
 from deepgps.methods.positioner import Fitted
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
 from sim.recording.format import Recording, open_truth
+from sim.rng import stream
 
 FITTED = 50_000
 """Approximate maximum number of scans from which the principal components are computed."""
@@ -33,7 +33,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     if recording.kind != "scan":
         raise InputError(f"{recording.folder} holds no scans; pca_knn needs world obstacles or sensor lidar")
     start = time.perf_counter()
-    scans, rng = np.asarray(recording.observation), np.random.default_rng(derive_seed(seed, "features"))
+    scans, rng = np.asarray(recording.observation), stream(seed, "features")
     count, kept, rays = scans.shape
     if (scans == scans[:1]).all():
         raise InputError(f"all {count} observations look alike, so none tells where it was")

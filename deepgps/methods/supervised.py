@@ -7,11 +7,12 @@ import torch
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.trainer import derive_seed, train
+from deepgps.learning.trainer import train
 from deepgps.learning.training_data import TrainingData, new_network
 from deepgps.methods.positioner import Fitted, as_positioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
+from sim.rng import derive_seed
 
 
 def fit_positions(

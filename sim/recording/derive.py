@@ -126,7 +126,7 @@ def _read_again(
 def explain_misfit(manifest: Manifest, settings: SimSettings, seed: int) -> str | None:
     """Why no recording with these settings and this seed can be derived from that of a manifest; None: it can."""
     if manifest.number != SCHEMA:
-        return f"has schema {manifest.number}, whose files have other names: nothing can be derived"
+        return f"has schema {manifest.number}, made by another version, whose files and random numbers differ: nothing can be derived"
     samples, other = settings.drive.samples, SimSettings.model_validate(manifest.settings)
     length = other.drive.samples
     reasons = {

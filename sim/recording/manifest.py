@@ -9,8 +9,8 @@ from sim import renamed
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import SimSettings
 
-SCHEMA = 2
-READ = (1, 2)
+SCHEMA = 3
+READ = (1, 2, 3)
 """Schemas that can be read; schema 1 had other names, and one sensor without a name."""
 SENSOR = r"[a-z][a-z0-9_]{0,40}"
 """Pattern of a sensor's name, which is part of the names of its files."""

@@ -29,7 +29,7 @@ class CameraStreams(NamedTuple):
 
 def spawn_streams(seed: int) -> CameraStreams:
     """Return the camera's RNG streams for a scenario's seed."""
-    return CameraStreams(*stream(seed, "camera").spawn(4))
+    return CameraStreams(*(stream(seed, "camera", name) for name in CameraStreams._fields))
 
 
 def make_measures(settings: SimSettings, seed: int) -> tuple[Measure | None, Measure | None]:

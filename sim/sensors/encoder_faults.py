@@ -4,8 +4,7 @@ To add one, add a setting to ``EncoderSettings`` and a record to ``FAULTS``: rec
 reports read it from there. Faults of plugins (``sim.plugins``) act after these, each with an RNG stream of its own.
 """
 
-import hashlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.plugins import ENCODER_FAULTS, EncoderFault, calling, find_fault
+from sim.rng import split
 from sim.settings import EncoderSettings
 
 Apply = Callable[[np.ndarray, EncoderSettings, float, np.random.Generator], np.ndarray]
@@ -31,7 +31,6 @@ class Fault:
             for faults in data sheets: from the setting, the gaps' lengths [m] and the number of original gaps in
             each, which is more than one where readings were lost.
         bias: Mean squared error [m^2] of complete segments of these lengths [m] that is not noise.
-        random: Whether it draws from an RNG stream. New ones go after the last of these, so that no stream changes.
     """
 
     settings: tuple[str, ...]
@@ -40,7 +39,6 @@ class Fault:
     drops: Callable[[int, EncoderSettings, np.random.Generator], np.ndarray] | None = None
     variance: Callable[[float, Any, Any], Any] | None = None
     bias: Callable[[EncoderSettings, Any], Any] | None = None
-    random: bool = True
 
 
 def disturb(
@@ -55,29 +53,18 @@ def disturb(
         rng: Parent of the faults' RNG streams, which are separate, so that none changes what another draws.
     """
     angle, arrived = wheel_angle, np.ones(len(wheel_angle), bool)
-    added = _name_streams(rng, settings.plugins)
-    streams = iter(rng.spawn(sum(fault.random for fault in FAULTS)))
     for fault in FAULTS:
-        stream = next(streams) if fault.random else rng
+        stream = split(rng, fault.settings[0])
         if fault.apply is not None:
             angle = fault.apply(angle, settings, wheel_radius_m, stream)
         if fault.drops is not None:
             arrived &= ~fault.drops(len(angle), settings, stream)
     for name, setting in settings.plugins.items():
-        angle, dropped = _disturb_by(find_fault(name), name, angle, setting.value, wheel_radius_m, added[name])
+        angle, dropped = _disturb_by(
+            find_fault(name), name, angle, setting.value, wheel_radius_m, split(rng, "plugins", name)
+        )
         arrived &= ~dropped
     return angle, arrived
-
-
-def _name_streams(rng: np.random.Generator, names: Iterable[str]) -> dict[str, np.random.Generator]:
-    """A stream for each fault of a plugin that depends on its name alone, so that no other fault changes it."""
-    parent = rng.bit_generator.seed_seq
-    assert isinstance(parent, np.random.SeedSequence)
-    keys = {name: int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]) for name in names}
-    return {
-        name: np.random.default_rng(np.random.SeedSequence(parent.entropy, spawn_key=(*parent.spawn_key, key)))
-        for name, key in keys.items()
-    }
 
 
 def _disturb_by(
@@ -163,7 +150,6 @@ FAULTS: tuple[Fault, ...] = (
             angle, encoder.radius_error_left, encoder.radius_error_right
         ),
         bias=_bias_of_radii,
-        random=False,
     ),
     Fault(
         ("slip_per_m",),
@@ -188,9 +174,7 @@ FAULTS: tuple[Fault, ...] = (
         apply=lambda angle, encoder, radius_m, rng: stick_wheel(angle, encoder.stuck_fraction, rng),
         bias=_bias_of_sticking,
     ),
-    Fault(
-        ("track_error",), "error of the track width", random=False
-    ),  # an assumed constant of the odometry that affects only turns
+    Fault(("track_error",), "error of the track width"),  # an assumed constant of the odometry that affects only turns
 )
 
 

@@ -113,8 +113,7 @@ class Fisheye:
         position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
         if lean is not None:
             turn = turn @ tilt(lean)
-        mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-        dim_headlight(scene)
+        update_scene(self._model, data, self._option, self._view, scene)
         geoms = scene.geoms[: scene.ngeom]
         kinds = [geom.type for geom in geoms]
         seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int), turn)
@@ -189,8 +188,12 @@ def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     return middle, half
 
 
-def dim_headlight(scene: mujoco.MjvScene) -> None:
-    """Switch off the light that would turn with the view."""
+def update_scene(
+    model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, view: mujoco.MjvCamera, scene: mujoco.MjvScene
+) -> None:
+    """Bring a scene to the state ``data``, with kinematics computed; the light that would turn with the view is off."""
+    mujoco.mj_camlight(model, data)  # kinematics leave the lamps without a place and a direction
+    mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
     for light in scene.lights[: scene.nlight]:
         if light.headlight:
             light.diffuse = light.specular = np.zeros(3, np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 
 from sim.sensors.catalog import Opened
 from sim.sensors.cube_faces import Face
-from sim.sensors.fisheye import ROBOT, UNSEEN, aim, dim_headlight, make_scene
+from sim.sensors.fisheye import ROBOT, UNSEEN, aim, make_scene, update_scene
 from sim.sensors.offscreen import Offscreen
 from sim.settings import SimSettings, TagCameraSettings
 
@@ -50,8 +50,7 @@ class TagCamera:
         """The image of the state ``data``: (height_px, width_px) uint8, grey."""
         self._screen.begin()
         scene, face = self._scene, self._face
-        mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, mujoco.mjtCatBit.mjCAT_ALL, scene)
-        dim_headlight(scene)
+        update_scene(self._model, data, self._option, self._view, scene)
         for geom in scene.geoms[: scene.ngeom]:
             if self._robot[geom.objid]:
                 geom.type = UNSEEN

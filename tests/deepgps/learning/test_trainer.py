@@ -10,7 +10,6 @@ from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import (
     Loss,
     choose_device,
-    derive_seed,
     describe_device,
     make_generator,
     predict,
@@ -20,6 +19,7 @@ from deepgps.learning.trainer import (
 from deepgps.progress import Look, Report, ignore
 from deepgps.settings import NetworkSettings, TrainSettings
 from sim.errors import InputError, WorkError
+from sim.rng import derive_seed
 
 SETTINGS = TrainSettings(steps=120, learning_rate=1e-2, checkpoint_steps=20)
 

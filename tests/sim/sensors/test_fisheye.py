@@ -228,3 +228,10 @@ def test_a_closed_camera_says_so(room: mujoco.MjModel) -> None:
 
 def test_the_renderer_has_a_name(fisheye: Fisheye) -> None:
     assert len(fisheye.renderer_string) > 3
+
+
+def test_lamps_shine_on_a_state_of_which_only_the_kinematics_are_computed(room: mujoco.MjModel, fisheye: Fisheye):
+    whole, kinematics = place(room, 0.5, 0.3, 1.0), mujoco.MjData(room)
+    kinematics.qpos[:] = whole.qpos
+    mujoco.mj_kinematics(room, kinematics)
+    np.testing.assert_array_equal(fisheye.polar(kinematics), fisheye.polar(whole))
