@@ -240,6 +240,9 @@ class DriveSettings(Group):
     lengths: Literal["longest", "random"] = "longest"
     """longest: each segment is as long as possible; random: each draws its own length up to longest_m, so that it ends
     at a random place, as the paper's end-point strategy requires."""
+    turn_images: bool = True
+    """Whether the robot takes a second image after each turn in place, from which the angle turned is measured; these
+    are not counted in samples."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
     """Probability of turning into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)

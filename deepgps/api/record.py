@@ -12,9 +12,20 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import check_readings
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import Truth, check_recording, grid_file, measure_driven, observation_file, stamp, time_file
+from sim.recording.format import (
+    Truth,
+    check_recording,
+    grid_file,
+    measure_driven,
+    observation_file,
+    stamp,
+    time_file,
+    turn_file,
+)
 from sim.recording.format import write_recording as write_files
 from sim.recording.manifest import DIMENSIONS, ObservationKind
+from sim.recording.turns import FILE as TURNS
+from sim.recording.turns import KINDS, NO_IMAGE
 from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
 from sim.user_input import quote
@@ -43,6 +54,8 @@ def write_recording(
     *,
     kind: ObservationKind = "polar_image",
     observation_time: Values | None = None,
+    turns: Values | None = None,
+    turn_observations: Values | None = None,
     test_observations: Values | None = None,
     pose: Values | None = None,
     test_pose: Values | None = None,
@@ -66,6 +79,10 @@ def write_recording(
             ``step_noise`` and ``slip_per_m`` as in ``EncoderSettings``.
         kind: ``polar_image``, ``scan`` or ``vector``.
         observation_time: Time of each observation (N,) [s]; None: that of its first reading.
+        turns: What is known of the turns between segments (T, 4), int: the last observation before the turn; the number
+            of the turn observation after it, or -1 if there is none; the row of ``readings`` where the next segment
+            begins; and 0 if the robot turned in place, 1 if it backed off first, 2 if it was carried. None: nothing.
+        turn_observations: Observations taken after turns in place, before the next segment (K, ...).
         test_observations: Observations at test positions (C, H, ...) at H headings, or (C, ...); None: there are none.
         pose: True pose at each observation (N, 3): x, y [m], yaw [rad], for evaluation and supervised methods; None:
             not known, so nothing can be evaluated.
@@ -86,6 +103,7 @@ def write_recording(
     observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSORS[kind]
     reading, seconds = _take_readings(readings, time, len(observation), odometry)
     test = _take_tests(test_observations, observation, DIMENSIONS[kind])
+    turned = _take_turns(turns, turn_observations, observation, reading)
     stamps = stamp(reading[:, 1], seconds, len(observation)) if observation_time is None else observation_time
     arrays = {
         observation_file(sensor): observation,
@@ -94,6 +112,8 @@ def write_recording(
         "reading.npy": reading,
         "time.npy": seconds,
     }
+    if turned is not None:
+        arrays |= {TURNS: turned[0], turn_file(sensor): turned[1]}
     travelled_m = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
     known = _take_truth(pose, test_pose, free_space, reading, observation, test)
     manifest = {
@@ -172,6 +192,35 @@ def _shaped(values: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
     if array.shape != shape:
         raise InputError(f"{name} {array.shape}: must have the shape {shape}")
     return array
+
+
+def _take_turns(
+    turns: Any, turn_observations: Any, observation: np.ndarray, reading: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Turns (T, 4) and the observations after them (K, ...); None: nothing is known of them."""
+    if turns is None:
+        if turn_observations is not None:
+            raise InputError("turn_observations need turns, which say where each was taken")
+        return None
+    seen = observation[:0] if turn_observations is None else np.asarray(turn_observations, observation.dtype)
+    if seen.shape[1:] != observation.shape[1:]:
+        raise InputError(f"turn_observations {seen.shape}: must be like observations, (K, ...) {observation.shape[1:]}")
+    array = np.asarray(turns)
+    if array.ndim != 2 or array.shape[1] != 4 or not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"turns {array.shape} of {array.dtype}: must be integers (T, 4)")
+    segment = reading[:, 0]
+    for name, column, low, high in (
+        ("observation", 0, 0, len(observation)),
+        ("turn observation", 1, NO_IMAGE, len(seen)),
+        ("row of readings", 2, 1, len(reading)),
+        ("kind", 3, 0, len(KINDS)),
+    ):
+        values = array[:, column]
+        if wrong := values[(values < low) | (values >= high)].tolist():
+            raise InputError(f"turns: {name} {wrong[0]} must be from {low} to {high - 1}")
+    if len(wrong := np.flatnonzero(segment[array[:, 2]] == segment[array[:, 2] - 1])):
+        raise InputError(f"turns: no segment begins at row {array[wrong[0], 2]} of readings")
+    return array.astype(np.int64), seen
 
 
 def _describe(

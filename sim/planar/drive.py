@@ -22,9 +22,12 @@ from sim.recording.format import (
     remove_recording,
     stamp,
     time_file,
+    turn_file,
     write_recording,
 )
 from sim.recording.manifest import name_sensors
+from sim.recording.turns import FILE as TURNS
+from sim.recording.turns import KINDS, Turns, count_images, list_turns, lose_turns
 from sim.rng import stream
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import SimSettings
@@ -49,12 +52,16 @@ class Drive:
         reading: Segment and observation of each reading (R, 2); a turning place has two readings.
         wheel_angle: Angle of left and right wheel at each reading (R, 2) [rad].
         time: Time of each reading (R,) [s].
+        turns: The turns between segments.
+        turn_pose: Pose after each turn in place (K, 3).
     """
 
     pose: np.ndarray
     reading: np.ndarray
     wheel_angle: np.ndarray
     time: np.ndarray
+    turns: Turns
+    turn_pose: np.ndarray
 
 
 class PlaneWorld(Protocol):
@@ -82,6 +89,7 @@ class PlaneWorld(Protocol):
 def record(
     world: PlaneWorld,
     observe: Observe,
+    observe_turn: Observe | None,
     test_pose: np.ndarray,
     space: FreeSpace,
     truth: dict[str, np.ndarray],
@@ -95,6 +103,7 @@ def record(
     Args:
         world: Where to drive.
         observe: Returns the observations at poses (..., 3).
+        observe_turn: Returns those after turns in place; None: they show nothing that those before do not.
         test_pose: Poses of the test grid (C, H, 3).
         space: Where the robot can be.
         truth: Further ground-truth arrays, by file name.
@@ -122,6 +131,9 @@ def record(
         "truth/test_pose.npy": test_pose,
         **{f"truth/{name}": array for name, array in truth.items()},
     }
+    if observe_turn is not None and settings.drive.turn_images:
+        arrays[TURNS] = lose_turns(drive.turns, drive.reading[:, 0], arrived).array
+        arrays[turn_file(sensor)] = observe_turn(drive.turn_pose)
     manifest = {
         "sensors": sensors,
         "settings": settings.model_dump(mode="json"),
@@ -141,11 +153,16 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
     drive, wanted = settings.drive, world.segments
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
     pose, reading, angles, times = [np.array([*place, yaw])], [], [], []
+    turned, kinds = list[np.ndarray](), list[int]()
     for segment in range(wanted):
-        if segment and world.relocate_after and segment % world.relocate_after == 0:
+        relocated = segment and world.relocate_after and segment % world.relocate_after == 0
+        if relocated:
             place = world.draw_start(rng)
             pose.append(np.array([*place, yaw]))
         heading, steps = choose_heading(world, place, drive.spacing_m, drive.longest_m, rng)
+        kinds.append(KINDS.index("relocated" if relocated else "in_place"))
+        if segment and not relocated:
+            turned.append(np.array([*place, heading]))
         turn = (heading - yaw + np.pi) % (2 * np.pi) - np.pi
         along = drive.spacing_m * np.arange(steps + 1)
         points = place + along[:, None] * [np.cos(heading), np.sin(heading)]
@@ -163,8 +180,14 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
             break
     numbers = np.concatenate(reading)
     kept = numbers[:, 1] < drive.samples
+    turns = list_turns(numbers[kept, 0], numbers[kept, 1], kinds)
     return Drive(
-        np.array(pose[: drive.samples]), numbers[kept], np.concatenate(angles)[kept], np.concatenate(times)[kept]
+        np.array(pose[: drive.samples]),
+        numbers[kept],
+        np.concatenate(angles)[kept],
+        np.concatenate(times)[kept],
+        turns,
+        np.array(turned).reshape(-1, 3)[: count_images(turns)],
     )
 
 

@@ -73,7 +73,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
     world = LandmarkWorld(settings, seed)
     truth = {"landmark.npy": world.landmark}
     grid, space = lay_grid(world, settings), lay_free_space(world)
-    record(world, world.observe, grid, space, truth, settings, seed, folder, progress)
+    record(world, world.observe, None, grid, space, truth, settings, seed, folder, progress)
 
 
 def lay_grid(world: LandmarkWorld, settings: SimSettings) -> np.ndarray:

@@ -93,14 +93,17 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
     """
     if (folder / "manifest.json").is_file():
         return
-    world, noise = LidarWorld(settings, seed), stream(seed, "lidar")
+    world, noise, turn_noise = LidarWorld(settings, seed), stream(seed, "lidar"), stream(seed, "lidar", "turn")
     grid = lay_grid(world, settings)
 
     def observe(poses: np.ndarray) -> np.ndarray:
         return measure(world.observe(poses), settings.lidar, noise)
 
+    def observe_turn(poses: np.ndarray) -> np.ndarray:
+        return measure(world.observe(poses), settings.lidar, turn_noise)
+
     truth = {"obstacle.npy": world.box}
-    record(world, observe, grid, world.space, truth, settings, seed, folder, progress)
+    record(world, observe, observe_turn, grid, world.space, truth, settings, seed, folder, progress)
 
 
 def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:

@@ -13,27 +13,31 @@ from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
 from sim.files import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
-from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file
+from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file, turn_file
 from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
+from sim.recording.turns import FILE as TURNS
+from sim.recording.turns import count_images, list_turns, lose_turns
 from sim.robot.model import WHEEL_RADIUS_M
-from sim.sensors.catalog import SENSORS, Measure, list_kept, load
+from sim.sensors.catalog import SENSORS, Measure, Measures, list_kept, load
 from sim.sensors.encoder import read_encoders, ticks_to_distance
 from sim.sensors.tag_camera import NAME, camera_matrix, mounting
 from sim.settings import SimSettings
 
-JOINED = ("state", "segment", "observation", "wheel_angle", "time")
+JOINED = ("state", "segment", "observation", "wheel_angle", "time", "turn_kind")
 log = logging.getLogger(__name__)
 
 
 class Drive(NamedTuple):
-    """The chunks of a drive in order, and the file for each chunk's images.
+    """The chunks of a drive in order, the file for each chunk's images, and those for images after turns, if any.
 
     A chunk holds ``state`` (n, nq) for its new observations, and for its readings ``segment`` (r,), ``observation``
-    (r,), both numbered over the complete drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s].
+    (r,), both numbered over the complete drive, ``wheel_angle`` (r, 2) [rad] and ``time`` (r,) [s]; for its segments,
+    ``turn_kind`` (s,) of the turn before each, and ``turn_state`` (t, nq) after turns in place.
     """
 
     chunks: list[dict[str, np.ndarray]]
     images: list[Path]
+    turns: list[Path]
 
 
 def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator) -> dict[str, float]:
@@ -50,6 +54,9 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
     for sensor in list_kept(settings):  # all observe at the same time
         write_array(folder / time_file(sensor), stamp(reading[:, 1], joined["time"][kept], samples))
     write_array(folder / "reading.npy", reading[arrived])
+    if settings.drive.turn_images:
+        turns = lose_turns(list_turns(segment, reading[:, 1], joined["turn_kind"]), segment, arrived)
+        write_array(folder / TURNS, turns.array)
     write_array(folder / "time.npy", joined["time"][kept][arrived])
     write_array(folder / "truth" / "reading.npy", reading[:, :2])
     write_array(folder / "truth" / "wheel_angle.npy", angle)
@@ -78,7 +85,7 @@ def write_observations(
     folder: Path,
     settings: SimSettings,
     seed: int,
-    images: Sequence[Path],
+    drive: Drive,
     tests: Sequence[Path],
     shape: tuple[int, ...],
 ) -> None:
@@ -88,18 +95,32 @@ def write_observations(
         folder: The recording's folder.
         settings: The sensors, the number of samples and of held-out tests.
         seed: Seed of the sensors' RNG streams.
-        images: The drive's parts.
+        drive: The drive with its parts.
         tests: Parts of the test positions; those of the drive if test samples are held out.
         shape: Leading shape of the test observations (C, H).
     """
     samples = settings.drive.samples
     first = samples if settings.grid.held_out else 0
+    images = _count_turn_images(drive, samples)
     for name in list_kept(settings):
         make_measures = SENSORS[name].make_measures
-        measure, measure_test = load(make_measures)(settings, seed) if make_measures else (None, None)
-        seen, seen_test = ([part_files(settings, path)[name] for path in parts] for parts in (images, tests))
-        write_images(folder / observation_file(name), seen, (samples,), measure=measure)
-        write_images(folder / grid_file(name), seen_test, shape, first, measure_test)
+        measures: Measures = load(make_measures)(settings, seed) if make_measures else Measures()
+        seen, turned, seen_test = (
+            [part_files(settings, path)[name] for path in parts] for parts in (drive.images, drive.turns, tests)
+        )
+        write_images(folder / observation_file(name), seen, (samples,), measure=measures.drive)
+        write_images(folder / grid_file(name), seen_test, shape, first, measures.test)
+        if settings.drive.turn_images:
+            write_images(folder / turn_file(name), turned or seen, (images,), measure=measures.turn)
+
+
+def _count_turn_images(drive: Drive, samples: int) -> int:
+    """Number of turns in place before a segment whose first reading is within so many samples."""
+    segment, observation, kind = (
+        np.concatenate([chunk[name] for chunk in drive.chunks]) for name in ("segment", "observation", "turn_kind")
+    )
+    kept = observation < samples
+    return count_images(list_turns(segment[kept], observation[kept], kind))
 
 
 def write_tag_labels(

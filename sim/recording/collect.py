@@ -5,7 +5,6 @@ to drive on. Worker processes make images, or a lidar's scans, from these states
 it stopped, and the result has the same bytes for any number of worker processes.
 """
 
-import json
 import logging
 import math
 import time
@@ -30,12 +29,12 @@ from sim.recording.assemble import (
     write_observations,
     write_tag_labels,
 )
+from sim.recording.chunks import CHUNK, drive_chunk
 from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, work_folder
 from sim.recording.manifest import name_sensors
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
 from sim.rng import stream
-from sim.robot.drive import DriveMode, Segment, next_segment
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
@@ -45,8 +44,6 @@ from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings
 
-CHUNK = 256
-"""Fewest new observations in a chunk, except in the last one of a drive."""
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
@@ -141,55 +138,6 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
 
 
-def drive_chunk(
-    world: RoomWorld, settings: SimSettings, rng: np.random.Generator, before: dict[str, np.ndarray] | None
-) -> dict[str, np.ndarray]:
-    """Drive the next chunk; the chunk ``before`` holds everything that it depends on."""
-    if before is None:
-        world.start(rng)
-        segments = observations = 0
-        mode = DriveMode()
-    else:
-        world.set_state(before["world_state"])
-        rng.bit_generator.state = json.loads(str(before["rng_state"]))
-        segments, observations = int(before["segments"]), int(before["observations"])
-        mode = DriveMode(bool(before["continues"]), before["mode"].item(), int(before["side"]))
-    first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
-    wanted = settings.drive.samples + settings.grid.held_out
-    while observations - first < CHUNK and observations < wanted:
-        segment = next_segment(world, settings.drive, rng, mode)
-        driven.append(_number(segment, segments, observations))
-        observations += len(driven[-1]["state"])
-        segments, mode = segments + 1, segment.mode
-        dropped += segment.dropped
-        relocated += segment.relocated
-    return {
-        **{name: np.concatenate([one[name] for one in driven]) for name in driven[0]},
-        "dropped": np.array(dropped),
-        "relocated": np.array(relocated),
-        "segments": np.array(segments),
-        "observations": np.array(observations),
-        "continues": np.array(mode.continues),
-        "mode": np.array(mode.kind),
-        "side": np.array(mode.side),
-        "world_state": world.state(),
-        "rng_state": np.array(json.dumps(rng.bit_generator.state)),
-    }
-
-
-def _number(segment: Segment, number: int, observations: int) -> dict[str, np.ndarray]:
-    """A segment's new states and its readings, numbered over the complete drive."""
-    first = observations - 1 if segment.continues else observations
-    count = len(segment.time)
-    return {
-        "state": segment.state[1:] if segment.continues else segment.state,
-        "segment": np.full(count, number),
-        "observation": np.arange(first, first + count),
-        "wheel_angle": segment.wheel_angle,
-        "time": segment.time,
-    }
-
-
 def _make_parts(
     renderers: Renderers,
     world: RoomWorld,
@@ -212,11 +160,12 @@ def _make_parts(
     for part in tests:
         give(part)
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})
-    drive = _drive(world, taught, (stream(seed, "drive"), chance.lean), work, give, progress)
+    drive = _drive(world, taught, seed, work, give, progress)
     total = len(tests) + len(drive.images)
+    parts = total + len(drive.turns)
 
     def tell(drawn: int) -> None:
-        progress("render", (total - given + drawn) * CHUNK, total * CHUNK)
+        progress("render", round((parts - given + drawn) / parts * total) * CHUNK, total * CHUNK)
 
     renderers.finish(tell)
     tell(given)
@@ -226,22 +175,25 @@ def _make_parts(
 def _drive(
     world: RoomWorld,
     settings: SimSettings,
-    chance: tuple[np.random.Generator, np.random.Generator],
+    seed: int,
     work: Path,
     give: Callable[[Part], None],
     progress: Report,
 ) -> Drive:
     """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
-    rng, lean = chance
-    drive, chunk = Drive([], []), None
+    rng, chance = stream(seed, "drive"), spawn_streams(seed)
+    drive, chunk = Drive([], [], []), None
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
-        path, images = chunk_files(work, len(drive.chunks))
+        path, images, turns = chunk_files(work, len(drive.chunks))
         chunk = _read_if_whole(path) or _drive_on(path, world, settings, rng, chunk)
         drive.chunks.append(chunk)
         drive.images.append(images)
-        leans = draw_leans(settings.camera_mount, len(chunk["state"]), lean)
+        leans = draw_leans(settings.camera_mount, len(chunk["state"]), chance.lean)
         give(Part(settings, chunk["state"], images, leans))
+        if settings.drive.turn_images and len(turned := chunk["turn_state"]):
+            drive.turns.append(turns)
+            give(Part(settings, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
     return drive
@@ -289,11 +241,11 @@ def _assemble(
     folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
 ) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
-    drawn = count_drawn(settings, [*drive.images, *tests])
+    drawn = count_drawn(settings, [*drive.images, *drive.turns, *tests])
     counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
     if settings.grid.held_out:
         test_pose, tests = take_held_out(settings, drive), drive.images
-    write_observations(folder, settings, seed, drive.images, tests, test_pose.shape[:2])
+    write_observations(folder, settings, seed, drive, tests, test_pose.shape[:2])
     if settings.tag_camera.mounted:
         counts |= write_tag_labels(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)

@@ -23,8 +23,11 @@ from sim.recording.format import (
     open_recording,
     open_truth,
     remove_recording,
+    turn_file,
 )
 from sim.recording.manifest import SCHEMA, Manifest
+from sim.recording.turns import FILE as TURNS
+from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
 from sim.sensors.camera_faults import make_measures
 from sim.sensors.catalog import Measure
@@ -34,7 +37,7 @@ from sim.settings import EncoderSettings, ImageFaultSettings, SimSettings
 PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
 OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
-READ_AGAIN = ("reading.npy", "time.npy")
+READ_AGAIN = ("reading.npy", "time.npy", TURNS)
 """Files that depend on the encoder settings."""
 NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
 """Beginnings of the names of files that do not affect a training without ticks."""
@@ -82,30 +85,50 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
-    images = (observation_file("fisheye"), grid_file("fisheye"))
-    faults = dict(zip(images, make_measures(settings, seed), strict=True))
+    turns = None if recording.turns is None else cut_turns(recording.turns, kept)
+    measures = make_measures(settings, seed)
+    faults = {
+        observation_file("fisheye"): measures.drive,
+        grid_file("fisheye"): measures.test,
+        turn_file("fisheye"): measures.turn,
+    }
     for name in recording.manifest.sha256:
-        per_sample = name in PER_SAMPLE or name.startswith(OBSERVATIONS)
+        length = _cut(name, recording.manifest, samples, kept, turns)
         if fault := faults.get(name):
-            _develop_again(base / name, folder / name, fault, samples if per_sample else None)
-        elif (per_sample or name in PER_READING) and not whole:
+            _develop_again(base / name, folder / name, fault, length)
+        elif length is not None and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
-            write_array(folder / name, array[: samples if per_sample else kept])
+            write_array(folder / name, array[:length])
         elif name not in READ_AGAIN:
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
         for name in ("samples_dropped", "times_relocated", *OF_IMAGES):  # known only for the complete drive
             manifest.pop(name, None)
-    manifest |= _read_again(recording, truth, kept, settings, seed, folder)
+    manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
     source = base.parent.name if base.name == OF_RUN else base.name
     manifest |= {"derived_from": source, "collect_s": round(time.perf_counter() - start, 2)}
     finish_recording(folder, manifest)
 
 
+def _cut(name: str, manifest: Manifest, samples: int, readings: int, turns: Turns | None) -> int | None:
+    """Rows of a file in a drive of so many samples and readings; None: it does not depend on the drive's length."""
+    if turns is not None and name in map(turn_file, manifest.sensors):
+        return count_images(turns)
+    if name in PER_SAMPLE or name.startswith(OBSERVATIONS):
+        return samples
+    return readings if name in PER_READING else None
+
+
 def _read_again(
-    recording: Recording, truth: Truth, kept: int, settings: SimSettings, seed: int, folder: Path
+    recording: Recording,
+    truth: Truth,
+    turns: Turns | None,
+    kept: int,
+    settings: SimSettings,
+    seed: int,
+    folder: Path,
 ) -> dict[str, Any]:
     """Write the first readings of a drive as these encoders measure them; returns their manifest entries."""
     odometry, encoder = recording.manifest.odometry, settings.encoder
@@ -113,6 +136,8 @@ def _read_again(
     ticks, arrived = read_encoders(angle, odometry["wheel_radius_m"], encoder, stream(seed, "encoder"))
     write_array(folder / "reading.npy", np.column_stack([number, ticks]).astype(np.int64)[arrived])
     write_array(folder / "time.npy", recording.time[:kept][arrived])
+    if turns is not None:
+        write_array(folder / TURNS, lose_turns(turns, number[:, 0], arrived).array)
     track_m = odometry["track_m"] / (1.0 + recording.manifest.settings["encoder"]["track_error"])
     return {
         "segments": int(number[-1, 0]) + 1,
@@ -126,7 +151,7 @@ def _read_again(
 def explain_misfit(manifest: Manifest, settings: SimSettings, seed: int) -> str | None:
     """Why no recording with these settings and this seed can be derived from that of a manifest; None: it can."""
     if manifest.number != SCHEMA:
-        return f"has schema {manifest.number}, made by another version, whose files and random numbers differ: nothing can be derived"
+        return f"has schema {manifest.number}, of a version with other random numbers: nothing can be derived from it"
     samples, other = settings.drive.samples, SimSettings.model_validate(manifest.settings)
     length = other.drive.samples
     reasons = {

@@ -28,15 +28,17 @@ from sim.files import (
 )
 from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind
+from sim.recording.turns import FILE as TURNS
+from sim.recording.turns import Turns, from_array
 
 RECORDING = re.compile(
-    rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time)\.npy"
+    rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time|turns)\.npy"
     r"|(test/)?(observation|horizontal)\.npy|labels/(test_)?sighting\.npz"  # of schema 1
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
 """Paths of all files that a recording's folder holds."""
-COLLECTING = re.compile(rf"drive-\d+\.npz|(image|test)-\d+(\.{SENSOR})?\.np[yz]")
+COLLECTING = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
 """Names of all files in the folder of an unfinished recording."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
@@ -54,6 +56,9 @@ class Recording:
         time: Time of each reading (R,) [s].
         test_observation: Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped.
         observation_time: Time of each observation (N,) [s]; NaN where an old recording does not contain it.
+        turns: What the robot knows of its turns; None: nothing, as in old recordings and those of landmarks.
+        turn_observation: Observations of the first sensor after turns in place (K, ...), memory-mapped; None like
+            ``turns``.
         readings: Numbers of readings that were kept and left out, by reason; None: not checked yet.
         others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images.
     """
@@ -66,6 +71,8 @@ class Recording:
     test_observation: np.ndarray
     observation_time: np.ndarray | None = None
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
+    turns: Turns | None = None
+    turn_observation: np.ndarray | None = None
     readings: dict[str, int] | None = None
 
     @property
@@ -129,6 +136,7 @@ def open_recording(folder: Path) -> Recording:
         test_observation=_open_array(folder / _grid_file(manifest, first), mapped=True),
         observation_time=_open_array(stamps) if stamps.is_file() else stamp(reading[:, 1], time, len(observation)),
         others={name: _open_observations(folder, manifest, name) for name in others},
+        **_open_turns(folder, first),
     )
 
 
@@ -145,6 +153,11 @@ def time_file(sensor: str) -> str:
 def grid_file(sensor: str) -> str:
     """Path of a sensor's observations at test positions."""
     return f"test/{sensor}.npy"
+
+
+def turn_file(sensor: str) -> str:
+    """Path of a sensor's observations after turns in place."""
+    return f"observations/{sensor}_turn.npy"
 
 
 def measure_driven(segment: np.ndarray, travelled_m: np.ndarray) -> float:
@@ -206,9 +219,10 @@ def is_whole(folder: Path) -> bool:
     return (folder / "manifest.json").is_file() and not list_files(work_folder(folder), COLLECTING)
 
 
-def chunk_files(work: Path, index: int) -> tuple[Path, Path]:
-    """Files of one chunk of an unfinished recording: states and readings, and images."""
-    return work / f"drive-{index:06d}.npz", work / f"image-{index:06d}.npz"
+def chunk_files(work: Path, index: int) -> tuple[Path, Path, Path]:
+    """Files of one chunk of an unfinished recording: states and readings, images, and images after turns."""
+    drive, image, turn = (work / f"{name}-{index:06d}.npz" for name in ("drive", "image", "turn"))
+    return drive, image, turn
 
 
 def read_manifest(folder: Path) -> Manifest:
@@ -286,6 +300,13 @@ def _open_observations(folder: Path, manifest: Manifest, sensor: str) -> np.ndar
             f"{folder / name} has {array.ndim} axes, and observations of kind {kind} have {DIMENSIONS[kind]}"
         )
     return array
+
+
+def _open_turns(folder: Path, sensor: str) -> dict[str, Any]:
+    if not (folder / TURNS).is_file():
+        return {}
+    turns = from_array(_open_array(folder / TURNS))
+    return {"turns": turns, "turn_observation": _open_array(folder / turn_file(sensor), mapped=True)}
 
 
 def _grid_file(manifest: Manifest, sensor: str) -> str:

@@ -12,19 +12,21 @@ from typing import NamedTuple
 import numpy as np
 
 from sim.rng import stream
-from sim.sensors.catalog import Measure
+from sim.sensors.catalog import Measure, Measures
 from sim.settings import ImageFaultSettings, SimSettings
 
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
 class CameraStreams(NamedTuple):
-    """Separate RNG streams for noise and lean, in drive and tests, so that none shifts another."""
+    """Separate RNG streams for noise and lean, in drive, tests and turns, so that none shifts another."""
 
     noise: np.random.Generator
     test_noise: np.random.Generator
+    turn_noise: np.random.Generator
     lean: np.random.Generator
     test_lean: np.random.Generator
+    turn_lean: np.random.Generator
 
 
 def spawn_streams(seed: int) -> CameraStreams:
@@ -32,10 +34,11 @@ def spawn_streams(seed: int) -> CameraStreams:
     return CameraStreams(*(stream(seed, "camera", name) for name in CameraStreams._fields))
 
 
-def make_measures(settings: SimSettings, seed: int) -> tuple[Measure | None, Measure | None]:
-    """Return the functions that apply the faults to images of the drive and of the tests."""
-    faults, chance = settings.image_faults, spawn_streams(seed)
-    return make_develop(faults, chance.noise), make_develop(faults, chance.test_noise)
+def make_measures(settings: SimSettings, seed: int) -> Measures:
+    """Return the functions that apply the faults to images."""
+    chance = spawn_streams(seed)
+    noises = (chance.noise, chance.test_noise, chance.turn_noise)
+    return Measures(*(make_develop(settings.image_faults, noise) for noise in noises))
 
 
 def make_develop(settings: ImageFaultSettings, rng: np.random.Generator) -> Measure | None:

@@ -28,6 +28,20 @@ class Opened(NamedTuple):
     renderer: str = "none"
 
 
+class Measures(NamedTuple):
+    """What a sensor makes of ideal observations in each part of a recording; None: they stay ideal.
+
+    Attributes:
+        drive: For the observations of the drive.
+        test: For those at test positions.
+        turn: For those after turns in place.
+    """
+
+    drive: Measure | None = None
+    test: Measure | None = None
+    turn: Measure | None = None
+
+
 @dataclass(frozen=True)
 class Sensor:
     """The record of a sensor. Functions are named "module:function", with modules from ``sim``.
@@ -41,7 +55,7 @@ class Sensor:
         kept: Settings -> whether a recording keeps its observations.
         renders: Whether it needs OpenGL.
         mount: (robot's model, settings) -> None; puts it on the robot. None: the robot's file has it, or it needs none.
-        make_measures: (settings, seed) -> a ``Measure``, or None, for the drive and for the tests. None: always ideal.
+        make_measures: (settings, seed) -> ``Measures``. None: observations are always ideal.
         extract: Observations (n, ...) -> a dataclass of arrays found in them, which a part's file holds as well.
     """
 

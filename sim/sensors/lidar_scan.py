@@ -8,7 +8,7 @@ between two rays. A turn by a full ray shifts each row circularly, so these rows
 import numpy as np
 
 from sim.rng import stream
-from sim.sensors.catalog import Measure
+from sim.sensors.catalog import Measure, Measures
 from sim.settings import LidarSettings, SimSettings
 
 
@@ -31,11 +31,11 @@ def measure(distance: np.ndarray, lidar: LidarSettings, rng: np.random.Generator
     return np.clip(distance, 0.0, lidar.reach_m, dtype=np.float32)
 
 
-def make_measures(settings: SimSettings, seed: int) -> tuple[Measure, Measure]:
-    """Return what adds the noise to scans of the drive and then to those of the tests, from one stream."""
-    noise = stream(seed, "lidar")
+def make_measures(settings: SimSettings, seed: int) -> Measures:
+    """Return what adds the noise to scans, each part of a recording from a stream of its own."""
 
-    def scan(scans: np.ndarray) -> np.ndarray:
-        return measure(scans, settings.lidar, noise)
+    def make(part: str) -> Measure:
+        noise = stream(seed, "lidar", part)
+        return lambda scans: measure(scans, settings.lidar, noise)
 
-    return scan, scan
+    return Measures(*(make(part) for part in Measures._fields))

@@ -47,6 +47,29 @@ def test_one_s_own_recording_is_trained_positioned_and_viewed_without_truth(driv
     assert find_recording(run.folder).stat().st_size > 10_000
 
 
+def test_turns_of_one_s_own_are_kept_and_checked(drive: dict, small_recording: Path, tmp_path: Path):
+    given = open_recording(small_recording)
+    assert given.turns is not None
+    images = {"turn_observations": given.turn_observation}
+    folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"], turns=given.turns.array, **images)
+    copy = open_recording(folder)
+    assert copy.turns is not None and copy.turn_observation is not None
+    np.testing.assert_array_equal(copy.turns.array, given.turns.array)
+    np.testing.assert_array_equal(copy.turn_observation, given.turn_observation)
+    for column, value, message in (
+        (0, 300, "turns: observation 300 must be from 0 to 299"),
+        (1, 9999, "turns: turn observation 9999 must be from -1 to"),
+        (3, 3, "turns: kind 3 must be from 0 to 2"),
+        (2, 1, "turns: no segment begins at row 1 of readings"),
+    ):
+        wrong = given.turns.array
+        wrong[0, column] = value
+        with pytest.raises(deepgps.InputError, match=message):
+            deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], turns=wrong, **images)
+    with pytest.raises(deepgps.InputError, match="turn_observations need turns"):
+        deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], **images)
+
+
 @pytest.mark.slow
 def test_with_the_truth_it_is_also_evaluated(drive: dict, tmp_path: Path):
     folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"])

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError, WorkError
+from sim.recording import chunks, renderers, sensing
 from sim.recording import collect as collecting
-from sim.recording import renderers, sensing
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, is_whole, open_recording, open_truth, read_manifest
 from sim.recording.renderers import Part
@@ -82,6 +82,7 @@ def change(settings: SimSettings, samples: int, **groups: Group) -> SimSettings:
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Chunks so small that a short drive has two."""
     monkeypatch.setattr(collecting, "CHUNK", 32)
+    monkeypatch.setattr(chunks, "CHUNK", 32)
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +96,7 @@ def short_parts(short_settings: SimSettings, tmp_path_factory: pytest.TempPathFa
     folder = tmp_path_factory.mktemp("parts")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collecting, "CHUNK", 32)
+        patch.setattr(chunks, "CHUNK", 32)
         patch.setattr(collecting, "finish_recording", lambda *_: None)
         patch.setattr(collecting, "_remove_parts", lambda _: None)
         collect(short_settings, 0, folder / "recording", lambda *_: None, workers=1)
@@ -107,6 +109,7 @@ def short_recording(short_settings: SimSettings, tmp_path_factory: pytest.TempPa
     folder = tmp_path_factory.mktemp("short") / "recording"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collecting, "CHUNK", 32)
+        patch.setattr(chunks, "CHUNK", 32)
         collect(short_settings, 0, folder, lambda *_: None, workers=1)
     return folder
 

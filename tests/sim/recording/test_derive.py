@@ -7,6 +7,7 @@ import pytest
 
 from sim.errors import InputError
 from sim.planar import landmarks
+from sim.recording import chunks
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES, can_be_cut, choose_drive, derive
@@ -70,6 +71,7 @@ def room(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) 
 def small_chunks() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(collecting, "CHUNK", 32)
+        patch.setattr(chunks, "CHUNK", 32)
         yield
 
 

@@ -1,0 +1,84 @@
+"""Turns between segments: the second image that the robot takes after each turn in place, and what it knows of a turn.
+
+Where one segment ends and the next begins, both share one observation, taken before the turn. The image after the turn
+shows the same place under another heading, so the two tell the angle turned. It is no observation: it has no reading,
+and no method learns positions from it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+KINDS = ("in_place", "backed_off", "relocated")
+"""How the robot came from one segment to the next. in_place: it turned where the segment ended. backed_off: after a
+contact or when it was wedged, it rolled back, so the next segment begins nearby. relocated: a person carried it."""
+NO_IMAGE = -1
+FILE = "turns.npy"
+
+
+@dataclass(frozen=True)
+class Turns:
+    """What the robot knows of the turns of a drive, in the order driven.
+
+    Attributes:
+        before: Last observation before each turn (T,).
+        image: Turn image taken after it (T,), or -1: the observation of the first reading after it shows that.
+        after: Row of ``reading`` of the first reading after it (T,), in the segment that begins there.
+        kind: Number of its kind in ``KINDS`` (T,).
+    """
+
+    before: np.ndarray
+    image: np.ndarray
+    after: np.ndarray
+    kind: np.ndarray
+
+    @property
+    def array(self) -> np.ndarray:
+        """The turns as stored (T, 4) int64."""
+        return np.column_stack([self.before, self.image, self.after, self.kind]).astype(np.int64)
+
+
+def from_array(array: np.ndarray) -> Turns:
+    """Turns of a stored array (T, 4)."""
+    return Turns(*array.T)
+
+
+def list_turns(segment: np.ndarray, observation: np.ndarray, kinds: Sequence[int] | np.ndarray) -> Turns:
+    """Turns of a complete drive, each before a segment.
+
+    Args:
+        segment: Segment of each reading (R,), in the order driven.
+        observation: Observation of each reading (R,).
+        kinds: Number of the kind of the turn before each segment (S,) or more; that of the first one is not used.
+    """
+    after = np.flatnonzero(np.diff(segment)) + 1
+    kind = np.asarray(kinds, np.int64)[segment[after]]
+    taken = kind == KINDS.index("in_place")
+    image = np.where(taken, np.cumsum(taken) - 1, NO_IMAGE)
+    return Turns(observation[after - 1], image, after, kind)
+
+
+def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
+    """Turns whose next segment has readings that arrived, with ``after`` counting only these.
+
+    Args:
+        turns: The turns of a drive whose readings have all arrived.
+        segment: Segment of each reading (R,).
+        arrived: Which readings arrive (R,) bool.
+    """
+    row = np.append(np.flatnonzero(arrived), len(arrived))
+    first = np.searchsorted(row, turns.after)
+    kept = np.append(segment, -1)[row[first]] == segment[turns.after]
+    return Turns(turns.before[kept], turns.image[kept], first[kept], turns.kind[kept])
+
+
+def cut_turns(turns: Turns, readings: int) -> Turns:
+    """Turns of a drive that ends after so many readings."""
+    kept = turns.after < readings
+    return Turns(turns.before[kept], turns.image[kept], turns.after[kept], turns.kind[kept])
+
+
+def count_images(turns: Turns) -> int:
+    """Number of turn images up to the last turn."""
+    return int(turns.image.max(initial=NO_IMAGE)) + 1
