@@ -72,6 +72,7 @@ WITHOUT_MUJOCO = {
         "sim.recording.format",
         "sim.recording.manifest",
         "sim.recording.derive",
+        "sim.recording.turns",
         "sim.renamed",
     ),
     *(

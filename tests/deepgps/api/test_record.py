@@ -50,7 +50,7 @@ def test_one_s_own_recording_is_trained_positioned_and_viewed_without_truth(driv
 def test_turns_of_one_s_own_are_kept_and_checked(drive: dict, small_recording: Path, tmp_path: Path):
     given = open_recording(small_recording)
     assert given.turns is not None
-    images = {"turn_observations": given.turn_observation}
+    images: dict = {"turn_observations": given.turn_observation}
     folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"], turns=given.turns.array, **images)
     copy = open_recording(folder)
     assert copy.turns is not None and copy.turn_observation is not None

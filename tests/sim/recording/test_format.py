@@ -59,6 +59,8 @@ def test_what_is_sensed_does_not_hold_the_truth(folder):
         "reading",
         "time",
         "test_observation",
+        "turns",
+        "turn_observation",
     }
     assert set(fields) == sensed
 
