@@ -15,6 +15,7 @@ import numpy as np
 from deepgps.data.plausible_ticks import LARGEST, check_ticks
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.recording.turns import lose_turns
 from sim.sensors.encoder import check_odometry
 
 COLUMNS = 4
@@ -59,7 +60,9 @@ def keep_plausible(recording: Recording) -> Recording:
         raise InputError(f"{recording.folder}: {error}") from None
     if checked.reading is recording.reading:
         return replace(recording, readings=checked.counts)
-    return replace(recording, readings=checked.counts, reading=checked.reading, time=recording.time[checked.kept])
+    turns = recording.turns and lose_turns(recording.turns, recording.reading[:, 0], checked.kept)
+    kept = replace(recording, readings=checked.counts, turns=turns)
+    return replace(kept, reading=checked.reading, time=recording.time[checked.kept])
 
 
 def count_readings(recording: Recording) -> dict[str, dict[str, int]]:

@@ -52,17 +52,17 @@ def straighten(turns: Turns, chosen: torch.Tensor, features: torch.Tensor, segme
     return relax(turns.path[chosen.numpy()], segments, find_loop_closures(features, segments, NEIGHBOURS[:1])[0])[0]
 
 
-def find_chirality(positions: np.ndarray, segments: Segments, turns: Turns) -> int:
-    """Return 1 if the turns of a map have the direction of the wheels' turns, -1 if the map is mirrored.
+def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:
+    """Return 1 if the turns of a map have the direction of those measured, -1 if the map is mirrored.
 
     Args:
         positions: Predictions of all training observations (N, 2) [m].
         segments: Weak constraints.
-        turns: Turns measured by the wheels.
+        angle: Turn from each segment to the next, to the left (L - 1,), by wheels or compass [rad].
     """
     rows = torch.arange(len(segments.count))
     last = segments.index[rows, segments.count - 1].numpy()
     x, y = (positions[last] - positions[segments.index[:, 0].numpy()]).T
     mapped = np.diff(np.arctan2(y, x))
     # Half turns carry no information about left and right; quarter turns carry the most.
-    return 1 if (np.sin(mapped) * np.sin(turns.angle)).sum() >= 0.0 else -1
+    return 1 if (np.sin(mapped) * np.sin(angle)).sum() >= 0.0 else -1

@@ -45,6 +45,9 @@ class Method:
 
 
 METHODS: dict[str, Method] = {
+    "deepgps_compass": Method(
+        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", observes="polar_image"
+    ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
     "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
     "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),

@@ -23,6 +23,6 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         return torch.from_numpy(straighten(turns, sample.chosen, sample.features, sample.segments))
 
     def orient(positions: torch.Tensor) -> int:
-        return find_chirality(positions.double().numpy(), data.segments, turns)
+        return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
     return fit_data(data, Variant(make_initial_map=start_from_path, orient=orient), settings, seed, folder, progress)

@@ -52,8 +52,8 @@ def test_a_mirrored_map_is_told_by_its_turns_even_where_the_path_is_lost(toy: Re
     turns, segments = read_turns(recording), read_segments(recording)
     for angle in (0.0, 1.0, -2.5):
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        assert find_chirality(place @ turn.T + 3.0, segments, turns) == 1
-        assert find_chirality(place @ turn.T * [1.0, -1.0], segments, turns) == -1
+        assert find_chirality(place @ turn.T + 3.0, segments, turns.angle) == 1
+        assert find_chirality(place @ turn.T * [1.0, -1.0], segments, turns.angle) == -1
 
 
 def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):

@@ -1,0 +1,98 @@
+"""Turns between segments by the compass: how far the heading changes, from the images before and after each turn.
+
+The wheels choose between the peaks of the compass and count whole turns; they never change an angle. The ground truth
+is not used.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.segments import find_runs
+from sim.errors import InputError
+from sim.recording.format import Recording
+from sim.recording.turns import KINDS, NO_IMAGE
+from sim.sensors.compass import disambiguate, find_turns
+from sim.sensors.lens import make_lens
+from sim.settings import SimSettings
+
+WHEELS_RAD = 0.3
+"""Standard deviation of a turn by the wheels, to choose between peaks: they may slip [rad]."""
+WANDER_RAD = np.radians(0.1)
+"""Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
+BACKED_OFF_M, MEETING_M = 0.05, 0.002
+"""Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
+UNKNOWN_RAD = 3.0
+"""Standard deviation of a turn of which nothing is known [rad]."""
+
+
+@dataclass(frozen=True)
+class CompassTurns:
+    """The turns between consecutive rows of ``Segments``.
+
+    Attributes:
+        angle: Turn to the left (L - 1,) [rad].
+        angle_std: Its standard deviation (L - 1,) [rad].
+        jump: From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m].
+        jump_std: Its standard deviation along each axis (L - 1,) [m].
+    """
+
+    angle: np.ndarray
+    angle_std: np.ndarray
+    jump: np.ndarray
+    jump_std: np.ndarray
+
+
+def measure_turns(recording: Recording) -> CompassTurns:
+    """Measure all turns of a recording.
+
+    Raises:
+        InputError: The recording has no turns or no polar images.
+    """
+    if recording.turns is None or recording.turn_observation is None or recording.kind != "polar_image":
+        raise InputError(
+            f"{recording.folder} has no images after turns (turns.npy), which a compass needs; deepgps learns without"
+        )
+    turns, reading = recording.turns, recording.reading
+    after = [
+        recording.observation[first] if image == NO_IMAGE else recording.turn_observation[image]
+        for image, first in zip(turns.image, reading[turns.after, 1], strict=True)
+    ]
+    yaw = dead_reckon(recording)[:, 2]
+    wheels = yaw[turns.after] - yaw[turns.after - 1]
+    lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
+    seen = find_turns(recording.observation[turns.before], np.array(after), lens)
+    found = disambiguate(seen, wheels, np.full(len(wheels), WHEELS_RAD))
+    known = np.isfinite(found.angle[:, 0])
+    angle = np.where(known, found.angle[:, 0], wheels)
+    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, WHEELS_RAD**2)
+    return _join(recording, angle, variance)
+
+
+def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:
+    """Turns (L - 1) between the segments that have at least two readings, from all turns (T,)."""
+    assert recording.turns is not None
+    turns, runs = recording.turns, find_runs(recording)
+    travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    numbers = {int(row): number for number, row in enumerate(turns.after)}
+    rows, turned, squared = [], 0.0, 0.0
+    jump, jump_squared = np.zeros(2), MEETING_M**2
+    begun = False
+    for before, run in zip([runs[0], *runs], runs, strict=False):
+        number = numbers.get(int(run[0]))
+        skipped = recording.reading[run[0], 0] - recording.reading[before[-1], 0] > 1
+        if begun and (number is None or skipped):
+            squared += UNKNOWN_RAD**2
+        if begun and number is not None:
+            if KINDS[turns.kind[number]] != "in_place":
+                back_m = travelled[run[0]] - travelled[before[-1]]
+                jump = jump + back_m * np.array([np.cos(turned), np.sin(turned)])
+                jump_squared += BACKED_OFF_M**2
+            turned, squared = turned + angle[number], squared + variance[number]
+        if len(run) >= 2:
+            if begun:
+                rows.append((turned, np.sqrt(squared), *jump, np.sqrt(jump_squared)))
+            begun, turned, squared, jump, jump_squared = True, 0.0, 0.0, np.zeros(2), MEETING_M**2
+    table = np.array(rows).reshape(-1, 5)
+    return CompassTurns(table[:, 0], table[:, 1], table[:, 2:4], table[:, 4])

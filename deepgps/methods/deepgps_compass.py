@@ -1,0 +1,51 @@
+"""DeepGPS that also uses the images after turns in place: by compass, its map is never folded or mirrored."""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from deepgps.data.compass_turns import measure_turns
+from deepgps.data.encoder_noise import expect_errors
+from deepgps.data.segments import Segments
+from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
+from deepgps.initial_map.isomap import find_loop_closures
+from deepgps.initial_map.wheel_turns import find_chirality
+from deepgps.learning.training_data import TrainingData, prepare
+from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
+from deepgps.methods.positioner import Fitted
+from deepgps.progress import Report
+from deepgps.settings import LearnSettings, Start
+from sim.recording.format import Recording
+from sim.rng import stream
+
+
+def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Train DeepGPS from the map by the compass, which also determines the chirality."""
+    data, turns = prepare(recording, settings, seed, folder.parent), measure_turns(recording)
+
+    def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
+        if start != "paths" or number > 0:
+            return make_initial_map(sample, start, seed, number)
+        return torch.from_numpy(make_compass_map(recording, data, seed).places)[sample.chosen]
+
+    def orient(positions: torch.Tensor) -> int:
+        return find_chirality(positions.double().numpy(), data.segments, turns.angle)
+
+    return fit_data(data, Variant(make_initial_map=start_from_compass, orient=orient), settings, seed, folder, progress)
+
+
+def make_compass_map(recording: Recording, data: TrainingData, seed: int) -> CompassMap:
+    """The map of all training observations by compass, encoders and loop closures."""
+    closures = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
+    length_std = expect_length_errors(expect_errors(recording, data.segments))
+    rng = stream(seed, "compass map")
+    return find_compass_map(data.segments, measure_turns(recording), closures, len(data.features), length_std, rng)
+
+
+def expect_length_errors(segments: Segments) -> np.ndarray:
+    """Standard deviation of the logarithm of each segment's length (L,), from segments with expected errors."""
+    assert segments.variance is not None
+    last = (segments.count - 1)[:, None]
+    length, variance = (table.gather(1, last)[:, 0].double() for table in (segments.distance, segments.variance))
+    return ((variance + segments.rounding_m2).sqrt() / length.clamp_min(1e-3)).numpy()
