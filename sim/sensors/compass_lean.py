@@ -1,0 +1,63 @@
+"""The camera's lean against the robot, from the relative leans of pairs, and the turns that a level camera would see.
+
+Both images of a pair lean alike in the robot's frame, but not in the room's: Rz(angle) swing(relative lean) =
+tilt(l)^T Rz(turn) tilt(l). No image is resampled.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sim.sensors.camera_mount import tilt
+from sim.sensors.compass import Hypotheses
+from sim.sensors.compass_fit import swing, twist
+
+ROUNDS = 12
+"""Reweighted solutions: each is exact to second order, and each leaves more of the outliers out."""
+
+
+def find_lean(hypotheses: Hypotheses) -> np.ndarray:
+    """The lean common to all images (2,) [rad], to the robot's right and forward; NaN without any turn.
+
+    Gauss-Newton on the relative lean that is left after correction: to first order l - Rot(-turn) l, with Rot in the
+    plane. Cauchy weights, scaled by the median.
+    """
+    lean = np.zeros(2)
+    for _ in range(ROUNDS):
+        angle, left = _correct(hypotheses, lean)
+        angle, left = angle[:, 0], left[:, 0]
+        known = np.isfinite(angle)
+        if not known.any():
+            return np.full(2, np.nan)
+        cos, sin = np.cos(angle[known]), np.sin(angle[known])
+        # the lean as a rotation vector (right, ahead) in the robot's plane, seen from the second heading
+        design = np.stack([np.stack([1.0 - cos, -sin], -1), np.stack([sin, 1.0 - cos], -1)], axis=1)
+        square = (left[known] ** 2).sum(axis=1)
+        weight = 1.0 / (1.0 + square / (np.median(square) + 1e-12))
+        normal = np.einsum("p,pij,pik->jk", weight, design, design) + 1e-9 * np.eye(2)
+        lean = lean + np.linalg.solve(normal, np.einsum("p,pij,pi->j", weight, design, left[known]))
+    return lean
+
+
+def set_upright(hypotheses: Hypotheses, lean: np.ndarray) -> Hypotheses:
+    """Hypotheses of a camera that is known to lean by ``lean`` (2,) [rad] in both images: turns of the robot."""
+    angle, left = _correct(hypotheses, lean)
+    before, after = twist(hypotheses.angle, hypotheses.lean), twist(angle, left)
+    std = np.sqrt(np.maximum(hypotheses.std**2 - before**2, 0.0) + after**2)
+    whole = 2.0 * np.pi * np.rint((hypotheses.angle - angle) / (2.0 * np.pi))
+    return replace(hypotheses, angle=angle + whole, std=std, lean=left)
+
+
+def _correct(hypotheses: Hypotheses, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle (P, K) and relative lean (P, K, 2) that are left of the rotations once the camera's lean is undone."""
+    angle, relative = hypotheses.angle, hypotheses.lean
+    c, s, zero = np.cos(angle), np.sin(angle), np.zeros_like(angle)
+    turn = np.stack([c, -s, zero, s, c, zero, zero, zero, zero + 1.0], axis=-1).reshape(*angle.shape, 3, 3)
+    level = tilt(np.asarray(lean, float))
+    rotation = level @ turn @ swing(relative) @ level.T
+    # Rz(angle) swing(left): the upper left corner has the angle, the last row the rest
+    left_angle = np.arctan2(rotation[..., 1, 0] - rotation[..., 0, 1], rotation[..., 0, 0] + rotation[..., 1, 1])
+    across = np.stack([rotation[..., 2, 1], -rotation[..., 2, 0]], axis=-1)
+    size = np.linalg.norm(across, axis=-1, keepdims=True)
+    tipped = np.arctan2(size, rotation[..., 2, 2, None])
+    return left_angle, across * np.where(size > 0.0, tipped / np.maximum(size, 1e-30), 1.0)
