@@ -77,6 +77,7 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
+        "sim.sensors.compass",
         "sim.sensors.lens",
         "sim.sensors.unwrap",
         "sim.sensors.encoder",
