@@ -170,7 +170,8 @@ def _read_docstrings(group: type[Group]) -> dict[str, str]:
 
 
 def _markdown(text: str) -> str:
-    """A docstring's text as Markdown: its own characters are not markup."""
+    """A docstring's text as Markdown: its own characters are not markup, and None is YAML's null."""
+    text = re.sub(r"\bNone\b", "``null``", text)
     return re.sub(r"(?<!`)([*_<|\[\]$])", r"\\\1", text.replace("``", "`"))
 
 
