@@ -77,7 +77,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         from deepgps.run_folder import claim, find_place
         from deepgps.stages import STAGES, ask_for_device, choose_renderer_for, list_undriven
 
-        arguments, source = parse_scenario(stage, words, SUMMARIES[stage])
+        arguments, source = parse_scenario(stage, words, f"{SUMMARIES[stage].capitalize()}.")
         scenario, folder = source.scenario, source.folder
         if source.recording is None:
             choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
@@ -147,7 +147,7 @@ def study_command(words: Sequence[str]) -> None:
 
 def view_command(words: Sequence[str]) -> None:
     """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
-    from deepgps.run_folder import open_run
+    from deepgps.run_folder import is_study, open_run
 
     arguments = parse(ViewArguments, "view", words, view_command.__doc__)
     folders = arguments.runs
@@ -158,13 +158,13 @@ def view_command(words: Sequence[str]) -> None:
     load_plugins(arguments.plugin)
     if arguments.screenshot is not None and arguments.web:
         raise InputError("--screenshot writes one picture and ends; leave out --web")
-    from deepgps.viewer.study.read import is_study
-    from deepgps.viewer.window.show import view
-    from deepgps.viewer.window.web import choose_ports, serve
-
     for folder in folders:
         if len(folders) == 2 or not is_study(folder):
             open_run(folder)
+    # These import Rerun and torch, which takes longer than checking the folders.
+    from deepgps.viewer.window.show import view
+    from deepgps.viewer.window.web import choose_ports, serve
+
     if arguments.screenshot is not None:
         from deepgps.viewer.window.screenshot import is_screenshot, write_screenshot
 

@@ -62,6 +62,11 @@ def list_runs(folder: Path) -> list[Path]:
     return sorted({path.parent for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}")})
 
 
+def is_study(folder: Path) -> bool:
+    """Whether a folder is a study's."""
+    return (folder / "study.yaml").is_file()
+
+
 def describe_no_run(folder: Path) -> str:
     """What is wrong with a folder that holds no run."""
     if not folder.exists():

@@ -119,7 +119,7 @@ class Scenario(WithPlugins, SimSettings):
 
     @property
     def title(self) -> str:
-        """What reports call a run: the scenario's name, or the file of the user's own room."""
+        """The name that reports give a run, that of the scenario or of the file of the user's own room."""
         return self.name if self.room.mjcf is None else Path(self.room.mjcf).name
 
     @property

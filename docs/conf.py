@@ -11,6 +11,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 os.environ.setdefault("MUJOCO_GL", "off")  # modules are imported for their docstrings; nothing is rendered
 
 from docs.generate import fill_in
+from sim.settings import Group
 
 project = "DeepGPS testbed"
 author = "The DeepGPS testbed developers"
@@ -32,8 +33,9 @@ autodoc_default_options = {"exclude-members": "model_config"}
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 autodoc_typehints_format = "short"
-autodoc_typehints_description_target = "documented"
+autodoc_typehints_description_target = "documented_params"
 default_role = "literal"
+smartquotes_action = "qe"  # quotes and dots; two dashes begin an option
 copybutton_prompt_text = "$ "
 
 html_theme = "furo"
@@ -45,6 +47,12 @@ html_copy_source = False
 
 
 def setup(app: Sphinx) -> None:
-    """Fill in the parts of pages that come from the code, and skip what Python itself says of a tuple's fields."""
+    """Fill in the parts of pages that come from the code, and leave out what Python itself says of a tuple's fields."""
     app.connect("autodoc-skip-member", lambda *details: "Alias for field number" in str(details[3].__doc__) or None)
-    app.connect("source-read", lambda _app, _page, source: source.__setitem__(0, fill_in(source[0])))
+    app.connect("autodoc-process-signature", _shorten_settings)
+    app.connect("source-read", lambda _app, page, source: source.__setitem__(0, fill_in(source[0], page)))
+
+
+def _shorten_settings(_app: Sphinx, _what: str, _name: str, thing: object, *_: object) -> tuple[str, None] | None:
+    """Leave the defaults of all settings out of a signature: the page of settings has them."""
+    return ("(**settings)", None) if isinstance(thing, type) and issubclass(thing, Group) else None

@@ -36,11 +36,18 @@ IN_MODULES = {
 """What the page of the Python API describes while the package itself names nothing."""
 
 
-def fill_in(text: str) -> str:
-    """A page's text with its generated parts; "RMS / median / max" stays on one line."""
+def fill_in(text: str, page: str = "") -> str:
+    """A page's text with its generated parts and a study's figures; "RMS / median / max" stays on one line."""
+    text += show_figures(page) if page.startswith("results/") else ""
     text = re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
     parts = {"settings": describe_settings, "study": describe_study, "commands": describe_commands, "api": describe_api}
     return re.sub(r"^<!-- generated: (\w+) -->$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
+
+
+def show_figures(page: str) -> str:
+    """The published figures of the study that a page reports."""
+    figures = sorted((ROOT / "docs" / page).parent.glob("figures/*.png"))
+    return "\n## Figures\n\n" + "".join(f"![{path.stem}](figures/{path.name})\n\n" for path in figures)
 
 
 def describe_settings() -> str:
@@ -163,7 +170,8 @@ def _read_docstrings(group: type[Group]) -> dict[str, str]:
 
 
 def _markdown(text: str) -> str:
-    """A docstring's text as Markdown: its own characters are not markup."""
+    """A docstring's text as Markdown: its own characters are not markup, and None is YAML's null."""
+    text = re.sub(r"\bNone\b", "``null``", text)
     return re.sub(r"(?<!`)([*_<|\[\]$])", r"\\\1", text.replace("``", "`"))
 
 

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from rich.console import Console
 
 from deepgps.methods.catalog import folder_of
 from deepgps.plugins import load_plugins
@@ -56,6 +58,14 @@ class Run:
         """Names of the methods that are trained, in the scenario's order."""
         names = self.scenario.methods
         return tuple(name for name in names if (folder_of(self.folder, name) / "positioner.json").is_file())
+
+    def report(self) -> str:
+        """What ``deepgps run`` prints: a table of errors, the drive, and what shows that a result cannot be trusted."""
+        from deepgps.figures.run_report import print_report
+
+        text = StringIO()
+        print_report(self.folder, Console(file=text, width=100))
+        return text.getvalue()
 
     def position(self, observations: np.ndarray, method: str | None = None, frame: Frame = "world") -> np.ndarray:
         """Positions that a trained method predicts.

@@ -63,7 +63,7 @@ def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) ->
 def describe_time(times: Mapping[str, float]) -> str:
     """Describe in a sentence how long each stage took."""
     parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
-    return f"Time: {parts}; {sum(times.values()):.1f} s in all, over all sittings."
+    return f"Time: {parts}; {sum(times.values()):.1f} s in all."
 
 
 def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
@@ -103,9 +103,8 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
         sentences.insert(
             1,
-            f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}. Of "
-            f"{distances['segments_wrong']} segments with larger errors than noise explains, "
-            f"{distances['wrong_doubted']} are recognised by disagreement of the wheels.",
+            f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
+            f"{_describe_wrong(distances)}",
         )
     if left_out := describe_readings(metrics.get("readings", {})):
         sentences.insert(1, left_out)
@@ -182,6 +181,13 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
         console.print(sentence, style="yellow", markup=False, soft_wrap=True)
     if sitting_s is not None:
         console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
+
+
+def _describe_wrong(distances: Mapping[str, Any]) -> str:
+    if not (wrong := distances["segments_wrong"]):
+        return ""
+    found = distances["wrong_doubted"]
+    return f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals {found}."
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

@@ -125,13 +125,15 @@ def train_attempt(
     sample = take_sample(data)
     draw = sample_from(data.segments.to(data.device), settings.train)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start = choose_start(settings, data.segments, number)
+    start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
     loss = segment_loss(settings, variant.weigh)
     # 4. An unfolded start (ours).
     if start in INITIAL_MAPS:
+        progress(f"{label}: initial map", 0, 1)
         places = variant.make_initial_map(sample, start, seed, number)
+        progress(f"{label}: initial map", 1, 1)
         known = torch.full((len(data.features), 2), torch.nan)
         known[sample.chosen] = places.float()
         loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
@@ -140,7 +142,7 @@ def train_attempt(
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
-    shuffling, label = derive_seed(seed, "shuffling", number), label_attempt(folder, number)
+    shuffling = derive_seed(seed, "shuffling", number)
     seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
     # 6. The map, which is a plane in the network's output, and whether it is folded (ours).
     out = predict(network, data.inputs, sample.chosen)

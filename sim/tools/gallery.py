@@ -1,4 +1,4 @@
-"""A contact sheet of rooms, one per row: corner view, top view with the reachable floor tinted, fisheye, polar."""
+"""A contact sheet of rooms: for each a corner view, a top view with the reachable floor tinted, fisheye, polar."""
 
 from collections.abc import Callable, Sequence
 from io import BytesIO
@@ -61,8 +61,18 @@ def draw_gallery(
         progress("rooms", len(rows), len(rooms))
     buffer, mark = BytesIO(), PngInfo()
     mark.add_text(*MARK)
-    Image.fromarray(np.vstack(rows)).save(buffer, "png", pnginfo=mark)
+    Image.fromarray(lay_out(rows)).save(buffer, "png", pnginfo=mark)
     write_bytes(path, buffer.getvalue())
+
+
+def lay_out(rows: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows of one size below one another, in as many columns as make the sheet about square; white where none is."""
+    height, width, _ = rows[0].shape
+    columns = max(1, round((len(rows) * height / width) ** 0.5))
+    deep = -(-len(rows) // columns)
+    blank = [np.full_like(rows[0], 255)] * (columns * deep - len(rows))
+    sheet = [*rows, *blank]
+    return np.hstack([np.vstack(sheet[column * deep : (column + 1) * deep]) for column in range(columns)])
 
 
 def is_gallery(data: bytes) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 BY_BYTES = {".npy", ".npz", ".safetensors", ".key", ".glb", ".png", ".parquet", ".yaml", ".md"}
-TIME = re.compile(r"^(Time:|over all sittings|This command took|look at it:|.* is done:|copied to)")
+TIME = re.compile(r"^(Time:|[\d.]+ s in all|in all|all\.$|This command took|look at it:|.* is done:|copied to)")
 UNSTEADY = re.compile(r"\.(checksum|train_s|collect_s|timing_s\b.*|environment\b.*|renderer_deaths)$")
 LAST_CELL = re.compile(rb"\|[^|]*\|$", re.MULTILINE)  # of a study's table: seconds of training
 LAST_COLUMN = re.compile(r"(\bS?E2\s+)[\d.]+\s*$")

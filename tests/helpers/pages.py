@@ -42,10 +42,9 @@ SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.
 TESTED_ELSEWHERE = {
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps bench": "tests/deepgps/bench/test_bench.py",
-    "deepgps view runs/demo --screenshot demo.png": "tests/deepgps/viewer/window/test_web.py",
+    "deepgps view runs/first --screenshot first.png": "tests/deepgps/viewer/window/test_web.py",
 }
 MADE_EARLIER: dict[str, tuple[str, ...]] = {
-    "runs/demo": ("run", "living_room", "--out", "runs/demo"),
     "runs/first": ("run", "tiny", "--out", "runs/first"),
     "runs/good": ("run", "living_room", "--out", "runs/good"),
     "runs/poor": ("run", "living_room", "--out", "runs/poor", "--encoder.ticks-per-rev", "16"),

@@ -87,7 +87,8 @@ def check_publish(target: Path) -> None:
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
     """The report in Markdown: the table, the targets, and the failed runs."""
     varied = varied_names(study)
-    blocks = [f"# {study.name}", f"{len(plans)} runs of {study.scenario}, {len(failures)} failed."]
+    scenarios = " and ".join(dict.fromkeys(plan.scenario.name for plan in plans))
+    blocks = [f"# {study.name}", f"{len(plans)} runs of {scenarios}, {len(failures)} failed."]
     if study.name.endswith("-tiny"):
         blocks.append("A small version of the study, which shows the way only: its errors have no meaning.")
     measured = [row for row in rows if row["failure"] is None]

@@ -8,6 +8,7 @@ import pyarrow as pa
 from pydantic import ValidationError
 
 from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.run_folder import is_study
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_rows, read_setting
@@ -18,11 +19,6 @@ from sim.files import check_lines, check_sum, read_arrays
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 from sim.renamed import translate_study
-
-
-def is_study(folder: Path) -> bool:
-    """Whether a folder is a study's."""
-    return (folder / "study.yaml").is_file()
 
 
 def read_study(folder: Path) -> tuple[Study, list[Row]]:

@@ -18,6 +18,7 @@ ANSWER_S = 1.5
 HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 """The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
 OPENING_S = 60.0
+NO_WINDOW = "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
 
 
 def find_url(address: str) -> str:
@@ -63,19 +64,26 @@ def find_viewer() -> str:
     return viewer
 
 
+def has_display() -> bool:
+    """Whether a window can be opened here, as far as the environment tells; only Linux tells."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
+    return sys.platform != "linux" or any(os.environ.get(name) for name in names)
+
+
 def open_viewer() -> str:
     """Open a viewer that stays open after this process ends, and return its URL; raise WorkError if that fails."""
+    viewer_path = find_viewer()
+    if not has_display():
+        raise WorkError(NO_WINDOW)
     port = find_free_port()
-    command = [find_viewer(), "--bind", HOST, "--port", str(port), "--expect-data-soon"]
+    command = [viewer_path, "--bind", HOST, "--port", str(port), "--expect-data-soon"]
     quiet = subprocess.DEVNULL
     viewer = subprocess.Popen(command, stdout=quiet, stderr=quiet, start_new_session=True)  # Ctrl-C does not reach it
     wait_for_port(port, viewer)
     with suppress(subprocess.TimeoutExpired):
         viewer.wait(0.5)  # it listens before it tries to open a window
     if viewer.poll() is not None:
-        raise WorkError(
-            "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
-        )
+        raise WorkError(NO_WINDOW)
     return f"rerun+http://{HOST}:{port}/proxy"
 
 

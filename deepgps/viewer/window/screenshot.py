@@ -1,6 +1,5 @@
 """A picture of a recording's first tab: from Chromium if there is one, otherwise from the native viewer."""
 
-import os
 import shutil
 import subprocess
 import time
@@ -14,11 +13,11 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from deepgps.figures.field_plot import COLOURS
+from deepgps.run_folder import is_study
 from deepgps.viewer.pair.difference import CHANGE
 from deepgps.viewer.run.recording import lacks_truth
-from deepgps.viewer.study.read import is_study
 from deepgps.viewer.window.chromium import Picture, find_chromium, open_page
-from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer
+from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, has_display
 from deepgps.viewer.window.show import find_shown
 from deepgps.viewer.window.web import choose_ports, serve_recording
 from sim.errors import InputError, WorkError
@@ -93,7 +92,7 @@ def shows_scale(picture: np.ndarray) -> bool:
 
 def _take_natively(recording: Path, out: Path) -> bytes:
     """Take the native viewer's own screenshot, on a display or on a virtual one."""
-    display = any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
+    display = has_display()
     virtual = shutil.which("xvfb-run")
     if not display and virtual is None:
         raise WorkError("--screenshot needs Chromium or a display: install chromium, or xvfb and mesa-vulkan-drivers")

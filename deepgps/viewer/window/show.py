@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from deepgps.run_folder import is_study
 from deepgps.viewer.pair.pair import write_pair
 from deepgps.viewer.run.recording import find_recording
-from deepgps.viewer.study.read import is_study
 from deepgps.viewer.study.study import find_study
-from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer
+from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, has_display
 from sim.errors import WorkError
 
 
@@ -29,6 +29,12 @@ def view(paths: Sequence[Path]) -> None:
     # The viewer also listens for data, which only this machine may send. At the port of another viewer, it would hand
     # over the recording without opening a window, and wait forever if that viewer hangs.
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
+    cure = (
+        f"without a display, copy {recording} to a machine that has one, or run: "
+        f"deepgps view {' '.join(map(str, paths))} --web"
+    )
+    if not has_display():
+        raise WorkError(f"the Rerun viewer cannot open a window; {cure}")
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as viewer:
         try:
             _, said = viewer.communicate()
@@ -38,10 +44,7 @@ def view(paths: Sequence[Path]) -> None:
             raise
     if viewer.returncode != 0:
         lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
-        raise WorkError(
-            f"the Rerun viewer exited with code {viewer.returncode} ({lines[-1]}); without a display, copy "
-            f"{recording} to a machine that has one, or run: deepgps view {' '.join(map(str, paths))} --web"
-        )
+        raise WorkError(f"the Rerun viewer exited with code {viewer.returncode} ({lines[-1]}); {cure}")
 
 
 def find_shown(paths: Sequence[Path]) -> Path:

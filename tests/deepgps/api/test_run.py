@@ -49,6 +49,13 @@ def test_positions_of_the_test_images_are_those_of_the_error_field(run: deepgps.
 
 
 @pytest.mark.slow
+def test_the_report_is_what_the_command_prints(run: deepgps.Run):
+    said = run.report()
+    assert "DeepGPS" in said and "reachable test positions" in said
+    assert "its errors have no meaning" in said
+
+
+@pytest.mark.slow
 def test_the_map_s_own_frame_differs_by_the_alignment_alone(run: deepgps.Run):
     images = run.recording.test_observation[:, 0]
     world, own = run.position(images), run.position(images, frame="map")

@@ -61,6 +61,15 @@ def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
     assert len(describe({**metrics, "trajectory": None})) == len(describe(metrics)) - 1
 
 
+def test_segments_that_noise_does_not_explain_are_counted_only_where_there_are_some(metrics: dict) -> None:
+    distances = {"segment_rms_m": 0.02, "segment_expected_m": 0.01, "segments_wrong": 0, "wrong_doubted": 0}
+    for wrong, found, said in ((0, 0, False), (3, 2, True)):
+        counted = {**distances, "segments_wrong": wrong, "wrong_doubted": found}
+        text = " ".join(describe({**metrics, "distances": counted}))
+        assert "RMS error of 2.00 cm; theory predicts 1.00 cm." in text
+        assert ("3 segments have larger errors" in text and "the wheels reveals 2." in text) == said
+
+
 @pytest.mark.parametrize(
     ("test", "errors", "places"),
     [

@@ -4,7 +4,7 @@ import pytest
 
 from sim.settings import RoomSettings
 from sim.tools import gallery
-from sim.tools.gallery import draw_gallery, draw_room
+from sim.tools.gallery import draw_gallery, draw_room, lay_out
 
 
 def test_a_row_shows_the_room_from_a_corner_from_above_and_as_the_camera_sees_it():
@@ -22,6 +22,16 @@ def test_a_row_shows_the_room_from_a_corner_from_above_and_as_the_camera_sees_it
     top = row[gallery.LABEL_PX + gallery.MARGIN_PX :, start : start + gallery.TOP_PX]
     assert (top == 255).all(axis=-1).mean() > 0.1
     assert (top == (230, 40, 40)).all(axis=-1).sum() > 50
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 28])
+def test_a_sheet_of_any_number_of_rows_holds_each_once_and_is_about_square(count: int):
+    rows = [np.full((36, 186, 3), index + 1, np.uint8) for index in range(count)]
+    sheet = lay_out(rows)
+    for index in range(count):
+        assert (sheet == index + 1).sum() == rows[0].size
+    assert set(np.unique(sheet)) - set(range(1, count + 1)) <= {255}
+    assert max(sheet.shape[:2]) <= 3 * min(sheet.shape[:2]) or count <= 2
 
 
 def test_a_sheet_has_a_row_for_each_room_and_is_written_whole(tmp_path):
