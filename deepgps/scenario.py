@@ -95,6 +95,8 @@ class Scenario(WithPlugins, SimSettings):
             observes = METHODS[name].observes if name in METHODS else None
             if observes and observes != self.observation:
                 raise ValueError(f"methods: {name} needs {GIVEN_BY[observes]}")
+            if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
+                raise ValueError(f"methods: {name} needs drive.turn_images true")
         if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
             by = "sensor lidar" if self.world == "room" else f"world {self.world}"
             raise ValueError(

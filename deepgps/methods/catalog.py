@@ -28,6 +28,7 @@ class Method:
         observes: The only kind of observation it takes; None: any.
         in_steps: Whether it trains step by step and reports its steps.
         reads_ticks: Whether it learns from the encoders.
+        reads_turns: Whether it needs the images after turns.
         predict: For a plugin's method whose ``fit`` returns arrays by name in place of a positioner: (these arrays,
             observations (B, ...)) -> positions (B, 2) [m].
         source: Set when the plugin that defines the method is loaded.
@@ -40,13 +41,14 @@ class Method:
     observes: ObservationKind | None = None
     in_steps: bool = True
     reads_ticks: bool = True
+    reads_turns: bool = False
     predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
     source: Source | None = field(default=None, compare=False)
 
 
 METHODS: dict[str, Method] = {
     "deepgps_compass": Method(
-        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", observes="polar_image"
+        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", "polar_image", reads_turns=True
     ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
     "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),

@@ -17,7 +17,7 @@ IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {
 
 
 def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
-    with pytest.raises(InputError, match=r"methods 'posent': must be 'deepgps', .* or 'dead_reckoned_labels'"):
+    with pytest.raises(InputError, match=r"methods 'posent': must be 'deepgps_compass', .* or 'dead_reckoned_labels'"):
         load_scenario("tiny", {"methods": ["deepgps", "posent"]})
 
 

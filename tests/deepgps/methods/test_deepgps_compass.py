@@ -1,0 +1,51 @@
+"""DeepGPS by compass: its map is right before training, and never a mirror image."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.alignment import fit_alignment
+from deepgps.learning.training_data import prepare
+from deepgps.methods.deepgps_compass import make_compass_map
+from deepgps.methods.fit import fit_method
+from deepgps.progress import ignore
+from deepgps.scenario import load_scenario
+from deepgps.settings import LearnSettings
+from sim.errors import InputError
+from sim.recording.format import Recording, open_recording, open_truth
+from tests.helpers.toy import QUICK
+
+SETTINGS = LearnSettings.model_validate(QUICK)
+
+
+@pytest.fixture(scope="module")
+def recording(small_recording: Path) -> Recording:
+    return open_recording(small_recording)
+
+
+def error(found: np.ndarray, recording: Recording) -> np.ndarray:
+    place = open_truth(recording.folder).pose[:, :2]
+    known = np.isfinite(found).all(axis=1)
+    return np.linalg.norm(fit_alignment(found[known], place[known], "SE2").apply(found[known]) - place[known], axis=1)
+
+
+def test_the_map_by_compass_is_right_before_anything_is_trained(recording: Recording, tmp_path: Path):
+    found = make_compass_map(recording, prepare(recording, SETTINGS, 0, tmp_path), seed=0)
+    assert np.sqrt((error(found.places, recording) ** 2).mean()) < 0.05
+    again = make_compass_map(recording, prepare(recording, SETTINGS, 0, tmp_path), seed=0)
+    np.testing.assert_array_equal(again.places, found.places)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_trained_map_is_not_mirrored(recording: Recording, seed: int, tmp_path: Path):
+    positioner = fit_method("deepgps_compass", recording, SETTINGS, seed, tmp_path / "deepgps_compass", ignore)
+    assert np.median(error(positioner(recording.observation), recording)) < 0.15
+
+
+def test_it_needs_turn_images_and_says_so_before_anything_is_driven():
+    with pytest.raises(InputError, match=r"methods: deepgps_compass needs drive\.turn_images true"):
+        load_scenario("tiny", {"methods": ["deepgps_compass"], "drive.turn_images": False})
+    with pytest.raises(InputError, match="methods: deepgps_compass needs images, which world room"):
+        load_scenario("landmarks", {"methods": ["deepgps_compass"]})
