@@ -86,7 +86,7 @@ def test_a_renderer_of_no_kind_is_named(tmp_path):
     assert_one_clear_line(done, 2, "MUJOCO_GL", tmp_path)
 
 
-ABOUT = {"run": "Run a scenario", "collect": "only drive", "train": "collect, and train", "evaluate": "collect, train,"}
+ABOUT = {"run": "Run a scenario", "collect": "Only drive", "train": "Collect, and train", "evaluate": "Collect, train,"}
 
 
 @pytest.mark.parametrize("command", ABOUT)

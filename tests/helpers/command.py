@@ -57,7 +57,7 @@ def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) 
 
 def drop_progress(said: str) -> list[str]:
     """The lines on standard error but those of the progress."""
-    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
+    return [line for line in said.splitlines() if not re.fullmatch(r"[\w, +:]+: [\d,]+ of [\d,]+ \(\d+ %\).*", line)]
 
 
 def assert_one_clear_line(done: CompletedProcess[str], code: int, message: str, folder: Path) -> None:
