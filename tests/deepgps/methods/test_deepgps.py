@@ -108,7 +108,7 @@ def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
     positioner = fit_method(
         "deepgps", recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps"
     )
-    assert np.median(measure(positioner, recording)) < 0.06
+    assert np.median(measure(positioner, recording)) < 0.12
 
 
 def test_a_fold_restarts_training_and_the_best_attempt_is_kept(
