@@ -7,7 +7,8 @@ import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import POLAR_PICTURES
-from deepgps.viewer.run.layout import aim_eye, arrange, camera_views, field_view, hold_still
+from deepgps.viewer.run.layout import camera_views
+from deepgps.viewer.views import aim_eye, arrange, field_view, hold_still
 from sim.occupancy import FreeSpace
 
 RUN_TIME = "run_time"

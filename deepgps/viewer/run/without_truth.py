@@ -15,10 +15,11 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
-from deepgps.viewer.run.layout import aim_eye_at, arrange, camera_views, loss_view, series_view, ticks_view, until_now
+from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view
 from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
 from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.timeline import PROGRESS, drive_index, send_series
+from deepgps.viewer.views import aim_eye_at, arrange, series_view, until_now
 from sim.recording.format import Recording, open_recording
 
 RECKONED = (255, 150, 40)
