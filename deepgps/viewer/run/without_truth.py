@@ -79,7 +79,7 @@ def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb
         overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
     )
     maps = [
-        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points))
+        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
         for name, points in last.items()
     ]
     losses = [loss_view(name) for name in methods]
@@ -92,6 +92,6 @@ def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb
     return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=PROGRESS, play_state="following"))
 
 
-def _aim_at(points: np.ndarray) -> rrb.EyeControls3D:
-    """Place the eye so that points (n, 2) [m] are seen from above."""
-    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=1.2)
+def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
+    """Place the eye so that points (n, 2) [m] are seen from above in one of several views side by side."""
+    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=max(1.2, 0.55 * views))

@@ -18,7 +18,7 @@ from deepgps.evaluation.error_field import read_all_headings, read_fields
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
-from deepgps.viewer.run.coverage import DENSITY
+from deepgps.viewer.run.coverage import COVERAGE, DENSITY
 from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.pictures import choose_views, write_pictures
 from deepgps.viewer.run.place_drawing import PICTURES, turn_picture
@@ -171,7 +171,7 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: st
     for part, large in (("above_10_cm", True), ("below_10_cm", False)):
         chosen = (field.error > 0.1) == large
         expected = [
-            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:.2f}, {y:.2f}"
+            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
             for error, heading, (x, y) in zip(field.error, field.heading, field.predicted, strict=True)
         ]
         for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
@@ -203,6 +203,17 @@ def test_each_heading_can_be_switched_on(run: Path) -> None:
 def test_the_density_counts_every_training_image(run: Path) -> None:
     rows = read_entity(run / RECORDING, DENSITY)
     assert sum(rows["images"].combine_chunks().flatten().to_pylist()) == SAMPLES
+
+
+def test_coverage_and_density_are_drawn_between_the_floor_plan_and_the_arrows(run: Path) -> None:
+    floor = read_entity(run / RECORDING, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
+    arrows = read_entity(run / RECORDING, "world/error_field/deepgps/heading/000_deg/arrows")
+    above = np.array(arrows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())[..., 2].min()
+    for layer in (COVERAGE, DENSITY):
+        rows = read_entity(run / RECORDING, layer)
+        middle, half = (np.array(rows[f"Boxes3D:{part}"].to_pylist()[0])[:, 2] for part in ("centers", "half_sizes"))
+        # a gap of 3.5 mm was too small: the viewer drew the floor plan over the layer
+        assert len(middle) and (floor + 0.009 < middle - half).all() and (middle + half + 0.009 < above).all()
 
 
 def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Path) -> None:
