@@ -12,7 +12,7 @@ from deepgps.viewer.plot import Curve, log_plot, make_axis, plot_view
 
 PATH = "report/distribution"
 LEAST_M = 1e-3
-PALE = 110
+PALE = 150
 
 
 def log_distribution(

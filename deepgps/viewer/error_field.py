@@ -17,6 +17,7 @@ LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
 """Entities of the worst headings: switching the second one off leaves the large errors."""
 DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
+HEIGHT_M = 3 * LAYER_M  # high enough for coverage and density to be drawn below
 HEAD_M = 0.05
 HEAD_SHARE = 0.35
 """Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's."""
@@ -51,10 +52,10 @@ def list_headings(name: str, field: ErrorField, root: str = "world") -> list[str
 def describe_errors(field: WorstField) -> list[str]:
     """Error, heading and predicted position of each place, short enough for one line of a tooltip."""
     rows = zip(100 * field.error, _degrees(field.heading), *field.predicted.T, strict=True)
-    return [f"{error:.1f} cm, {heading:.0f}° → {x:.2f}, {y:.2f}" for error, heading, x, y in rows]
+    return [f"{error:.1f} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}" for error, heading, x, y in rows]
 
 
-def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = LAYER_M) -> np.ndarray:
+def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> np.ndarray:
     """Draw arrows between places (n, 2) [m] as lines (n, 5, 3) that lie flat at height ``z`` [m]."""
     vector = tips - origins
     length = np.linalg.norm(vector, axis=1, keepdims=True)
@@ -83,7 +84,7 @@ def _log_arrows(
         rr.AnyValues(error=pa.array(describe_errors(field), pa.utf8()), method=[title_of(name)]),
     )
     lines = rr.LineStrips3D(draw_arrows(field.truth, field.predicted), radii=0.007 * thin, colors=colours)
-    dots = rr.Points3D(lift(field.truth, LAYER_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
+    dots = rr.Points3D(lift(field.truth, HEIGHT_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
     for below, shape in (("arrows", lines), ("places", dots)):
         put(stream, f"{path}/{below}", shape, at)
         put(stream, f"{path}/{below}", said, at)

@@ -13,9 +13,9 @@ from matplotlib import ticker
 
 from deepgps.viewer.scene import Places, put
 
-WIDTH = 1.7
-LEGEND = 0.6  # width of the legend
-ROW = 0.15  # of the legend
+WIDTH = 2.1
+LEGEND = 0.8  # width of the legend
+ROW, ROWS = 0.15, 0.7  # height of a row of the legend, and of all rows at most
 TICKS = 4
 GRID, INK = (44, 49, 60), (170, 177, 190)
 
@@ -96,9 +96,10 @@ def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Se
     )
     beside = [(-0.09, row - 0.035) for row in rows]  # a label is drawn below its point
     _put_text(stream, f"{path}/axes/y", beside, list(y.ticks.values()), at)
-    _put_text(stream, f"{path}/axes/titles", [(WIDTH + 0.6 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], at)
+    _put_text(stream, f"{path}/axes/titles", [(WIDTH + 0.55 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], at)
     told = [curve for curve in curves if curve.title]
-    places = [(WIDTH + LEGEND / 2, ROW * row) for row in range(len(told))]
+    height = min(ROW, ROWS / max(len(told), 1))
+    places = [(WIDTH + LEGEND / 2, height * row) for row in range(len(told))]
     _put_text(stream, f"{path}/legend", places, [one.title for one in told], at, [one.colour for one in told])
     for curve in curves:
         points = np.stack([WIDTH * x.share(curve.x), 1 - y.share(curve.y)], axis=1)

@@ -1,8 +1,8 @@
 """The timelines of a run's recording, and rows along them.
 
-The timelines are ``drive_time`` [s], ``step`` of training, ``place``, the number of a worst place, and ``progress``,
-which runs from 0 to ``PROGRESS_END_S`` through the drive, the training and the worst places at the same time, so that
-its slider changes every tab.
+The timelines are ``drive_time`` [s], ``step`` of training, ``place``, which ends with the worst place, and
+``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the training and the worst places at the same
+time, so that its slider changes every tab.
 """
 
 from collections.abc import Iterable, Sequence
@@ -44,9 +44,9 @@ def step_index(step: np.ndarray, last: int) -> list[rr.TimeColumn]:
 
 
 def place_index(count: int) -> list[rr.TimeColumn]:
-    """Rows for the worst places, the worst first; on ``progress`` it is the last."""
-    left = np.arange(count, 0, -1) - 1
+    """Rows for the worst places, the worst first; it is at the end of both timelines, where the viewer opens them."""
+    place = np.arange(count, 0, -1)  # not from -1 down: at negative times, the viewer shows no pictures
     return [
-        rr.TimeColumn(PLACE, sequence=np.arange(1, count + 1)),
-        rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * left / max(count - 1, 1)),
+        rr.TimeColumn(PLACE, sequence=place),
+        rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * (place - 1) / max(count - 1, 1)),
     ]

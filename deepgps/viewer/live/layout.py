@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import POLAR_PICTURES
-from deepgps.viewer.run.layout import aim_eye, arrange, camera_views, field_view, hold_still
+from deepgps.viewer.views import aim_eye, arrange, field_view, hold_still
 from sim.occupancy import FreeSpace
 
 RUN_TIME = "run_time"
@@ -46,13 +46,15 @@ def _drive(space: FreeSpace | None, pictures: bool) -> rrb.Horizontal:
         name="Robot and segments so far",
         origin="world",
         contents=["world/room", "world/drive/**"],
-        eye_controls=aim_eye(space, tilt=0.45, reach=1.3) if space else EYE,
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.3, before=-0.4) if space else EYE,
         line_grid=space is None,
         overrides={**hold_still(), "world/drive/path": rrb.VisibleTimeRanges([until_now])},
     )
+    seen = POLAR_PICTURES if pictures else {}
+    views = [rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in seen.items()]
     return rrb.Horizontal(
         room,
-        rrb.Vertical(*camera_views(POLAR_PICTURES if pictures else {}), _steps()),
+        rrb.Vertical(*views, _steps(), row_shares=[*([4, 2] if pictures else []), 3]),
         column_shares=[5, 2],
         name="Drive",
     )

@@ -21,10 +21,10 @@ from deepgps.viewer.pair.difference import (
     open_pair,
     scale_change,
 )
-from deepgps.viewer.run.layout import aim_eye, arrange, field_view, hold_still
 from deepgps.viewer.run.recording import hash_run
 from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
+from deepgps.viewer.views import aim_eye, arrange, field_view, hold_still
 from sim.occupancy import FreeSpace, limits
 
 PAIRS = "pairs"

@@ -15,10 +15,11 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
-from deepgps.viewer.run.layout import aim_eye_at, arrange, camera_views, loss_view, series_view, ticks_view, until_now
+from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view
 from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
 from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.timeline import PROGRESS, drive_index, send_series
+from deepgps.viewer.views import aim_eye_at, arrange, series_view, until_now
 from sim.recording.format import Recording, open_recording
 
 RECKONED = (255, 150, 40)
@@ -78,7 +79,7 @@ def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb
         overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
     )
     maps = [
-        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points))
+        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
         for name, points in last.items()
     ]
     losses = [loss_view(name) for name in methods]
@@ -91,6 +92,6 @@ def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb
     return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=PROGRESS, play_state="following"))
 
 
-def _aim_at(points: np.ndarray) -> rrb.EyeControls3D:
-    """Place the eye so that points (n, 2) [m] are seen from above."""
-    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=1.2)
+def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
+    """Place the eye so that points (n, 2) [m] are seen from above in one of several views side by side."""
+    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=max(1.2, 0.55 * views))

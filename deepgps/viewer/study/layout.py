@@ -7,8 +7,8 @@ import rerun.blueprint as rrb
 
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.plot import plot_view
-from deepgps.viewer.run.layout import STILL, arrange
 from deepgps.viewer.study.sliders import Slider
+from deepgps.viewer.views import STILL, arrange
 
 Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
 STEPS_PER_SECOND = 1.5

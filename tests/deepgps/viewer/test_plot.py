@@ -1,11 +1,16 @@
 """Axes of plots: round ticks that hold all values, and positions in proportion."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import rerun.blueprint as rrb
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepgps.viewer.plot import make_axis
+from deepgps.viewer.plot import Curve, log_plot, make_axis, plot_view
+from deepgps.viewer.read import read_entity
+from deepgps.viewer.save import save_recording
 from deepgps.viewer.study.sliders import Slider, Step
 
 VALUES = st.lists(st.floats(1e-3, 1e3), min_size=1, max_size=20)
@@ -28,6 +33,20 @@ def test_positions_are_in_proportion(ratio: float) -> None:
     assert axis.share([ratio])[0] == pytest.approx(ratio * axis.share([1.0])[0])
     log = make_axis("", [1.0, 100.0], log=True)
     assert log.share([ratio**2])[0] == pytest.approx(2 * log.share([ratio])[0], abs=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 8, 20])
+def test_no_row_of_the_legend_is_over_another_or_over_the_title_of_the_abscissa(count: int, tmp_path: Path) -> None:
+    axis, path = make_axis("x", [0.0, 1.0]), tmp_path / "plot.rrd"
+    curves = [Curve(f"{number}", f"{number}", (0, 0, 0), [0, 1], [0, 1]) for number in range(count)]
+    layout = rrb.Blueprint(plot_view("plot", "plot"))
+    save_recording(path, f"{count:032x}", "plot", layout, lambda stream: log_plot(stream, "plot", axis, axis, curves))
+    rows, titles = (
+        [place[1] for place in read_entity(path, f"plot/{name}")["Points2D:positions"].to_pylist()[0]]
+        for name in ("legend", "axes/titles")
+    )
+    assert len(rows) == count
+    assert (np.diff([*rows, titles[0]]) > 0.03).all()
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,11 @@ from deepgps.evaluation.error_field import read_all_headings, read_fields
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
-from deepgps.viewer.run.coverage import DENSITY
+from deepgps.viewer.run.coverage import COVERAGE, DENSITY
 from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.pictures import choose_views, write_pictures
-from deepgps.viewer.run.places import PICTURES, find_places
+from deepgps.viewer.run.place_drawing import PICTURES, turn_picture
+from deepgps.viewer.run.places import find_places
 from deepgps.viewer.run.recording import RECORDING, find_recording, write_recording
 from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from deepgps.viewer.window.connect import find_viewer
@@ -29,6 +30,8 @@ from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
 from sim.files import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
+from sim.sensors.lens import make_lens, project_polar
+from sim.settings import CameraSettings
 from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run
 
@@ -168,7 +171,7 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: st
     for part, large in (("above_10_cm", True), ("below_10_cm", False)):
         chosen = (field.error > 0.1) == large
         expected = [
-            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:.2f}, {y:.2f}"
+            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
             for error, heading, (x, y) in zip(field.error, field.heading, field.predicted, strict=True)
         ]
         for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
@@ -202,22 +205,53 @@ def test_the_density_counts_every_training_image(run: Path) -> None:
     assert sum(rows["images"].combine_chunks().flatten().to_pylist()) == SAMPLES
 
 
-def test_the_timeline_of_places_begins_with_the_worst_of_each_method(run: Path) -> None:
-    rows = read_entity(run / RECORDING, "place/text")
-    rows = rows.filter(pc.field(PLACE).is_valid()).sort_by(PLACE)
-    texts = ["".join(text) for text in rows["TextDocument:text"].to_pylist()]
+def test_coverage_and_density_are_drawn_between_the_floor_plan_and_the_arrows(run: Path) -> None:
+    floor = read_entity(run / RECORDING, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
+    arrows = read_entity(run / RECORDING, "world/error_field/deepgps/heading/000_deg/arrows")
+    above = np.array(arrows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())[..., 2].min()
+    for layer in (COVERAGE, DENSITY):
+        rows = read_entity(run / RECORDING, layer)
+        middle, half = (np.array(rows[f"Boxes3D:{part}"].to_pylist()[0])[:, 2] for part in ("centers", "half_sizes"))
+        # a gap of 3.5 mm was too small: the viewer drew the floor plan over the layer
+        assert len(middle) and (floor + 0.009 < middle - half).all() and (middle + half + 0.009 < above).all()
+
+
+def test_both_timelines_of_places_end_with_the_worst_of_the_first_method(run: Path) -> None:
     fields = read_all_headings(run)
     places = find_places(fields)
-    assert len(texts) == len(places) == rows[PLACE][-1].as_py()
-    for place, text in zip(places, texts, strict=True):
-        error = 100 * fields[place.method].error[place.cell, place.heading]
-        assert text.startswith(f"# {title_of(place.method)}: {error:.1f} cm")
-        if place.rank == 1:
-            assert error == pytest.approx(100 * fields[place.method].error.max())
+    rows = read_entity(run / RECORDING, "place/text")
+    for timeline in (PLACE, PROGRESS):
+        there = rows.filter(pc.field(timeline).is_valid()).sort_by([(timeline, "descending")])
+        texts = ["".join(text) for text in there["TextDocument:text"].to_pylist()]
+        for place, text in zip(places, texts, strict=True):
+            error = 100 * fields[place.method].error[place.cell, place.heading]
+            assert text.startswith(f"# {title_of(place.method)}: {error:.1f} cm")
+            if place.rank == 1:
+                assert error == pytest.approx(100 * fields[place.method].error.max())
+    number = rows.filter(pc.field(PLACE).is_valid())[PLACE].to_pylist()
+    assert sorted(number) == list(range(1, len(places) + 1))
     counts = rows_by_entity(run / RECORDING)
     for name in PICTURES:
         for kind in ("round", "polar"):
             assert counts[f"/place/{name}/{kind}"] == counts["/world/place/error"] == len(places)
+
+
+def test_a_picture_turned_to_another_heading_is_as_the_camera_sees_there() -> None:
+    """A point in the room at one azimuth: the camera sees it at that azimuth minus its own heading."""
+    rings, sectors, point = 8, 64, np.radians(70.0)
+
+    def see(yaw: float) -> np.ndarray:
+        azimuth = point - yaw
+        direction = np.array([np.cos(azimuth), np.sin(azimuth), 0.3])
+        row, column = project_polar(make_lens(CameraSettings()), direction, rings, sectors)
+        picture = np.zeros((rings, sectors, 3), np.uint8)
+        picture[round(float(row)), round(float(column)) % sectors] = 255
+        return picture
+
+    sector = 2 * np.pi / sectors
+    for here, there in ((0.0, 5.0), (3.0, -40.0), (60.0, 7.0)):
+        turned = turn_picture(see(here * sector), (here - there) * sector)
+        np.testing.assert_array_equal(turned, see(there * sector))
 
 
 def test_worst_places_are_apart_and_in_order(run: Path) -> None:
