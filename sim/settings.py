@@ -323,7 +323,7 @@ class DeploymentSettings(Group):
     @classmethod
     def _long_enough_for_a_drive(cls, samples: int) -> int:
         if 0 < samples < FEWEST_SAMPLES:
-            raise ValueError(f"must be 0 or at least {FEWEST_SAMPLES}")
+            raise ValueError(f"{samples} must be 0 or at least {FEWEST_SAMPLES}")
         return samples
 
 

@@ -89,7 +89,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{world: obstacles, deployment: {drive_samples: 50}}",
             "deployment.drive_samples 50 needs world room, and the world is obstacles",
         ),
-        ("deployment: {drive_samples: 15}", "deployment.drive_samples 15: must be 0 or at least 16"),
+        ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
         (
             "deployment: {drive_samples: 100001}",
             "deployment.drive_samples 100001: must be less than or equal to 100000",
