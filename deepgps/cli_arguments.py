@@ -14,7 +14,6 @@ from deepgps.command.help import write_help
 from deepgps.methods.catalog import METHODS
 from deepgps.plugins import load_plugins
 from deepgps.scenario import Scenario, names_in
-from deepgps.settings import LearnSettings
 from deepgps.source import Source, find_source
 from deepgps.spelling import (
     as_option,
@@ -265,10 +264,14 @@ def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
 
 
 def _list_groups() -> list[tuple[str, type[Group]]]:
-    """Groups of a scenario's settings by name, with those inside ``learn``."""
-    groups = [(name, find_group(field.annotation)) for name, field in Scenario.model_fields.items()]
-    inner = [(f"learn.{name}", find_group(field.annotation)) for name, field in LearnSettings.model_fields.items()]
-    return [(name, group) for name, group in [*groups, *inner] if group]
+    """Groups of a scenario's settings by name, then those inside them."""
+    groups = _list_inner_groups("", Scenario)
+    return [*groups, *(inner for name, group in groups for inner in _list_inner_groups(f"{name}.", group))]
+
+
+def _list_inner_groups(before: str, kind: type[Group]) -> list[tuple[str, type[Group]]]:
+    found = ((before + name, find_group(field.annotation)) for name, field in kind.model_fields.items())
+    return [(name, group) for name, group in found if group]
 
 
 def _list_options(options: Sequence[str]) -> str:

@@ -32,7 +32,7 @@ def find_base(scenario: Scenario, run: Path) -> Path | None:
 def _fits(recording: Path, scenario: Scenario) -> bool:
     try:
         manifest = read_manifest(recording)
-        if not is_whole(recording) or explain_misfit(manifest, scenario.sim, scenario.seed):
+        if not is_whole(recording) or explain_misfit(recording, scenario.sim, scenario.seed):
             return False
     except (InputError, ValueError):  # it is damaged, or of settings that no longer exist
         return False

@@ -22,6 +22,8 @@ RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "wor
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
 LARGEST_MJCF = 64 * 1024 * 1024
 """Largest size of each XML file of a user's own room, in bytes."""
+FEWEST_SAMPLES = 16
+"""Fewest images of a drive."""
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
@@ -225,7 +227,7 @@ class DriveSettings(Group):
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""
-    samples: int = Field(default=8000, ge=16, le=2_000_000)
+    samples: int = Field(default=8000, ge=FEWEST_SAMPLES, le=2_000_000)
     """Images to collect."""
     spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
     """Distance between images on a segment [m]."""
@@ -291,9 +293,22 @@ class CameraMountSettings(Group):
     """Distance that the robot drives while the shutter is open: speed x exposure time [m]."""
 
 
-class DeploymentSettings(Group):
-    """Changes in the room between training and deployment: only the test grid is rendered with them."""
+class DeploymentMountSettings(Group):
+    """How the camera leans in deployment, after it was knocked or mounted again; None: as in training."""
 
+    roll_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
+    """The camera's axis leans to the robot's right by this [deg]; None: by camera_mount.roll_deg."""
+    pitch_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
+    """The camera's axis leans forward by this [deg]; None: by camera_mount.pitch_deg."""
+
+
+class DeploymentSettings(Group):
+    """Changes between training and deployment: the test grid and the drive in use are made with them, the training
+    drive is not."""
+
+    drive_samples: int = Field(default=0, ge=0, le=100_000)
+    """Images of a drive in use, a second drive of the same robot after training, in the changed room; 0: none,
+    otherwise at least 16."""
     light: float = Field(default=1.0, ge=0.0, le=1.0)
     """All light, including that of windows, as a fraction of that in training; linear light, not pixel values."""
     lamps: float = Field(default=1.0, ge=0.0, le=1.0)
@@ -302,6 +317,14 @@ class DeploymentSettings(Group):
     """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
     seed: int = Field(default=0, ge=0)
     """Seed of these directions."""
+    camera_mount: DeploymentMountSettings = DeploymentMountSettings()
+
+    @field_validator("drive_samples")
+    @classmethod
+    def _long_enough_for_a_drive(cls, samples: int) -> int:
+        if 0 < samples < FEWEST_SAMPLES:
+            raise ValueError(f"{samples} must be 0 or at least {FEWEST_SAMPLES}")
+        return samples
 
 
 class SimSettings(Group):
@@ -349,14 +372,21 @@ class SimSettings(Group):
             raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
+        if self.world != "room" and self.deployment.drive_samples:
+            raise ValueError(
+                f"deployment.drive_samples {self.deployment.drive_samples} needs world room, and the world is "
+                f"{self.world}"
+            )
         return self
 
     @model_validator(mode="after")
     def _only_a_camera_has_its_faults(self) -> "SimSettings":
-        faults = [name for name, off in NO_FAULTS.items() if getattr(self, name) != off]
+        changes = self.deployment.model_copy(update={"drive_samples": 0})  # any sensor can be driven with
+        faulty = self.model_copy(update={"deployment": changes})
+        faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]
         if faults and (self.world != "room" or self.sensor != "fisheye"):
             raise ValueError(f"{faults[0]} has faults of images, which need world room and sensor fisheye")
-        if self.deployment != DeploymentSettings() and self.grid.held_out:
+        if changes != DeploymentSettings() and self.grid.held_out:
             raise ValueError(
                 f"deployment changes the room of the test grid, and grid.held_out {self.grid.held_out} has none"
             )

@@ -41,14 +41,15 @@ def write_labels(
     """
     tags = reconstruct(detections, camera)
     (view, pose), (test_view, test_pose) = (solve_views(seen, tags, camera) for seen in (detections, test))
-    for name, solved in (("training", view), ("test", test_view)):
-        if not len(solved):
-            raise WorkError(f"labels: no {name} image shows tags enough to tell where it was taken")
     count, *test_shape = shape
+    tests = int(np.prod(test_shape))
+    for name, solved, images in (("training", view, count), ("test", test_view, tests)):
+        if images and not len(solved):
+            raise WorkError(f"labels: no {name} image shows tags enough to tell where it was taken")
     robot = pose @ np.linalg.inv(mount)
     level = find_level(tags, robot)
     label = _spread(view, flatten(level @ robot), count)
-    test_label = _spread(test_view, flatten(level @ test_pose @ np.linalg.inv(mount)), int(np.prod(test_shape)))
+    test_label = _spread(test_view, flatten(level @ test_pose @ np.linalg.inv(mount)), tests)
     for name, found in (("detection", detections), ("test_detection", test)):
         write_arrays(folder / "labels" / f"{name}.npz", vars(found))
     write_arrays(folder / "labels" / "tag.npz", {"tag": tags.tag, "pose": level @ tags.pose})

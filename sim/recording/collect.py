@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -30,7 +31,9 @@ from sim.recording.assemble import (
     write_tag_labels,
 )
 from sim.recording.chunks import CHUNK, drive_chunk
-from sim.recording.format import COLLECTING, RECORDING, chunk_files, finish_recording, work_folder
+from sim.recording.format import COLLECTING, OWN, PART, RECORDING, chunk_files, finish_recording, work_folder
+from sim.recording.in_use import FOLDER as IN_USE
+from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import name_sensors
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
@@ -51,62 +54,112 @@ log = logging.getLogger(__name__)
 Report = Callable[[str, int, int], None]
 
 
+@dataclass(frozen=True)
+class _Job:
+    """A recording to make.
+
+    Attributes:
+        settings: World, robot, sensors, drive and test grid.
+        seed: Seed of its RNG streams.
+        world: The room that is driven; its settings are those of the drive.
+        test_pose: Poses of the test positions (C, H, 3); empty if test samples are held out.
+        folder: The recording's folder.
+        work: Folder of its parts.
+    """
+
+    settings: SimSettings
+    seed: int
+    world: RoomWorld
+    test_pose: np.ndarray
+    folder: Path
+    work: Path
+
+    def estimate_bytes(self) -> int:
+        """Bytes that the recording needs at least."""
+        tests = math.prod(self.test_pose.shape[:2])
+        return estimate_bytes(self.settings, self.world.model.nq, tests, self.work)
+
+
 def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
-    """Make a recording, or complete an unfinished one.
+    """Make a recording, or complete an unfinished one; a drive in use comes first.
 
     Args:
         settings: World, robot, sensors, drive and test grid.
         seed: Seed of the RNG streams for driving and sensors.
         folder: The recording's folder; finished once it holds ``manifest.json``.
-        progress: Called with a stage (``drive`` or ``render``), the number of images done and their total.
+        progress: Called with a stage (``drive`` or ``render``, or these ``in use``), the number of images done and
+            their total.
         workers: Number of rendering processes; None: one for each usable core.
 
     Raises:
         InputError: The room cannot be used, or has no test position.
         WorkError: There is no renderer, physics failed, or the disk is full.
     """
-    from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
-
     start = time.perf_counter()
     work = work_folder(folder)
     if (folder / "manifest.json").is_file():
         _remove_parts(work)  # a process was killed just before it removed them
         return
-    if folder.is_dir():
-        remove_files(folder, RECORDING)  # left by a killed process, or about to be rewritten
+    if folder.is_dir():  # what is there was left by a killed process, or is about to be rewritten
+        remove_files(folder, OWN if settings.deployment.drive_samples else RECORDING)
     work.mkdir(parents=True, exist_ok=True)
     taught = settings.model_copy(update={"deployment": DeploymentSettings()})  # the room as it is in training
     world = RoomWorld(taught, drawn=False)
     build_s = time.perf_counter() - start
     for note in list_notes(world.model) if settings.room.mjcf is not None else ():
         log.warning("%s", note)
-    test_pose = np.empty((0, 1, 3)) if settings.grid.held_out else lay_grid(world, settings)
-    check_space(folder, estimate_bytes(settings, world.model.nq, math.prod(test_pose.shape[:2]), work))
+    test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
+    job = _Job(settings, seed, world, test_pose, folder, work)
+    in_use = _plan_drive_in_use(job)
+    check_space(folder, sum(one.estimate_bytes() for one in (job, *in_use)))
+    for one in in_use:
+        _record(one, lambda stage, *done: progress(f"{stage} in use", *done), workers, build_s, time.perf_counter())
+    _record(job, progress, workers, build_s, start)
+
+
+def _plan_drive_in_use(job: _Job) -> list[_Job]:
+    """The recording of the drive in use, if there is to be one and it is not finished."""
+    folder, work = job.folder / IN_USE, job.work / IN_USE
+    if not job.settings.deployment.drive_samples:
+        return []
+    if (folder / "manifest.json").is_file():
+        _remove_parts(work)
+        return []
+    remove_files(folder, OWN)
+    work.mkdir(exist_ok=True)
+    settings = choose_drive_in_use(job.settings)
+    return [_Job(settings, seed_in_use(job.seed), RoomWorld(settings, drawn=False), NO_TESTS, folder, work)]
+
+
+def _record(job: _Job, progress: Report, workers: int | None, build_s: float, start: float) -> None:
+    """Make one recording, or complete it; ``start`` is when that began and ``build_s`` how long its room takes [s]."""
+    from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
+
     deaths = 0
     for tries in range(TRIES):
         with Renderers(sense_part, workers or usable_cores(), build_s) as renderers:
-            parts = _make_parts(renderers, world, settings, test_pose, seed, work, progress)
+            parts = _make_parts(renderers, job, progress)
         deaths += renderers.deaths
         try:
-            counts = _assemble(folder, settings, seed, *parts, test_pose)
+            counts = _assemble(job, *parts)
             break
         except DamagedError as error:  # the part is removed, and is made again
             if tries == TRIES - 1:
                 raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
-    save_free_space(folder / "truth" / "free_space.npz", world.free_space)
-    write_scene(RoomWorld(taught).model, folder / "scene.glb")
+    save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
+    write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
     manifest = {
-        "sensors": name_sensors(settings),
-        "settings": settings.model_dump(mode="json"),
-        "seed": seed,
+        "sensors": name_sensors(job.settings),
+        "settings": job.settings.model_dump(mode="json"),
+        "seed": job.seed,
         **counts,
-        "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
+        "odometry": describe_odometry(job.settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
     }
-    finish_recording(folder, manifest)
-    _remove_parts(work)
+    finish_recording(job.folder, manifest)
+    _remove_parts(job.work)
 
 
 def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> int:
@@ -116,7 +169,7 @@ def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> in
     """
     images = settings.drive.samples + settings.grid.held_out + tests
     seen = sum(SENSORS[name].size(settings) for name in list_kept(settings))
-    there = sum(path.stat().st_size for path in list_files(work, COLLECTING))
+    there = sum(path.stat().st_size for path in list_files(work, PART))
     # Each image is first in a part and then in the recording, and so is the state of each sample.
     parts = images * seen + 8 * nq * settings.drive.samples
     return parts + max(parts - there, 0)
@@ -138,17 +191,9 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
 
 
-def _make_parts(
-    renderers: Renderers,
-    world: RoomWorld,
-    settings: SimSettings,
-    test_pose: np.ndarray,
-    seed: int,
-    work: Path,
-    progress: Report,
-) -> tuple[Drive, list[Path]]:
+def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Drive, list[Path]]:
     """Drive and draw the missing parts; returns the drive and the files of the test images."""
-    chance, given = spawn_streams(seed), 0
+    given = 0
 
     def give(part: Part) -> None:
         nonlocal given
@@ -156,11 +201,10 @@ def _make_parts(
             renderers.give(part)
             given += 1
 
-    tests = _lay_out_tests(world, settings, test_pose, work, chance.test_lean)
+    tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    taught = settings.model_copy(update={"deployment": DeploymentSettings()})
-    drive = _drive(world, taught, seed, work, give, progress)
+    drive = _drive(job, give, progress)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
@@ -172,16 +216,10 @@ def _make_parts(
     return drive, [part.path for part in tests]
 
 
-def _drive(
-    world: RoomWorld,
-    settings: SimSettings,
-    seed: int,
-    work: Path,
-    give: Callable[[Part], None],
-    progress: Report,
-) -> Drive:
+def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Drive:
     """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
-    rng, chance = stream(seed, "drive"), spawn_streams(seed)
+    world, settings, work = job.world, job.world.settings, job.work
+    rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
     drive, chunk = Drive([], [], []), None
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
@@ -212,16 +250,15 @@ def _drive_on(
     return chunk
 
 
-def _lay_out_tests(
-    world: RoomWorld, settings: SimSettings, test_pose: np.ndarray, work: Path, lean: np.random.Generator
-) -> list[Part]:
+def _lay_out_tests(job: _Job) -> list[Part]:
     """Divide the test grid into parts: the robot at rest at each pose, in the room as it is in deployment."""
-    poses = test_pose.reshape(-1, 3)
+    settings, lean = set_in_use(job.settings), spawn_streams(job.seed).test_lean
+    poses = job.test_pose.reshape(-1, 3)
     parts = []
     for index, first in enumerate(range(0, len(poses), CHUNK)):
         some = poses[first : first + CHUNK]
         leans = draw_leans(settings.camera_mount, len(some), lean)
-        parts.append(Part(settings, world.rest_states(some), work / f"test-{index:06d}.npz", leans))
+        parts.append(Part(settings, job.world.rest_states(some), job.work / f"test-{index:06d}.npz", leans))
     return parts
 
 
@@ -237,15 +274,16 @@ def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
     return None
 
 
-def _assemble(
-    folder: Path, settings: SimSettings, seed: int, drive: Drive, tests: list[Path], test_pose: np.ndarray
-) -> dict[str, Any]:
+def _assemble(job: _Job, drive: Drive, tests: list[Path]) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
+    folder, settings, test_pose = job.folder, job.settings, job.test_pose
     drawn = count_drawn(settings, [*drive.images, *drive.turns, *tests])
-    counts = write_drive(folder, settings, drive, stream(seed, "encoder"))
+    counts = write_drive(folder, settings, drive, stream(job.seed, "encoder"))
     if settings.grid.held_out:
         test_pose, tests = take_held_out(settings, drive), drive.images
-    write_observations(folder, settings, seed, drive, tests, test_pose.shape[:2])
+    elif not tests:
+        tests = drive.images[:1]  # which tells the shape of an image, since the test arrays are empty
+    write_observations(folder, settings, job.seed, drive, tests, test_pose.shape[:2])
     if settings.tag_camera.mounted:
         counts |= write_tag_labels(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)

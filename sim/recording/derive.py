@@ -14,6 +14,7 @@ import numpy as np
 from sim.errors import InputError
 from sim.files import link_file, write_array, write_blocks
 from sim.recording.format import (
+    OF_USE,
     Recording,
     Truth,
     finish_recording,
@@ -22,9 +23,12 @@ from sim.recording.format import (
     observation_file,
     open_recording,
     open_truth,
+    read_manifest,
     remove_recording,
     turn_file,
 )
+from sim.recording.in_use import FOLDER as IN_USE
+from sim.recording.in_use import choose_drive_in_use, seed_in_use
 from sim.recording.manifest import SCHEMA, Manifest
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
@@ -39,11 +43,12 @@ OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy", TURNS)
 """Files that depend on the encoder settings."""
-NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy")
+NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy", OF_USE)
 """Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
 OF_RUN = "recording"
 """Name of the folder of a run's recording; other recordings have names of their own."""
+SAMPLES_IN_USE = "deployment.drive_samples"
 AT_ONCE = 256
 """Images that are processed at a time."""
 
@@ -79,9 +84,11 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         return
     start = time.perf_counter()
     recording, truth = open_recording(base), open_truth(base)
-    if misfit := explain_misfit(recording.manifest, settings, seed):
+    if misfit := explain_misfit(base, settings, seed):
         raise InputError(f"{base} {misfit}")
     remove_recording(folder)  # remove what a killed process left
+    if settings.deployment.drive_samples:
+        derive(base / IN_USE, choose_drive_in_use(settings), seed_in_use(seed), folder / IN_USE)
     samples = min(settings.drive.samples, len(truth.pose))
     kept = int((truth.reading[:, 1] < samples).sum())  # observations are numbered as they were made
     whole = samples == len(truth.pose)
@@ -99,7 +106,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
         elif length is not None and not whole:
             array = np.load(base / name, mmap_mode="r", allow_pickle=False)
             write_array(folder / name, array[:length])
-        elif name not in READ_AGAIN:
+        elif name not in (*READ_AGAIN, OF_USE):
             link_file(base / name, folder / name)
     manifest = recording.manifest.model_dump(by_alias=True, exclude_unset=True)
     if not whole:
@@ -107,7 +114,8 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
-    source = base.parent.name if base.name == OF_RUN else base.name
+    home = base.parent if base.name == IN_USE else base
+    source = home.parent.name if home.name == OF_RUN else home.name
     manifest |= {"derived_from": source, "collect_s": round(time.perf_counter() - start, 2)}
     finish_recording(folder, manifest)
 
@@ -148,26 +156,52 @@ def _read_again(
     }
 
 
-def explain_misfit(manifest: Manifest, settings: SimSettings, seed: int) -> str | None:
-    """Why no recording with these settings and this seed can be derived from that of a manifest; None: it can."""
+def explain_misfit(base: Path, settings: SimSettings, seed: int) -> str | None:
+    """Why no recording with these settings and this seed can be derived from that in a folder; None: it can.
+
+    Raises:
+        InputError: The manifest of the recording, or of its drive in use, cannot be read.
+    """
+    manifest = read_manifest(base)
+    if misfit := _explain_misfit_of_drive(manifest, settings, seed):
+        return misfit
+    if not settings.deployment.drive_samples:
+        return None
+    if OF_USE not in manifest.sha256:
+        return f"has no drive in use, and deployment.drive_samples is {settings.deployment.drive_samples}"
+    in_use = read_manifest(base / IN_USE)
+    misfit = _explain_misfit_of_drive(in_use, choose_drive_in_use(settings), seed_in_use(seed), SAMPLES_IN_USE)
+    return misfit and f"has a drive in use that {misfit}"
+
+
+def _explain_misfit_of_drive(
+    manifest: Manifest, settings: SimSettings, seed: int, title: str = "drive.samples"
+) -> str | None:
+    """The same for a recording without its drive in use, whose length is called ``title``."""
     if manifest.number != SCHEMA:
         return f"has schema {manifest.number}, of a version with other random numbers: nothing can be derived from it"
     samples, other = settings.drive.samples, SimSettings.model_validate(manifest.settings)
     length = other.drive.samples
     reasons = {
         "is a recording of another drive: more than encoder, image and drive.samples differ": (
-            (choose_drive(other, samples), manifest.seed) != (choose_drive(settings, samples), seed)
+            (_strip(other, samples), manifest.seed) != (_strip(settings, samples), seed)
         ),
         "has faults in its images, which cannot be taken away: nothing can be derived from it": (
             other.image_faults != ImageFaultSettings()
         ),
-        f"has {length} samples, too few for drive.samples {samples}": length < samples,
+        f"has {length} samples, too few for {title} {samples}": length < samples,
         f"has {length} samples, of which {samples} are no recording of their own": (
             length > samples and not can_be_cut(settings)
         ),
         "has lost readings, whose times are not known: nothing can be derived from it": manifest.readings_lost > 0,
     }
     return next((reason for reason, holds in reasons.items() if holds), None)
+
+
+def _strip(settings: SimSettings, samples: int) -> SimSettings:
+    """Settings without what may differ between a recording and one derived from it."""
+    deployment = settings.deployment.model_copy(update={"drive_samples": 0})
+    return choose_drive(settings, samples).model_copy(update={"deployment": deployment})
 
 
 def _develop_again(source: Path, target: Path, fault: Measure, count: int | None) -> None:

@@ -3,7 +3,8 @@
 A recording is a folder with ``manifest.json`` (written last: without it the recording is not finished); for each sensor
 ``observations/<sensor>.npy`` (N, ...) and ``observations/<sensor>_time.npy`` (N,), and at test positions
 ``test/<sensor>.npy`` (C, H, ...); ``reading.npy`` (R, 4) and ``time.npy`` (R,) of the encoders; ``labels/``, if
-a tag camera made some; for a simulation, ``scene.glb`` and ``truth/``.
+a tag camera made some; for a simulation, ``scene.glb`` and ``truth/``. The folder ``use/`` holds the drive in use, if
+there is one: a recording of its own, whose manifest's checksum is in the outer manifest.
 """
 
 import re
@@ -27,19 +28,26 @@ from sim.files import (
     write_json,
 )
 from sim.occupancy import FreeSpace, load_free_space
+from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, from_array
 
-RECORDING = re.compile(
+OWN = re.compile(
     rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time|turns)\.npy"
     r"|(test/)?(observation|horizontal)\.npy|labels/(test_)?sighting\.npz"  # of schema 1
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
+"""Paths of a recording's files, without those of the drive in use."""
+RECORDING = re.compile(rf"({IN_USE}/)?({OWN.pattern})")
 """Paths of all files that a recording's folder holds."""
-COLLECTING = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
-"""Names of all files in the folder of an unfinished recording."""
+PART = re.compile(rf"drive-\d+\.npz|(image|test|turn)-\d+(\.{SENSOR})?\.np[yz]")
+"""Names of the parts of a drive, without those of the drive in use."""
+COLLECTING = re.compile(rf"({IN_USE}/)?({PART.pattern})")
+"""Paths of all files in the folder of an unfinished recording."""
+OF_USE = f"{IN_USE}/manifest.json"
+"""Path of the manifest of the drive in use."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
 
@@ -256,9 +264,10 @@ def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Ma
 
 
 def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Complete the recording: write its manifest with the SHA-256 of every file."""
+    """Complete the recording: write its manifest with the SHA-256 of every file; of a drive in use, of its manifest."""
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
-    checksums = {name: sha256(folder / name) for name in names if RECORDING.fullmatch(name) and name != "manifest.json"}
+    ours = [name for name in names if (OWN.fullmatch(name) and name != "manifest.json") or name == OF_USE]
+    checksums = {name: sha256(folder / name) for name in ours}
     write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA, "sha256": checksums})
 
 
@@ -267,6 +276,8 @@ def check_recording(folder: Path) -> None:
     manifest = read_manifest(folder)
     for truth in (False, True):
         _check_files(folder, manifest, truth)
+    if OF_USE in manifest.sha256:
+        check_recording(folder / IN_USE)
 
 
 def remove_recording(folder: Path) -> None:

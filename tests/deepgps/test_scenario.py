@@ -85,6 +85,31 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{room: {mjcf: a.xml}, deployment: {moved_m: 0.5}}",
             "deployment.moved_m needs a room whose furniture is known, and room.mjcf",
         ),
+        (
+            "{world: obstacles, deployment: {drive_samples: 50}}",
+            "deployment.drive_samples 50 needs world room, and the world is obstacles",
+        ),
+        ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
+        (
+            "deployment: {drive_samples: 100001}",
+            "deployment.drive_samples 100001: must be less than or equal to 100000",
+        ),
+        (
+            "{sensor: lidar, deployment: {drive_samples: 50, light: 0.5}}",
+            "deployment has faults of images, which need world room and sensor fisheye",
+        ),
+        (
+            "{sensor: lidar, deployment: {camera_mount: {roll_deg: 5}}}",
+            "deployment has faults of images, which need world room and sensor fisheye",
+        ),
+        (
+            "{grid: {held_out: 5}, deployment: {drive_samples: 50, camera_mount: {roll_deg: 5}}}",
+            "deployment changes the room of the test grid, and grid.held_out 5 has none",
+        ),
+        (
+            "deployment: {camera_mount: {roll_deg: 31}}",
+            "deployment.camera_mount.roll_deg 31: must be less than or equal",
+        ),
         ("image_faults: {exposure: 0}", "image_faults.exposure 0: must be greater than 0"),
         ("image_faults: {vignetting: 1}", "image_faults.vignetting 1: must be less than or equal to 0.99"),
         ("deployment: {light: 1.5}", "deployment.light 1.5: must be less than or equal to 1"),
@@ -216,7 +241,9 @@ def test_the_digest_tells_settings_and_room_files_apart(tmp_path):
     assert digest(plain) == digest(Scenario())
 
 
-@pytest.mark.parametrize("fault", ["image_faults.exposure", "camera_mount.roll_deg", "deployment.light"])
+@pytest.mark.parametrize(
+    "fault", ["image_faults.exposure", "camera_mount.roll_deg", "deployment.light", "deployment.camera_mount.roll_deg"]
+)
 def test_a_fault_makes_another_run_and_another_recording(fault):
     plain, faulty = load_scenario("tiny", {}), load_scenario("tiny", {fault: 0.5})
     assert digest(plain) != digest(faulty)

@@ -62,7 +62,7 @@ def test_a_derived_drive_has_the_bytes_of_a_fresh_one(change, tmp_path, monkeypa
 
 @pytest.mark.slow
 def test_a_room_is_derived_without_a_renderer_and_with_the_same_bytes(tmp_path, monkeypatch):
-    room = ("tiny", "--drive.samples", "60", "--grid.spacing-m", "0.8")
+    room = ("tiny", "--drive.samples", "60", "--grid.spacing-m", "0.8", "--deployment.drive-samples", "30")
     change = ("--encoder.step-noise", "0.1", "--image-faults.read-noise", "0.1")
     fresh = collect(*room, *change, "--out", "alone", home=tmp_path)
     collect(*room, home=tmp_path)

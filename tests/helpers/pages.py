@@ -37,6 +37,8 @@ SMALL = "mini.yaml"
 """The scenario that every long run becomes."""
 SMALLER = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
 """Settings of runs with settings of their own, which cannot be copies of the finished run."""
+IN_USE = "--deployment.drive-samples"
+"""The length of a drive in use, which becomes a small one."""
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
@@ -169,6 +171,8 @@ class Reader:
             stage = "collect"
         if words != [SMALL] and not is_folder(words):
             words += SMALLER
+        if IN_USE in words:
+            words += (IN_USE, "30")
         key = (stage, *words)
         made = self.folder / (out or Path("runs") / f"small-{len(self.done)}")
         if (before := self.done.get(key)) and before != made:

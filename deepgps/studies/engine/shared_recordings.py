@@ -81,7 +81,8 @@ def _choose_undriven(drives: dict[str, Scenario], wanted: Iterable[str], home: P
 def _collect_all(scenarios: dict[str, Scenario], home: Path, progress: Report) -> Failures:
     total, before, failed = sum(one.drive.samples for one in scenarios.values()), 0, {}
     for key, scenario in scenarios.items():
-        part = _half_and_half(progress, before, scenario.drive.samples, total)
+        stages = 4 if scenario.deployment.drive_samples else 2
+        part = _share_out(progress, before, scenario.drive.samples, total, stages)
         try:
             make_recording(scenario, home / key, part)
         except (InputError, WorkError, OSError) as error:
@@ -99,12 +100,12 @@ def _try_to_derive(drive: Path, scenario: Scenario, folder: Path) -> Failures:
     return {}
 
 
-def _half_and_half(progress: Report, before: int, size: int, total: int) -> Report:
-    """Report driving and rendering as one progress bar, in which each counts for half of a recording's samples."""
+def _share_out(progress: Report, before: int, size: int, total: int, stages: int) -> Report:
+    """Report driving and rendering, in training and in use, as one progress bar, in which all stages count the same."""
     share: dict[str, float] = {}
 
     def report(label: str, done: int, of: int, look: Look | None = None) -> None:
         share[label] = done / of
-        progress("recordings", before + round(size * sum(share.values()) / 2), total)
+        progress("recordings", before + round(size * sum(share.values()) / stages), total)
 
     return report

@@ -81,7 +81,8 @@ def test_without_a_run_without_faults_there_is_nothing_to_compare_with():
 def test_every_fault_of_the_settings_has_words_and_is_in_the_study():
     groups = {"image_faults": ImageFaultSettings, "camera_mount": CameraMountSettings, "deployment": DeploymentSettings}
     known = {f"{group}.{name}" for group, kind in groups.items() for name in kind.model_fields}
-    assert known - set(camera.TITLES) == {"image_faults.sensor_px", "deployment.seed"}
+    in_use = {"deployment.drive_samples", "deployment.camera_mount"}
+    assert known - set(camera.TITLES) == {"image_faults.sensor_px", "deployment.seed", *in_use}
     study = load_study("camera", tiny=False)
     assert set(camera.TITLES) - {name for case in study.cases for name in case} == {"camera_mount.pitch_deg"}
     assert all(len(case) <= 1 for case in study.cases)

@@ -1,0 +1,38 @@
+"""The drive in use: a second drive of the same robot after training, in the room and with the camera as they are then.
+
+It is a recording of its own, in a folder inside the recording of the training drive; it has no test positions.
+"""
+
+import numpy as np
+
+from sim.rng import derive_seed
+from sim.settings import DeploymentMountSettings, GridSettings, SimSettings
+
+FOLDER = "use"
+"""Folder of the drive in use, in the recording's folder and in that of its parts."""
+NO_TESTS = np.empty((0, 1, 3))
+"""Poses of the test positions of a recording without any."""
+
+
+def set_in_use(settings: SimSettings) -> SimSettings:
+    """Settings of all that is sensed in use: the room as ``deployment`` changes it, the camera as it leans then."""
+    leans = {name: value for name, value in settings.deployment.camera_mount if value is not None}
+    changes = {"drive_samples": 0, "camera_mount": DeploymentMountSettings()}
+    return settings.model_copy(
+        update={
+            "camera_mount": settings.camera_mount.model_copy(update=leans),
+            "deployment": settings.deployment.model_copy(update=changes),
+        }
+    )
+
+
+def choose_drive_in_use(settings: SimSettings) -> SimSettings:
+    """Settings of the recording of the drive in use, which is driven in the room as its ``deployment`` changes it."""
+    drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples})
+    grid = GridSettings(**settings.grid.model_dump(exclude={"held_out"}))
+    return set_in_use(settings).model_copy(update={"drive": drive, "grid": grid})
+
+
+def seed_in_use(seed: int) -> int:
+    """Seed of the drive in use, by the seed of the training drive: all its RNG streams are its own."""
+    return derive_seed(seed, FOLDER)
