@@ -48,8 +48,8 @@ TESTED_ELSEWHERE = {
 }
 MADE_EARLIER: dict[str, tuple[str, ...]] = {
     "runs/first": ("run", "tiny", "--out", "runs/first"),
-    "runs/good": ("run", "living_room", "--out", "runs/good"),
-    "runs/poor": ("run", "living_room", "--out", "runs/poor", "--encoder.ticks-per-rev", "16"),
+    "runs/living_room/good": ("run", "living_room", "--out", "runs/living_room/good"),
+    "runs/living_room/poor": ("run", "living_room", "--out", "runs/living_room/poor", "--encoder.ticks-per-rev", "16"),
     "runs/studies/noise_w": ("study", "noise_w"),
 }
 """The commands of earlier pages that make what a page shows."""
