@@ -92,6 +92,15 @@ def test_labels_of_made_up_views_place_all_tags(tmp_path: Path):
     assert counts["tags_placed"] == 36
 
 
+def test_a_recording_without_test_positions_has_labels_of_its_drive(tmp_path: Path):
+    scene = make_scene(views=80)
+    none = scene.detections.of(scene.detections.view < 0)
+    counts = write_labels(tmp_path, scene.detections, none, (80, 0, 1), CAMERA, np.eye(4))
+    labels = open_labels(tmp_path)
+    assert labels is not None and labels.pose.shape == (80, 3) and labels.test_pose.shape == (0, 1, 3)
+    assert counts["test_unlabelled"] == 0
+
+
 def test_in_the_level_frame_the_robot_stands_upright_on_the_floor():
     rng = np.random.default_rng(0)
     yaw, place = rng.uniform(-3.0, 3.0, 50), rng.uniform(-2.0, 2.0, (50, 2))

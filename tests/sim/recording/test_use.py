@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.alignment import fit_alignment
 from sim.errors import DamagedError, InputError
 from sim.recording import chunks
 from sim.recording import collect as collecting
@@ -16,7 +15,6 @@ from sim.recording.format import (
     OF_USE,
     check_recording,
     is_whole,
-    open_labels,
     open_recording,
     open_truth,
     read_manifest,
@@ -32,9 +30,7 @@ from sim.settings import (
     EncoderSettings,
     GridSettings,
     ImageFaultSettings,
-    RoomSettings,
     SimSettings,
-    TagCameraSettings,
 )
 
 SAMPLES, IN_USE = 50, 40
@@ -266,23 +262,3 @@ def test_a_lidar_has_a_drive_in_use_beside_held_out_tests(plain, tmp_path):
     assert open_truth(tmp_path / "lidar").test_pose.shape == (5, 1, 3)
     recording = open_recording(tmp_path / "lidar" / "use")
     assert len(recording.observation) == 20 and recording.test_observation.shape[:2] == (0, 1)
-
-
-@pytest.mark.slow
-def test_a_tag_camera_labels_the_drive_in_use(plain, tmp_path):
-    used = SimSettings(
-        room=RoomSettings(kind="lab", seed=10),
-        camera=plain.camera,
-        tag_camera=TagCameraSettings(mounted=True),
-        drive=DriveSettings(samples=80, strategy="endpoint", lengths="random", longest_m=2.0),
-        grid=GridSettings(held_out=20),
-        deployment=DeploymentSettings(drive_samples=60),
-    )
-    collect(used, 10, tmp_path / "lab", quiet, workers=1)
-    check_recording(tmp_path / "lab")
-    labels, truth = open_labels(tmp_path / "lab" / "use"), open_truth(tmp_path / "lab" / "use")
-    assert labels is not None and labels.test_pose.shape == truth.test_pose.shape == (0, 1, 3)
-    known = np.isfinite(labels.pose[:, 0])
-    alignment = fit_alignment(labels.pose[known, :2], truth.pose[known, :2], "SE2")
-    error = np.linalg.norm(alignment.apply(labels.pose[known, :2]) - truth.pose[known, :2], axis=1)
-    assert known.mean() > 0.5 and np.median(error) < 0.005
