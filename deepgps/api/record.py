@@ -25,7 +25,7 @@ from sim.recording.format import (
 from sim.recording.format import write_recording as write_files
 from sim.recording.manifest import DIMENSIONS, ObservationKind
 from sim.recording.turns import FILE as TURNS
-from sim.recording.turns import KINDS, NO_IMAGE
+from sim.recording.turns import check_turns
 from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
 from sim.user_input import quote
@@ -206,20 +206,7 @@ def _take_turns(
     if seen.shape[1:] != observation.shape[1:]:
         raise InputError(f"turn_observations {seen.shape}: must be like observations, (K, ...) {observation.shape[1:]}")
     array = np.asarray(turns)
-    if array.ndim != 2 or array.shape[1] != 4 or not np.issubdtype(array.dtype, np.integer):
-        raise InputError(f"turns {array.shape} of {array.dtype}: must be integers (T, 4)")
-    segment = reading[:, 0]
-    for name, column, low, high in (
-        ("observation", 0, 0, len(observation)),
-        ("turn observation", 1, NO_IMAGE, len(seen)),
-        ("row of readings", 2, 1, len(reading)),
-        ("kind", 3, 0, len(KINDS)),
-    ):
-        values = array[:, column]
-        if wrong := values[(values < low) | (values >= high)].tolist():
-            raise InputError(f"turns: {name} {wrong[0]} must be from {low} to {high - 1}")
-    if len(wrong := np.flatnonzero(segment[array[:, 2]] == segment[array[:, 2] - 1])):
-        raise InputError(f"turns: no segment begins at row {array[wrong[0], 2]} of readings")
+    check_turns(array, len(observation), len(seen), reading[:, 0])
     return array.astype(np.int64), seen
 
 

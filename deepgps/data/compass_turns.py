@@ -55,14 +55,12 @@ def measure_turns(recording: Recording) -> CompassTurns:
             f"{recording.folder} has no images after turns (turns.npy), which a compass needs; deepgps learns without"
         )
     turns, reading = recording.turns, recording.reading
-    after = [
-        recording.observation[first] if image == NO_IMAGE else recording.turn_observation[image]
-        for image, first in zip(turns.image, reading[turns.after, 1], strict=True)
-    ]
+    after, taken = recording.observation[reading[turns.after, 1]], turns.image != NO_IMAGE
+    after[taken] = recording.turn_observation[turns.image[taken]]
     yaw = dead_reckon(recording)[:, 2]
     wheels = yaw[turns.after] - yaw[turns.after - 1]
     lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
-    seen = find_turns(recording.observation[turns.before], np.array(after), lens)
+    seen = find_turns(recording.observation[turns.before], after, lens)
     found = disambiguate(seen, wheels, np.full(len(wheels), WHEELS_RAD))
     known = np.isfinite(found.angle[:, 0])
     angle = np.where(known, found.angle[:, 0], wheels)

@@ -34,6 +34,8 @@ RIGID = 1e-3
 FIXED = 1e-4
 """Standard deviation that holds the first bar in place: the map may move and turn freely [m], [rad]."""
 LARGEST_TURN = 0.5
+SHORTEST_M = 0.001
+"""Shortest step between readings, where most encoders stick [m]."""
 DAMPING = 1e-9
 
 
@@ -153,7 +155,7 @@ def find_compass_map(
     reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
     first, second, length = closures
     one, other = reading[first], reading[second]
-    step = float(np.median(np.diff(bars.along)[np.diff(bars.row) == 0]))
+    step = max(float(np.median(np.diff(bars.along)[np.diff(bars.row) == 0])), SHORTEST_M)
     variance = (LOOK * step) ** 2 + length**2 / 2.0
     there = (one >= 0) & (other >= 0) & (first < second)
     weight, believed = np.zeros(len(first)), np.zeros(len(first), bool)

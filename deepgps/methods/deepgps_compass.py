@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from deepgps.data.compass_turns import measure_turns
+from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.segments import Segments
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
@@ -27,7 +27,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
         if start != "paths" or number > 0:
             return make_initial_map(sample, start, seed, number)
-        return torch.from_numpy(make_compass_map(recording, data, seed).places)[sample.chosen]
+        return torch.from_numpy(make_compass_map(recording, data, turns, seed).places)[sample.chosen]
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
@@ -35,12 +35,12 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     return fit_data(data, Variant(make_initial_map=start_from_compass, orient=orient), settings, seed, folder, progress)
 
 
-def make_compass_map(recording: Recording, data: TrainingData, seed: int) -> CompassMap:
+def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
     """The map of all training observations by compass, encoders and loop closures."""
     closures = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
     length_std = expect_length_errors(expect_errors(recording, data.segments))
     rng = stream(seed, "compass map")
-    return find_compass_map(data.segments, measure_turns(recording), closures, len(data.features), length_std, rng)
+    return find_compass_map(data.segments, turns, closures, len(data.features), length_std, rng)
 
 
 def expect_length_errors(segments: Segments) -> np.ndarray:

@@ -31,7 +31,7 @@ from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind
 from sim.recording.turns import FILE as TURNS
-from sim.recording.turns import Turns, from_array
+from sim.recording.turns import Turns, check_turns, from_array
 
 OWN = re.compile(
     rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time|turns)\.npy"
@@ -144,7 +144,7 @@ def open_recording(folder: Path) -> Recording:
         test_observation=_open_array(folder / _grid_file(manifest, first), mapped=True),
         observation_time=_open_array(stamps) if stamps.is_file() else stamp(reading[:, 1], time, len(observation)),
         others={name: _open_observations(folder, manifest, name) for name in others},
-        **_open_turns(folder, first),
+        **_open_turns(folder, first, reading, len(observation)),
     )
 
 
@@ -313,11 +313,16 @@ def _open_observations(folder: Path, manifest: Manifest, sensor: str) -> np.ndar
     return array
 
 
-def _open_turns(folder: Path, sensor: str) -> dict[str, Any]:
+def _open_turns(folder: Path, sensor: str, reading: np.ndarray, observations: int) -> dict[str, Any]:
     if not (folder / TURNS).is_file():
         return {}
-    turns = from_array(_open_array(folder / TURNS))
-    return {"turns": turns, "turn_observation": _open_array(folder / turn_file(sensor), mapped=True)}
+    turns, seen = _open_array(folder / TURNS), _open_array(folder / turn_file(sensor), mapped=True)
+    if reading.ndim == 2:  # otherwise nothing can be learned, as checks of the readings say
+        try:
+            check_turns(turns, observations, len(seen), reading[:, 0])
+        except InputError as error:
+            raise InputError(f"{folder / TURNS}: {error}") from None
+    return {"turns": from_array(turns), "turn_observation": seen}
 
 
 def _grid_file(manifest: Manifest, sensor: str) -> str:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.errors import InputError
+
 KINDS = ("in_place", "backed_off", "relocated")
 """How the robot came from one segment to the next. in_place: it turned where the segment ended. backed_off: after a
 contact or when it was wedged, it rolled back, so the next segment begins nearby. relocated: a person carried it."""
@@ -37,6 +39,31 @@ class Turns:
     def array(self) -> np.ndarray:
         """The turns as stored (T, 4) int64."""
         return np.column_stack([self.before, self.image, self.after, self.kind]).astype(np.int64)
+
+
+def check_turns(array: np.ndarray, observations: int, images: int, segment: np.ndarray) -> None:
+    """Raise InputError if an array of turns does not fit a recording.
+
+    Args:
+        array: The turns as stored (T, 4).
+        observations: Number of observations.
+        images: Number of turn images.
+        segment: Segment of each reading (R,).
+    """
+    if array.ndim != 2 or array.shape[1] != 4 or not np.issubdtype(array.dtype, np.integer):
+        raise InputError(f"turns {array.shape} of {array.dtype}: must be integers (T, 4)")
+    limits = {
+        "observation": (0, observations),
+        "turn observation": (NO_IMAGE, images),
+        "row of readings": (1, len(segment)),
+        "kind": (0, len(KINDS)),
+    }
+    for values, (name, (low, high)) in zip(array.T, limits.items(), strict=True):
+        if wrong := values[(values < low) | (values >= high)].tolist():
+            raise InputError(f"turns: {name} {wrong[0]} must be from {low} to {high - 1}")
+    after = array[:, 2]
+    if len(wrong := after[segment[after] == segment[after - 1]]):
+        raise InputError(f"turns: no segment begins at row {wrong[0]} of readings")
 
 
 def from_array(array: np.ndarray) -> Turns:

@@ -25,7 +25,15 @@ LEARN = {
     "fold": {"restarts": 0},
 }
 METHODS_OF = {
-    "room": ("deepgps", "deepgps_noise_aware", "deepgps_with_turns", "posenet", "dead_reckoned_labels", "knn"),
+    "room": (
+        "deepgps_compass",
+        "deepgps",
+        "deepgps_noise_aware",
+        "deepgps_with_turns",
+        "posenet",
+        "dead_reckoned_labels",
+        "knn",
+    ),
     "obstacles": ("deepgps", "pca_knn"),
     "landmarks": ("explicit", "explicit_mds"),
 }
@@ -104,11 +112,23 @@ def write(folder: Path, world: str, spoil: Callable[[Arrays], None], odometry: d
         for name in ("observations/landmarks.npy", "test/landmarks.npy"):
             arrays[name] = arrays[name][..., None, :]
     spoil(arrays)
+    if world == "room":
+        arrays |= turn(arrays)
     for name, array in arrays.items():
         write_array(folder / name, array)
     kind = {"room": "polar_image", "obstacles": "scan", "landmarks": "vector"}[world]
     manifest = {"sensors": {"landmarks": kind}, "segments": 1, "distance_driven_m": 1.0}
     finish_recording(folder, {"odometry": {**ODOMETRY, **(odometry or {})}, **manifest})
+
+
+def turn(arrays: Arrays) -> Arrays:
+    """What a robot that turns in place between all its segments, and sees nothing change, stores of it."""
+    reading = np.nan_to_num(arrays["reading.npy"], posinf=0, neginf=0).astype(np.int64)
+    seen = arrays["observations/landmarks.npy"]
+    after = np.flatnonzero(np.diff(arrays["reading.npy"][:, 0])) + 1
+    before = reading[after - 1, 1].clip(0, len(seen) - 1)
+    table = np.column_stack([before, np.arange(len(after)), after, np.zeros_like(after)])
+    return {"turns.npy": table, "observations/landmarks_turn.npy": seen[before]}
 
 
 def learn(run: Path, world: str, method: str) -> str:

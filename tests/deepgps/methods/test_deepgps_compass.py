@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from deepgps.alignment import fit_alignment
+from deepgps.data.compass_turns import measure_turns
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps_compass import make_compass_map
 from deepgps.methods.fit import fit_method
@@ -31,9 +32,10 @@ def error(found: np.ndarray, recording: Recording) -> np.ndarray:
 
 
 def test_the_map_by_compass_is_right_before_anything_is_trained(recording: Recording, tmp_path: Path):
-    found = make_compass_map(recording, prepare(recording, SETTINGS, 0, tmp_path), seed=0)
+    data, turns = prepare(recording, SETTINGS, 0, tmp_path), measure_turns(recording)
+    found = make_compass_map(recording, data, turns, seed=0)
     assert np.sqrt((error(found.places, recording) ** 2).mean()) < 0.05
-    again = make_compass_map(recording, prepare(recording, SETTINGS, 0, tmp_path), seed=0)
+    again = make_compass_map(recording, data, measure_turns(recording), seed=0)
     np.testing.assert_array_equal(again.places, found.places)
 
 
