@@ -105,7 +105,7 @@ def test_methods_are_refused_where_there_are_no_scans():
         load_scenario("living_room", {"methods": ["pca_knn"]})
     assert load_scenario("living_room", {"methods": ["pca_knn"], "sensor": "lidar"}).sensor == "lidar"
     with pytest.raises(InputError, match="'resnet' needs images, which sensor lidar does not give"):
-        load_scenario("living_room", {"sensor": "lidar", "learn.network.architecture": "resnet"})
+        load_scenario("tiny", {"sensor": "lidar", "learn.network.architecture": "resnet"})
     with pytest.raises(InputError, match="methods: explicit needs distances to landmarks"):
         load_scenario("lidar", {"methods": ["explicit"]})
 
