@@ -87,7 +87,7 @@ def list_turns(segment: np.ndarray, observation: np.ndarray, kinds: Sequence[int
 
 
 def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
-    """Turns whose next segment has readings that arrived, with ``after`` counting only these.
+    """Turns before a segment of which a reading arrives, unless it is the first; ``after`` counts what arrives.
 
     Args:
         turns: The turns of a drive whose readings have all arrived.
@@ -96,7 +96,7 @@ def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
     """
     row = np.append(np.flatnonzero(arrived), len(arrived))
     first = np.searchsorted(row, turns.after)
-    kept = np.append(segment, -1)[row[first]] == segment[turns.after]
+    kept = (first > 0) & (np.append(segment, -1)[row[first]] == segment[turns.after])
     return Turns(turns.before[kept], turns.image[kept], first[kept], turns.kind[kept])
 
 

@@ -144,7 +144,11 @@ def test_a_run_can_be_opened_without_its_plugin_but_not_continued(tmp_path: Path
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (("--methods", "nearest_image"), 2, "--methods 'nearest_image': must be 'deepgps_compass', .*; --plugin FILE loads"),
+        (
+            ("--methods", "nearest_image"),
+            2,
+            "--methods 'nearest_image': must be 'deepgps_compass',.*; --plugin FILE",
+        ),
         (("--encoder.plugins.warming", "0.1"), 2, "no plugin that is loaded defines warming; --plug"),
         (("--plugin", "nothing.py"), 2, r"plugin .*nothing\.py: no such file"),
         (("--plugin", str(FAULT), "--encoder.plugins.warming", "3"), 2, "warming 3.0: must be from 0 to 0.5, or 0"),
