@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import hypothesis
 import pytest
 
 from sim.sensors.gl import choose_backend
@@ -13,6 +14,8 @@ choose_backend()
 # Two workers of pytest share two cores: a library that starts threads of its own in each only makes both wait.
 for name in ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "0" if name.startswith("LP") else "1")
+hypothesis.settings.register_profile("deepgps", deadline=None)  # no test is timed
+hypothesis.settings.load_profile("deepgps")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.cli
 
 SMALL = SimSettings(
