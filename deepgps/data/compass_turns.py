@@ -17,8 +17,9 @@ from sim.sensors.compass import disambiguate, find_turns
 from sim.sensors.lens import make_lens
 from sim.settings import SimSettings
 
-WHEELS_RAD = 0.3
-"""Standard deviation of a turn by the wheels, to choose between peaks: they may slip [rad]."""
+WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
+"""Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
+have turned it by a right angle while they did not move [rad]."""
 WANDER_RAD = np.radians(0.1)
 """Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
 BACKED_OFF_M, MEETING_M = 0.05, 0.002
@@ -61,10 +62,11 @@ def measure_turns(recording: Recording) -> CompassTurns:
     wheels = yaw[turns.after] - yaw[turns.after - 1]
     lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
     seen = find_turns(recording.observation[turns.before], after, lens)
-    found = disambiguate(seen, wheels, np.full(len(wheels), WHEELS_RAD))
+    spread = np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
+    found = disambiguate(seen, wheels, spread)
     known = np.isfinite(found.angle[:, 0])
     angle = np.where(known, found.angle[:, 0], wheels)
-    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, WHEELS_RAD**2)
+    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, spread**2)
     return _join(recording, angle, variance)
 
 
