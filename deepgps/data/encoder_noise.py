@@ -49,10 +49,14 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
 
     It includes noise and the faults that are in no data sheet: wrong radii and a stuck encoder (``encoder_faults``).
     """
-    last = (segments.count - 1)[:, None]
-    way = segments.distance.gather(1, last).double()
-    noise = _variance(segments).gather(1, last).double() + segments.rounding_m2
+    way, noise = _measure_complete(segments)
     return float((noise + expect_bias(encoder, way)).mean().sqrt())
+
+
+def expect_length_errors(segments: Segments) -> np.ndarray:
+    """Standard deviation of the logarithm of each complete segment's length (L,); they must have expected errors."""
+    way, noise = _measure_complete(segments)
+    return (noise.sqrt() / way.clamp_min(1e-3)).numpy()
 
 
 def keep_inliers(segments: Segments) -> Segments:
@@ -76,13 +80,16 @@ def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: 
 
 def find_wrong(segments: Segments, error: np.ndarray) -> np.ndarray:
     """Mask (L,) of complete segments with true errors (L,) [m] beyond ``DISAGREEMENT`` expected deviations."""
-    expected = _variance(segments).gather(1, (segments.count - 1)[:, None])[:, 0].numpy() + segments.rounding_m2
-    return np.abs(error) > DISAGREEMENT * np.sqrt(expected + RESOLUTION_M**2)
+    _, expected = _measure_complete(segments)
+    return np.abs(error) > DISAGREEMENT * np.sqrt(expected.numpy() + RESOLUTION_M**2)
 
 
-def _variance(segments: Segments) -> torch.Tensor:
+def _measure_complete(segments: Segments) -> tuple[torch.Tensor, torch.Tensor]:
+    """Length (L,) [m] of each complete segment, and its expected squared error (L,) [m^2]."""
     assert segments.variance is not None, "expect_errors comes first"
-    return segments.variance
+    last = (segments.count - 1)[:, None]
+    length, variance = (table.gather(1, last)[:, 0].double() for table in (segments.distance, segments.variance))
+    return length, variance + segments.rounding_m2
 
 
 def weigh_pairs(variance: torch.Tensor, rounding_m2: float) -> torch.Tensor:

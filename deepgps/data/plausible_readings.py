@@ -61,8 +61,8 @@ def keep_plausible(recording: Recording) -> Recording:
     if checked.reading is recording.reading:
         return replace(recording, readings=checked.counts)
     turns = recording.turns and lose_turns(recording.turns, recording.reading[:, 0], checked.kept)
-    kept = replace(recording, readings=checked.counts, turns=turns)
-    return replace(kept, reading=checked.reading, time=recording.time[checked.kept])
+    time = recording.time[checked.kept]
+    return replace(recording, readings=checked.counts, reading=checked.reading, time=time, turns=turns)
 
 
 def count_readings(recording: Recording) -> dict[str, dict[str, int]]:

@@ -169,7 +169,8 @@ def find_compass_map(
         move[:, 2:] = move[:, 2:].clip(-LARGEST_TURN, LARGEST_TURN)
         bars.unknown += move
         error = _carry(bars, samples)
-        apart = ((bars.point[one] - bars.point[other]) ** 2).sum(axis=1)
+        point = bars.point
+        apart = ((point[one] - point[other]) ** 2).sum(axis=1)
         known = ((error[one] - error[other]) ** 2).mean(axis=2).sum(axis=1) / 2.0
         believed = there & (apart < 2.0 * GATE**2 * (known + variance))
         weight = (1.0 + apart / (2.0 * WIDTH**2 * variance)) ** -2.0
@@ -223,7 +224,8 @@ def _add_pairs(
     equations: _Equations, bars: _Bars, one: np.ndarray, other: np.ndarray, jump: np.ndarray, weight: np.ndarray
 ) -> None:
     """Add, for x and y, the differences of the readings ``one`` and ``other`` (n,) from ``jump`` (n, 2) [m]."""
-    apart = bars.point[one] - bars.point[other] - jump
+    point = bars.point
+    apart = point[one] - point[other] - jump
     (columns, values), (columns_other, values_other) = bars.derive(one), bars.derive(other)
     for axis in range(2):
         equations.add(

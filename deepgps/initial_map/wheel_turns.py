@@ -18,7 +18,7 @@ from sim.recording.format import Recording
 
 
 @dataclass(frozen=True)
-class Turns:
+class WheelTurns:
     """Path and turns of a complete drive, measured by the wheels.
 
     Attributes:
@@ -30,17 +30,17 @@ class Turns:
     angle: np.ndarray
 
 
-def read_turns(recording: Recording) -> Turns:
+def read_turns(recording: Recording) -> WheelTurns:
     """Read the path and turns of a recording, measured by its wheels."""
     pose, observation = dead_reckon(recording), recording.reading[:, 1]
     seen, first = np.unique(observation, return_index=True)
     path = np.full((len(recording.observation), 2), np.nan)
     path[seen] = pose[first, :2]
     heading = np.array([pose[run, 2].mean() for run in find_runs(recording) if len(run) >= 2])
-    return Turns(path, np.diff(heading))
+    return WheelTurns(path, np.diff(heading))
 
 
-def straighten(turns: Turns, chosen: torch.Tensor, features: torch.Tensor, segments: Segments) -> np.ndarray:
+def straighten(turns: WheelTurns, chosen: torch.Tensor, features: torch.Tensor, segments: Segments) -> np.ndarray:
     """Positions (n, 2) [m] of the chosen observations: the path, relaxed until segments and loop closures fit.
 
     Args:

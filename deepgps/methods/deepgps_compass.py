@@ -2,12 +2,10 @@
 
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from deepgps.data.compass_turns import CompassTurns, measure_turns
-from deepgps.data.encoder_noise import expect_errors
-from deepgps.data.segments import Segments
+from deepgps.data.encoder_noise import expect_errors, expect_length_errors
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality
@@ -41,11 +39,3 @@ def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTur
     length_std = expect_length_errors(expect_errors(recording, data.segments))
     rng = stream(seed, "compass map")
     return find_compass_map(data.segments, turns, closures, len(data.features), length_std, rng)
-
-
-def expect_length_errors(segments: Segments) -> np.ndarray:
-    """Standard deviation of the logarithm of each segment's length (L,), from segments with expected errors."""
-    assert segments.variance is not None
-    last = (segments.count - 1)[:, None]
-    length, variance = (table.gather(1, last)[:, 0].double() for table in (segments.distance, segments.variance))
-    return ((variance + segments.rounding_m2).sqrt() / length.clamp_min(1e-3)).numpy()

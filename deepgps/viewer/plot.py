@@ -12,6 +12,7 @@ import rerun.blueprint as rrb
 from matplotlib import ticker
 
 from deepgps.viewer.scene import Places, put
+from deepgps.viewer.views import STILL
 
 WIDTH = 2.1
 LEGEND = 0.8  # width of the legend
@@ -121,13 +122,12 @@ def log_cursor(stream: rr.RecordingStream, path: str, x: Axis, value: float, at:
 
 def plot_view(name: str, path: str) -> rrb.Spatial2DView:
     """A view of a plot and its legend; its grid and its labels do not catch the pointer."""
-    still = rrb.EntityBehavior(interactive=False)
     return rrb.Spatial2DView(
         name=name,
         origin=path,
         background=(13, 14, 17),
         visual_bounds=rrb.VisualBounds2D(x_range=(-0.2, WIDTH + LEGEND), y_range=(-0.24, 1.2)),
-        overrides={f"{path}/{one}": still for one in ("axes", "legend", "cursor")},
+        overrides={f"{path}/{one}": STILL for one in ("axes", "legend", "cursor")},
     )
 
 

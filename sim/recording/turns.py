@@ -6,7 +6,7 @@ and no method learns positions from it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -97,13 +97,12 @@ def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
     row = np.append(np.flatnonzero(arrived), len(arrived))
     first = np.searchsorted(row, turns.after)
     kept = (first > 0) & (np.append(segment, -1)[row[first]] == segment[turns.after])
-    return Turns(turns.before[kept], turns.image[kept], first[kept], turns.kind[kept])
+    return from_array(replace(turns, after=first).array[kept])
 
 
 def cut_turns(turns: Turns, readings: int) -> Turns:
     """Turns of a drive that ends after so many readings."""
-    kept = turns.after < readings
-    return Turns(turns.before[kept], turns.image[kept], turns.after[kept], turns.kind[kept])
+    return from_array(turns.array[turns.after < readings])
 
 
 def count_images(turns: Turns) -> int:
