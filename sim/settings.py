@@ -280,7 +280,16 @@ class ImageFaultSettings(Group):
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 
 
-class CameraMountSettings(Group):
+class MountSettings(Group):
+    """A mounting whose later settings are not written while they have their defaults: recordings keep their hash."""
+
+    @model_serializer(mode="wrap")
+    def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        later = {name: type(self).model_fields[name].default for name in ("ahead_m", "left_m", "centre_px")}
+        return {name: value for name, value in write(self).items() if name not in later or value != later[name]}
+
+
+class CameraMountSettings(MountSettings):
     """Faults of the camera's mounting and of its motion: they are rendered, in training and in deployment."""
 
     roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
@@ -291,15 +300,28 @@ class CameraMountSettings(Group):
     """Standard deviation of an additional random lean of each image, to the right and forward [deg]."""
     driven_m: float = Field(default=0.0, ge=0.0, le=0.5)
     """Distance that the robot drives while the shutter is open: speed x exposure time [m]."""
+    ahead_m: float = Field(default=0.0, ge=-0.1, le=0.1)
+    """The camera is ahead of the wheel axle by this [m]; positions remain those of the axle's middle."""
+    left_m: float = Field(default=0.0, ge=-0.1, le=0.1)
+    """The camera is to the left of the axle's middle by this [m]."""
+    centre_px: float = Field(default=0.0, ge=-50.0, le=50.0)
+    """The optical centre is this far ahead of where the unwrapping assumes it, for want of a calibration; pixels of a
+    round image with a diameter of 480 [px]."""
 
 
-class DeploymentMountSettings(Group):
-    """How the camera leans in deployment, after it was knocked or mounted again; None: as in training."""
+class DeploymentMountSettings(MountSettings):
+    """How the camera is mounted in deployment, after it was knocked or mounted again; None: as in training."""
 
     roll_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
     """The camera's axis leans to the robot's right by this [deg]; None: by camera_mount.roll_deg."""
     pitch_deg: float | None = Field(default=None, ge=-30.0, le=30.0)
     """The camera's axis leans forward by this [deg]; None: by camera_mount.pitch_deg."""
+    ahead_m: float | None = Field(default=None, ge=-0.1, le=0.1)
+    """The camera is ahead of the wheel axle by this [m]; None: by camera_mount.ahead_m."""
+    left_m: float | None = Field(default=None, ge=-0.1, le=0.1)
+    """The camera is to the left of the axle's middle by this [m]; None: by camera_mount.left_m."""
+    centre_px: float | None = Field(default=None, ge=-50.0, le=50.0)
+    """The optical centre is this far ahead of where it is assumed [px]; None: by camera_mount.centre_px."""
 
 
 class DeploymentSettings(Group):

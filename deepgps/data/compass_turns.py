@@ -4,18 +4,16 @@ The wheels choose between the peaks of the compass and count whole turns; they n
 is not used.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.lean import compare_images
 from deepgps.data.segments import find_runs
-from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.recording.turns import KINDS, NO_IMAGE
-from sim.sensors.compass import disambiguate, find_turns
-from sim.sensors.lens import make_lens
-from sim.settings import SimSettings
+from sim.recording.turns import KINDS
+from sim.sensors.compass import disambiguate
 
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
@@ -37,37 +35,32 @@ class CompassTurns:
         angle_std: Its standard deviation (L - 1,) [rad].
         jump: From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m].
         jump_std: Its standard deviation along each axis (L - 1,) [m].
+        lean: Lean of the camera to the robot's right and forward (2,) [rad], for which the angles are corrected.
     """
 
     angle: np.ndarray
     angle_std: np.ndarray
     jump: np.ndarray
     jump_std: np.ndarray
+    lean: np.ndarray = field(default_factory=lambda: np.zeros(2))
 
 
 def measure_turns(recording: Recording) -> CompassTurns:
-    """Measure all turns of a recording.
+    """Measure all turns of a recording, and the camera's lean, which changes what an image shows of a turn.
 
     Raises:
         InputError: The recording has no turns or no polar images.
     """
-    if recording.turns is None or recording.turn_observation is None or recording.kind != "polar_image":
-        raise InputError(
-            f"{recording.folder} has no images after turns (turns.npy), which a compass needs; deepgps learns without"
-        )
-    turns, reading = recording.turns, recording.reading
-    after, taken = recording.observation[reading[turns.after, 1]], turns.image != NO_IMAGE
-    after[taken] = recording.turn_observation[turns.image[taken]]
+    (seen, lean), turns = compare_images(recording), recording.turns
+    assert turns is not None
     yaw = dead_reckon(recording)[:, 2]
     wheels = yaw[turns.after] - yaw[turns.after - 1]
-    lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
-    seen = find_turns(recording.observation[turns.before], after, lens)
     spread = np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
     found = disambiguate(seen, wheels, spread)
     known = np.isfinite(found.angle[:, 0])
     angle = np.where(known, found.angle[:, 0], wheels)
     variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, spread**2)
-    return _join(recording, angle, variance)
+    return replace(_join(recording, angle, variance), lean=lean)
 
 
 def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:

@@ -16,6 +16,7 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
+from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.learning.trainer import use_threads
@@ -54,9 +55,10 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     truth = open_truth(run / "recording")
     _check_tests(recording, truth)
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
+    in_use = open_drive_in_use(recording)
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
-        maps = predict(folder_of(run, method), recording)
+        maps = predict(folder_of(run, method), recording, in_use)
         fields[method], alignment = measure_field(maps, method, truth)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
@@ -67,6 +69,10 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "alignment": METHODS[method].alignment,
             **read_training(folder_of(run, method)),
         }
+        if in_use is not None:
+            positioner, lean = adapt(load_positioner(folder_of(run, method)), in_use)
+            errors = measure_in_use(positioner, alignment, in_use, folder_of(run, method))
+            methods[method]["in_use"] = {**errors, **lean}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
             errors = summarise(label_fields[method].worst, side_m)
@@ -86,6 +92,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
         "distances": judge_encoders(recording, truth),
+        **({} if in_use is None else {"in_use": {"samples": len(in_use.observation)}}),
         "methods": methods,
     }
 
@@ -103,12 +110,16 @@ def align_methods(run: Path, scenario: Scenario) -> None:
             write_alignment(folder, alignment, METHODS[method].alignment)
 
 
-def predict(folder: Path, recording: Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Positions that a trained method predicts for training (N, 2) and test (C, H, 2) images, in its own frame [m]."""
+def predict(folder: Path, recording: Recording, in_use: Recording | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Positions that a trained method predicts for training (N, 2) and test (C, H, 2) images, in its own frame [m].
+
+    Test images are taken by the camera in use; a drive in use shows how it leans.
+    """
     positioner = load_positioner(folder)
+    positioner_in_use, _ = adapt(positioner, in_use)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    training, test = positioner(recording.observation), positioner(images)
+    training, test = positioner(recording.observation), positioner_in_use(images)
     if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
         raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
     return training, test.reshape(cells, headings, 2)

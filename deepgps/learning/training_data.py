@@ -1,20 +1,21 @@
 """The data that every method learns from: a recording's segments, its features, and the network's input."""
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
 
-from deepgps.data.features import Features, cached_features, normalise
+from deepgps.data.features import Features, cached_features, fit_features, normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
 from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, observation_file
+from sim.sensors.upright import Upright
 
 FEATURES = "features"
 """The run's folder of features, which all its methods share."""
@@ -30,6 +31,7 @@ class TrainingData:
         features: Features of the training observations (N, components).
         inputs: The network's input, on the device.
         shape: Shape of one observation.
+        upright: Sets images of a leaning camera upright; None: the method takes images as they are.
     """
 
     segments: Segments
@@ -37,6 +39,7 @@ class TrainingData:
     features: torch.Tensor
     inputs: Inputs
     shape: tuple[int, ...]
+    upright: Upright | None = None
 
     @property
     def device(self) -> torch.device:
@@ -44,25 +47,34 @@ class TrainingData:
         return self.inputs.table.device
 
 
-def prepare(recording: Recording, settings: LearnSettings, seed: int, folder: Path) -> TrainingData:
+def prepare(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, upright: Upright | None = None
+) -> TrainingData:
     """Read the segments, and compute the features or load those that another method has left in ``folder``.
 
-    Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised.
+    Images and scans become slow spectral features; vectors, such as distances to landmarks, are only normalised. Images
+    that are set upright first have features of their own, which no other method shares.
     """
-    segments = read_segments(recording)
+    segments, leaning = read_segments(recording), upright is not None and any(upright.lean)
+    if upright is not None and leaning:
+        recording = replace(recording, observation=upright.copy(recording.observation, folder))
     if recording.kind == "vector":
         projection, features = normalise(recording.observation)
     else:
-        key, generator = digest_features(recording, settings, seed), make_generator(seed, "features")
+        generator = make_generator(seed, "features")
         with use_threads(settings.train.threads):
-            projection, features = cached_features(
-                folder / FEATURES, key, recording.observation, segments, settings.features, generator
-            )
+            if leaning:
+                projection, features = fit_features(recording.observation, segments, settings.features, generator)
+            else:
+                key = digest_features(recording, settings, seed)
+                projection, features = cached_features(
+                    folder / FEATURES, key, recording.observation, segments, settings.features, generator
+                )
     table = add_headings(projection, features, recording)
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
-    return TrainingData(segments, projection, features, inputs, tuple(recording.observation.shape[1:]))
+    return TrainingData(segments, projection, features, inputs, tuple(recording.observation.shape[1:]), upright)
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:

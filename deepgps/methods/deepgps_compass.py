@@ -6,6 +6,7 @@ import torch
 
 from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors, expect_length_errors
+from deepgps.data.lean import choose_upright, describe_lean
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality
@@ -19,8 +20,12 @@ from sim.rng import stream
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Train DeepGPS from the map by the compass, which also determines the chirality."""
-    data, turns = prepare(recording, settings, seed, folder.parent), measure_turns(recording)
+    """Train DeepGPS from the map by the compass, which also determines the chirality.
+
+    Images of a camera that leans are set upright first.
+    """
+    turns = measure_turns(recording)
+    data = prepare(recording, settings, seed, folder.parent, choose_upright(recording, turns.lean))
 
     def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
         if start != "paths" or number > 0:
@@ -30,7 +35,9 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
-    return fit_data(data, Variant(make_initial_map=start_from_compass, orient=orient), settings, seed, folder, progress)
+    variant = Variant(make_initial_map=start_from_compass, orient=orient)
+    positioner, training = fit_data(data, variant, settings, seed, folder, progress)
+    return Fitted(positioner, {**training, **describe_lean(turns.lean)})
 
 
 def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:

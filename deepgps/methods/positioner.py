@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -25,6 +25,8 @@ from deepgps.settings import LearnSettings, NetworkSettings
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
 from sim.plugins import calling
+from sim.sensors.lens import Lens
+from sim.sensors.upright import Upright
 
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
@@ -44,6 +46,7 @@ class NetworkPositioner:
         network: The trained network, in evaluation mode, on the CPU.
         centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
+        upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
     """
 
     shape: tuple[int, ...]
@@ -52,6 +55,7 @@ class NetworkPositioner:
     network: nn.Module
     centre: torch.Tensor
     axes: torch.Tensor
+    upright: Upright | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
@@ -67,6 +71,7 @@ class NetworkPositioner:
         return found
 
     def _embed(self, observations: np.ndarray) -> torch.Tensor:
+        observations = observations if self.upright is None else self.upright(observations)
         table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
         return self.network(Inputs(table).take(slice(None))) - self.centre
 
@@ -177,7 +182,7 @@ def load_positioner(folder: Path) -> Positioner:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
     except InputError:
         raise
-    except (ValidationError, KeyError, TypeError, AttributeError) as error:
+    except (ValidationError, KeyError, TypeError, ValueError, AttributeError) as error:
         raise damaged(path, one_line(error)) from None
     except (SafetensorError, OSError, RuntimeError) as error:
         raise damaged(folder / WEIGHTS, one_line(error)) from None
@@ -222,6 +227,8 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
         tensors |= {"centre": positioner.centre, "axes": positioner.axes}
         network = positioner.settings.model_dump(mode="json")
         kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
+        if positioner.upright is not None:
+            kind["upright"] = asdict(positioner.upright)
     return tensors, {**kind, "frequencies": frequencies}
 
 
@@ -246,7 +253,15 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     network = make_network(settings, inputs, len(tensors["centre"]), torch.Generator())
     own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
     network.load_state_dict(own)
-    return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"])
+    upright = _read_upright(description.get("upright"))
+    return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"], upright)
+
+
+def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
+    if stored is None:
+        return None
+    (roll, pitch), (k1, k2, k3, k4) = stored["lean"], stored["lens"]["k"]
+    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch))
 
 
 def as_positioner(
@@ -255,4 +270,4 @@ def as_positioner(
     """The trained network as a positioner on the CPU."""
     features = data.projection if settings.network.architecture == "spectral" else None
     network = network.cpu().eval()
-    return NetworkPositioner(data.shape, features, settings.network, network, centre.cpu(), axes.cpu())
+    return NetworkPositioner(data.shape, features, settings.network, network, centre.cpu(), axes.cpu(), data.upright)

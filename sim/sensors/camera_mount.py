@@ -5,6 +5,8 @@ import numpy as np
 from sim.geometry import planar_pose
 from sim.settings import CameraMountSettings
 
+CIRCLE_PX = 480
+"""Diameter of the round image in whose pixels an error of the optical centre is given [px]."""
 FRAMES = 5
 """Number of pictures that are averaged to an image if the robot drives while the shutter is open."""
 

@@ -14,16 +14,17 @@ import mujoco
 import numpy as np
 
 from sim.sensors.camera_faults import decode, encode
-from sim.sensors.camera_mount import drive_on, tilt
+from sim.sensors.camera_mount import CIRCLE_PX, drive_on, tilt
 from sim.sensors.catalog import Opened
 from sim.sensors.cube_faces import Face, edge_planes, make_faces, map_rays
 from sim.sensors.lens import make_lens, polar_rays, round_rays
 from sim.sensors.offscreen import Offscreen
-from sim.settings import CameraSettings, SimSettings
+from sim.settings import CameraMountSettings, CameraSettings, SimSettings
 
 ROBOT = "robot/"
 CAMERA_SITE = "robot/camera"
 DRAWN_GROUPS = (0, 1, 2)
+ON_THE_AXLE = CameraMountSettings()
 _NEAR_M = 0.01
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
@@ -49,14 +50,16 @@ class Fisheye:
     Args:
         model: A compiled room with the robot in it.
         camera: The lens and the sizes of its image.
+        mount: Where the camera is on the robot, and its optical centre; leans are given with each image.
 
     Raises:
         InputError: The lens is impossible.
         WorkError: No OpenGL context can be opened; the message names the fix.
     """
 
-    def __init__(self, model: mujoco.MjModel, camera: CameraSettings) -> None:
+    def __init__(self, model: mujoco.MjModel, camera: CameraSettings, mount: CameraMountSettings = ON_THE_AXLE) -> None:
         self._model, self._camera = model, camera
+        self._offset = np.array([mount.ahead_m, mount.left_m, 0.0])
         self._lens = make_lens(camera)
         self._faces = make_faces(self._lens, camera.face_px)
         self._planes = edge_planes(self._faces)
@@ -65,7 +68,8 @@ class Fisheye:
         self._boxes = _local_boxes(model)
         self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
-        rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer)
+        centre = 2.0 * mount.centre_px / CIRCLE_PX
+        rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, centre)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
         self._screen = Offscreen(model, *_strip_size(self._faces))
@@ -110,13 +114,14 @@ class Fisheye:
         """Draw all faces; the strip's first row is the lowest."""
         self._screen.begin()
         scene = self._scene
-        position, turn = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+        turn = data.site_xmat[self._site].reshape(3, 3)
+        position = data.site_xpos[self._site] + turn @ self._offset
         if lean is not None:
             turn = turn @ tilt(lean)
         update_scene(self._model, data, self._option, self._view, scene)
         geoms = scene.geoms[: scene.ngeom]
         kinds = [geom.type for geom in geoms]
-        seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int), turn)
+        seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int), position, turn)
         shown = np.ones(len(geoms), bool)
         for face, wanted in zip(self._faces, seen, strict=True):
             for index in np.flatnonzero(wanted != shown):
@@ -126,12 +131,11 @@ class Fisheye:
             mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._screen.target)
         return self._screen.read()
 
-    def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
         """Mask (faces, geoms) of the geoms whose boxes reach into each face's pyramid, by its four planes.
 
-        ``turn`` (3, 3) holds the camera's axes as columns.
+        ``position`` (3,) is the camera's, ``turn`` (3, 3) holds its axes as columns.
         """
-        position = data.site_xpos[self._site]
         middle, half = self._boxes[0][geoms], self._boxes[1][geoms]
         axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
         place = data.geom_xpos[geoms] - position + np.einsum("gij,gj->gi", axes, middle)
@@ -145,7 +149,7 @@ class Fisheye:
 def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
     """Open the camera in the scene; if the robot drives during the exposure, an image is the mean light of several."""
     model, driven_m = scene(), settings.camera_mount.driven_m
-    camera, data = Fisheye(model, settings.camera), mujoco.MjData(model)
+    camera, data = Fisheye(model, settings.camera, settings.camera_mount), mujoco.MjData(model)
 
     def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
         light = []

@@ -104,9 +104,24 @@ def unproject_round(lens: Lens, pixels: np.ndarray, size: int) -> np.ndarray:
     return _directions(theta, np.arctan2(left, forward))
 
 
-def polar_rays(lens: Lens, rings: int, sectors: int) -> np.ndarray:
-    """Directions of all pixels of the polar image (rings, sectors, 3)."""
-    return unproject_polar(lens, _pixels(rings, sectors), rings, sectors)
+def polar_rays(lens: Lens, rings: int, sectors: int, centre: float = 0.0) -> np.ndarray:
+    """Directions of all pixels of the polar image (rings, sectors, 3).
+
+    Args:
+        lens: The lens.
+        rings: Rows of the polar image.
+        sectors: Its columns.
+        centre: How far the optical centre is ahead of the polar image's, as a fraction of the rim's radius. Pixels that
+            are then outside the rim are NaN.
+    """
+    if not centre:
+        return unproject_polar(lens, _pixels(rings, sectors), rings, sectors)
+    row, column = np.moveaxis(_pixels(rings, sectors), -1, 0)
+    radius, azimuth = (row + 0.5) / rings, 2 * np.pi * (column + 0.5) / sectors
+    forward, left = radius * np.cos(azimuth) - centre, radius * np.sin(azimuth)
+    radius = np.hypot(forward, left)
+    theta = np.where(radius <= 1.0, lens.angle(np.minimum(radius, 1.0)), np.nan)
+    return _directions(theta, np.arctan2(left, forward))
 
 
 def round_rays(lens: Lens, size: int) -> np.ndarray:

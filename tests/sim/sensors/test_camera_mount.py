@@ -7,8 +7,8 @@ from scipy import ndimage
 
 from sim.sensors.camera_mount import FRAMES, draw_leans, drive_on, tilt
 from sim.sensors.fisheye import Fisheye
-from sim.sensors.lens import make_lens, polar_rays
-from sim.settings import CameraMountSettings
+from sim.sensors.lens import make_lens, polar_rays, project_round
+from sim.settings import CameraMountSettings, DeploymentMountSettings
 from tests.sim.sensors.test_fisheye import CAMERA, build_room, find_hits, place
 
 
@@ -67,6 +67,44 @@ def test_a_leaning_camera_sees_what_rays_cast_along_its_lens_hit(lean_deg: tuple
     assert share_seen(matrix.reshape(3, 3), image) >= 0.99
     assert share_seen(np.eye(3), upright) >= 0.99
     assert share_seen(np.eye(3), image) < 0.98
+
+
+def test_a_camera_ahead_of_the_axle_sees_what_one_on_an_axle_ahead_sees():
+    model = build_room(40)
+    ahead, left = CameraMountSettings(ahead_m=0.05), CameraMountSettings(left_m=0.05)
+    with Fisheye(model, CAMERA) as fisheye:
+        far, near = fisheye.polar(place(model, 0.75, -0.4, 0.0)), fisheye.polar(place(model, 0.7, -0.4, 0.0))
+        aside = fisheye.polar(place(model, 0.7, -0.35, 0.0))
+    with Fisheye(model, CAMERA, ahead) as fisheye:
+        np.testing.assert_array_equal(fisheye.polar(place(model, 0.7, -0.4, 0.0)), far)
+        back = fisheye.polar(place(model, 0.8, -0.4, np.pi))
+        turned = fisheye.polar(place(model, 0.7, -0.45, np.pi / 2))
+    assert np.abs(far.astype(int) - near).mean() > 1.0
+    half, quarter = CAMERA.sectors // 2, CAMERA.sectors // 4
+    assert np.abs(np.roll(back, half, axis=1).astype(int) - far).mean() < 1.0, "it turns with the robot"
+    assert np.abs(np.roll(turned, quarter, axis=1).astype(int) - near).mean() < 1.0
+    with Fisheye(model, CAMERA, left) as fisheye:
+        np.testing.assert_array_equal(fisheye.polar(place(model, 0.7, -0.4, 0.0)), aside)
+
+
+def test_an_optical_centre_that_is_off_shifts_the_round_image():
+    lens, rings, sectors = make_lens(CAMERA), 60, 240
+    rays = polar_rays(lens, rings, sectors, centre=0.1)
+    seen = project_round(lens, rays, 480)  # what the sensor's pixels see, by their place around the true centre
+    assumed = project_round(lens, polar_rays(lens, rings, sectors), 480)
+    known = np.isfinite(rays).all(axis=-1)
+    np.testing.assert_allclose((seen - assumed)[known], np.broadcast_to([24.0, 0.0], (known.sum(), 2)), atol=1e-6)
+    hidden = ~known
+    assert 0.02 < hidden.mean() < 0.15 and hidden[-1, sectors // 2] and not hidden[-1, 0]
+
+
+def test_settings_that_came_later_are_not_written_unless_they_are_given():
+    assert set(CameraMountSettings().model_dump()) == {"roll_deg", "pitch_deg", "wobble_deg", "driven_m"}
+    assert set(DeploymentMountSettings().model_dump(mode="json")) == {"roll_deg", "pitch_deg"}
+    given = CameraMountSettings(left_m=0.02)
+    assert given.model_dump()["left_m"] == 0.02
+    assert CameraMountSettings.model_validate(given.model_dump()) == given
+    assert DeploymentMountSettings(ahead_m=0.0).model_dump()["ahead_m"] == 0.0, "which is not as in training"
 
 
 def test_the_way_driven_has_its_middle_at_the_state_and_leads_ahead():

@@ -1,0 +1,121 @@
+"""The lean that a recording's pairs show is the camera's, in training and in use, and images are set upright by it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.data.compass_turns import measure_turns
+from deepgps.data.lean import LAST_TURNS, adapt_upright, choose_upright, compare_images, find_in_place
+from deepgps.evaluation.evaluate import predict
+from deepgps.evaluation.in_use import adapt
+from deepgps.learning.training_data import prepare
+from deepgps.methods.fit import fit_method
+from deepgps.methods.positioner import NetworkPositioner, read_training
+from deepgps.settings import LearnSettings
+from sim.recording.collect import collect
+from sim.recording.format import Recording, open_recording, open_truth
+from sim.recording.turns import Turns
+from sim.settings import (
+    CameraMountSettings,
+    CameraSettings,
+    DeploymentMountSettings,
+    DeploymentSettings,
+    DriveSettings,
+    GridSettings,
+    SimSettings,
+)
+from tests.helpers.made_once import make_once
+from tests.helpers.toy import QUICK
+
+TRAINED, KNOCKED = (6.0, -3.0), (9.0, -3.0)
+
+
+@pytest.fixture(scope="module")
+def leaning(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A recording of a camera that leans, and leans more in use."""
+    changes = {
+        "camera": CameraSettings(rings=16, sectors=64, face_px=32),
+        "drive": DriveSettings(samples=200),
+        "grid": GridSettings(spacing_m=0.6, headings=2),
+        "camera_mount": CameraMountSettings(roll_deg=TRAINED[0], pitch_deg=TRAINED[1]),
+        "deployment": DeploymentSettings(drive_samples=80, camera_mount=DeploymentMountSettings(roll_deg=KNOCKED[0])),
+    }
+
+    def make(folder: Path) -> None:
+        collect(small_settings.model_copy(update=changes), 0, folder / "recording", lambda *_: None, workers=1)
+
+    return open_recording(make_once(tmp_path_factory, "leaning", make) / "recording")
+
+
+@pytest.fixture(scope="module")
+def drive_in_use(leaning: Recording) -> Recording:
+    return open_recording(leaning.folder / "use")
+
+
+def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, drive_in_use: Recording):
+    lean = measure_turns(leaning).lean
+    np.testing.assert_allclose(np.degrees(lean), TRAINED, atol=0.3)
+    upright = choose_upright(leaning, lean)
+    assert upright.lean == tuple(lean)
+    adapted, in_use = adapt_upright(upright, drive_in_use)
+    assert in_use is not None and adapted.lean == tuple(in_use)
+    np.testing.assert_allclose(np.degrees(in_use), KNOCKED, atol=0.6)
+
+
+def test_turns_of_a_leaning_camera_are_those_of_the_robot(leaning: Recording):
+    pose, turns = open_truth(leaning.folder).pose, leaning.turns
+    assert turns is not None
+    some = find_in_place(turns)
+    seen = compare_images(leaning).hypotheses.angle[some, 0]
+    error = seen - (pose[leaning.reading[turns.after[some] + 1, 1], 2] - pose[turns.before[some], 2])
+    error = np.degrees((error + np.pi) % (2 * np.pi) - np.pi)
+    assert np.sqrt(np.mean(error**2)) < 0.5
+
+
+def test_a_lean_too_small_to_matter_changes_no_image(leaning: Recording, tmp_path: Path):
+    upright = choose_upright(leaning, np.radians([0.06, 0.07]))
+    assert upright.lean == (0.0, 0.0)
+    settings = LearnSettings.model_validate(QUICK)
+    same, plain = (prepare(leaning, settings, 0, tmp_path / name, one) for name, one in (("a", upright), ("b", None)))
+    np.testing.assert_array_equal(same.features, plain.features)
+
+
+def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(leaning: Recording, drive_in_use: Recording):
+    _, lean = adapt_upright(choose_upright(leaning, np.zeros(2)), drive_in_use)
+    assert lean is not None
+    for off_deg, kept in ((0.05, True), (0.2, False)):
+        upright = choose_upright(leaning, lean + np.radians([off_deg, 0.0]))
+        assert (adapt_upright(upright, drive_in_use)[0] == upright) == kept
+
+
+def test_too_few_turns_in_use_leave_the_lean_of_training(leaning: Recording, drive_in_use: Recording):
+    upright = choose_upright(leaning, np.radians(TRAINED))
+    turns = drive_in_use.turns
+    assert turns is not None
+    few = replace(drive_in_use, turns=Turns(*turns.array[find_in_place(turns)[: LAST_TURNS - 1]].T))
+    for drive in (few, replace(drive_in_use, turns=None, turn_observation=None)):
+        assert adapt_upright(upright, drive) == (upright, None)
+
+
+def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_lean_there(
+    leaning: Recording, drive_in_use: Recording, tmp_path: Path
+):
+    settings, folder = LearnSettings.model_validate(QUICK), tmp_path / "deepgps_compass"
+    positioner = fit_method("deepgps_compass", leaning, settings, 0, folder)
+    assert isinstance(positioner, NetworkPositioner) and positioner.upright is not None
+    training = read_training(folder)
+    measured = training["lean_roll_deg"], training["lean_pitch_deg"]
+    np.testing.assert_allclose(np.degrees(positioner.upright.lean), measured, atol=1e-4)
+    images = np.asarray(leaning.observation[:8])
+    upright = replace(positioner, upright=None)(positioner.upright(images))
+    np.testing.assert_array_equal(positioner(images), upright)
+    assert not np.allclose(replace(positioner, upright=None)(images), upright, atol=1e-3)
+    adapted, lean = adapt(positioner, drive_in_use)
+    assert lean["lean_roll_deg"] == pytest.approx(KNOCKED[0], abs=0.6)
+    assert isinstance(adapted, NetworkPositioner) and adapted.upright != positioner.upright
+    _, knocked = predict(folder, leaning, drive_in_use)
+    cells, headings = leaning.test_observation.shape[:2]
+    test = np.asarray(leaning.test_observation).reshape(cells * headings, *images.shape[1:])
+    np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))
