@@ -4,7 +4,7 @@ The wheels choose between the peaks of the compass and count whole turns; they n
 is not used.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from deepgps.data.segments import find_runs
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.compass import disambiguate
+from sim.sensors.upright import Upright
 
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
@@ -35,14 +36,14 @@ class CompassTurns:
         angle_std: Its standard deviation (L - 1,) [rad].
         jump: From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m].
         jump_std: Its standard deviation along each axis (L - 1,) [m].
-        lean: Lean of the camera to the robot's right and forward (2,) [rad], for which the angles are corrected.
+        upright: What sets images of the camera upright; the angles are corrected for its lean.
     """
 
     angle: np.ndarray
     angle_std: np.ndarray
     jump: np.ndarray
     jump_std: np.ndarray
-    lean: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    upright: Upright | None = None
 
 
 def measure_turns(recording: Recording) -> CompassTurns:
@@ -51,7 +52,7 @@ def measure_turns(recording: Recording) -> CompassTurns:
     Raises:
         InputError: The recording has no turns or no polar images.
     """
-    (seen, lean), turns = compare_images(recording), recording.turns
+    (seen, upright), turns = compare_images(recording), recording.turns
     assert turns is not None
     yaw = dead_reckon(recording)[:, 2]
     wheels = yaw[turns.after] - yaw[turns.after - 1]
@@ -60,7 +61,7 @@ def measure_turns(recording: Recording) -> CompassTurns:
     known = np.isfinite(found.angle[:, 0])
     angle = np.where(known, found.angle[:, 0], wheels)
     variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, spread**2)
-    return replace(_join(recording, angle, variance), lean=lean)
+    return replace(_join(recording, angle, variance), upright=upright)
 
 
 def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:

@@ -4,6 +4,7 @@ The lean is measured over all turns of the training drive, and again over the la
 leans than ``LEAST_RAD`` are not corrected, so that the images of a level camera stay as they are.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE, Turns
 from sim.sensors.compass import Hypotheses, find_turns
-from sim.sensors.compass_lean import find_lean
-from sim.sensors.lens import Lens, make_lens
+from sim.sensors.compass_lean import compare_at_horizon, find_lean
+from sim.sensors.lens import make_lens
 from sim.sensors.upright import Upright
 from sim.settings import SimSettings
 
@@ -21,6 +22,8 @@ LEAST_RAD = np.radians(0.1)
 """Leans, or differences of leans, up to this are not corrected [rad]."""
 LAST_TURNS = 5
 """Turns in place from which the lean in use is measured."""
+MOST_TURNS = 100
+"""Turns in place from which the lean of the training drive is measured, spread evenly over it."""
 ROUNDS = 5
 """Most corrections of the lean: of two images that lean by many degrees apart, one fit finds only a part of it."""
 
@@ -30,17 +33,23 @@ class SeenTurns(NamedTuple):
 
     Attributes:
         hypotheses: Of the angles turned by the robot, corrected for the camera's lean.
-        lean: Lean of the camera (2,) [rad] to the robot's right and forward.
+        upright: What sets its images upright, however small its lean is.
     """
 
     hypotheses: Hypotheses
-    lean: np.ndarray
+    upright: Upright
 
 
-def compare_images(recording: Recording, turns: Turns | None = None) -> SeenTurns:
+def compare_images(recording: Recording, turns: Turns | None = None, trained: Upright | None = None) -> SeenTurns:
     """Compare the images before and after each turn of a recording, or some of its turns.
 
     Images of a camera that leans are set upright and compared again, until the lean that is left is small.
+
+    Args:
+        recording: With images after turns.
+        turns: Some of its turns; None: all.
+        trained: Where the lean begins, and the parallax, which lasts: the lean is then that of all rings less the
+            parallax, which takes fewer turns. None: the lean is measured near the horizon, without parallax.
 
     Raises:
         InputError: The recording has no turns or no polar images.
@@ -53,21 +62,31 @@ def compare_images(recording: Recording, turns: Turns | None = None) -> SeenTurn
     before = recording.observation[turns.before]
     after, taken = recording.observation[recording.reading[turns.after, 1]], turns.image != NO_IMAGE
     after[taken] = recording.turn_observation[turns.image[taken]]
-    lens, in_place = lens_of(recording), find_in_place(turns)
-    lean = np.zeros(2)
+    some = find_in_place(turns)
+    some = some[:: -(-len(some) // MOST_TURNS) or 1]
+    lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
+    upright = trained or Upright(lens, (0.0, 0.0))
     for _ in range(ROUNDS):
-        upright = Upright(lens, (float(lean[0]), float(lean[1])))
-        seen = find_turns(upright(before), upright(after), lens)
-        step = _measure_lean(seen, in_place)
-        lean = lean + step
+        one, two = upright(before), upright(after)
+        seen, hidden = find_turns(one, two, lens), float(np.linalg.norm(upright.lean))
+        apparent = _find_lean(Hypotheses(*(array[some] for array in vars(seen).values())))
+        step, parallax = apparent - upright.parallax, np.array(upright.parallax)
+        if trained is None:
+            step = _find_lean(compare_at_horizon(one[some], two[some], seen.angle[some, 0], lens, hidden))
+            parallax = apparent - step
+        upright = Upright(lens, _pair(upright.lean + step), _pair(parallax))
         if np.linalg.norm(step) <= LEAST_RAD:
             break
-    return SeenTurns(seen, lean)
+    return SeenTurns(seen, upright)
 
 
-def lens_of(recording: Recording) -> Lens:
-    """The lens of a recording's polar images."""
-    return make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
+def _find_lean(hypotheses: Hypotheses) -> np.ndarray:
+    """Lean (2,) [rad]; zero where no turn tells it."""
+    return np.nan_to_num(find_lean(hypotheses))
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
 
 
 def find_in_place(turns: Turns) -> np.ndarray:
@@ -75,40 +94,33 @@ def find_in_place(turns: Turns) -> np.ndarray:
     return np.flatnonzero((turns.kind == KINDS.index("in_place")) & (turns.image != NO_IMAGE))
 
 
-def _measure_lean(hypotheses: Hypotheses, some: np.ndarray) -> np.ndarray:
-    """Lean (2,) [rad] from the turns with these indices; zero where they tell none."""
-    arrays = (hypotheses.angle, hypotheses.std, hypotheses.weight, hypotheses.lean)
-    return np.nan_to_num(find_lean(Hypotheses(*(array[some] for array in arrays))))
+def ignore_small(upright: Upright) -> Upright:
+    """The same, but images of a camera that leans by ``LEAST_RAD`` or less stay as they are."""
+    return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= LEAST_RAD else upright
 
 
-def choose_upright(recording: Recording, lean: np.ndarray) -> Upright:
-    """The resampling that sets images of a camera with this lean (2,) [rad] upright; none if the lean is small."""
-    small = np.linalg.norm(lean) <= LEAST_RAD
-    return Upright(lens_of(recording), (0.0, 0.0) if small else (float(lean[0]), float(lean[1])))
-
-
-def adapt_upright(upright: Upright, drive: Recording) -> tuple[Upright, np.ndarray | None]:
-    """The resampling for a drive in use, whose camera may have been knocked since training.
+def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
+    """What sets the images of a drive in use upright, whose camera may have been knocked since training.
 
     Args:
-        upright: The resampling of training.
+        trained: What does in training.
         drive: The drive in use.
 
     Returns:
-        Its resampling, which is that of training unless the lean has changed, and its lean (2,) [rad]; None where it
-        has fewer than ``LAST_TURNS`` turns in place.
+        That of training unless the lean has changed by more than ``LEAST_RAD``, and the lean in use (2,) [rad]; None
+        where the drive has fewer than ``LAST_TURNS`` turns in place.
     """
     if drive.turns is None or drive.turn_observation is None:
-        return upright, None
+        return trained, None
     last = find_in_place(drive.turns)[-LAST_TURNS:]
     if len(last) < LAST_TURNS:
-        return upright, None
-    lean = compare_images(drive, Turns(*drive.turns.array[last].T)).lean
-    changed = np.linalg.norm(lean - upright.lean) > LEAST_RAD
-    return (choose_upright(drive, lean) if changed else upright), lean
+        return trained, None
+    found = compare_images(drive, Turns(*drive.turns.array[last].T), trained).upright
+    changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > LEAST_RAD
+    return (found if changed else trained), found.lean
 
 
-def describe_lean(lean: np.ndarray) -> dict[str, float]:
+def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
     """Entries for ``training.json`` and ``metrics.json`` of a lean (2,) [rad]."""
     roll, pitch = np.degrees(lean)
     return {"lean_roll_deg": round(float(roll), 4), "lean_pitch_deg": round(float(pitch), 4)}

@@ -6,7 +6,7 @@ import torch
 
 from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors, expect_length_errors
-from deepgps.data.lean import choose_upright, describe_lean
+from deepgps.data.lean import describe_lean, ignore_small
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality
@@ -25,7 +25,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     Images of a camera that leans are set upright first.
     """
     turns = measure_turns(recording)
-    data = prepare(recording, settings, seed, folder.parent, choose_upright(recording, turns.lean))
+    assert turns.upright is not None
+    data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
 
     def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
         if start != "paths" or number > 0:
@@ -37,7 +38,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     variant = Variant(make_initial_map=start_from_compass, orient=orient)
     positioner, training = fit_data(data, variant, settings, seed, folder, progress)
-    return Fitted(positioner, {**training, **describe_lean(turns.lean)})
+    return Fitted(positioner, {**training, **describe_lean(turns.upright.lean)})
 
 
 def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:

@@ -260,8 +260,8 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
 def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
     if stored is None:
         return None
-    (roll, pitch), (k1, k2, k3, k4) = stored["lean"], stored["lens"]["k"]
-    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch))
+    (roll, pitch), (right, ahead), (k1, k2, k3, k4) = stored["lean"], stored["parallax"], stored["lens"]["k"]
+    return Upright(Lens(stored["lens"]["half_angle"], (k1, k2, k3, k4)), (roll, pitch), (right, ahead))
 
 
 def as_positioner(

@@ -2,18 +2,56 @@
 
 Both images of a pair lean alike in the robot's frame, but not in the room's: Rz(angle) swing(relative lean) =
 tilt(l)^T Rz(turn) tilt(l). No image is resampled.
+
+A camera off the turning axis moves in a turn, which shifts what is above it as a lean does. At the camera's own height,
+a lean moves things up and down, and parallax only sideways: the lean is measured there.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from sim.sensors.camera_mount import tilt
-from sim.sensors.compass import Hypotheses
-from sim.sensors.compass_fit import swing, twist
+from sim.sensors.compass import CHUNK, Hypotheses
+from sim.sensors.compass_fit import fit_rotation, make_grid, swing, take_spectra, twist
+from sim.sensors.lens import Lens
 
+HORIZON = 0.1
+"""Cosine of the zenith angle within which rings count as at the camera's height."""
 ROUNDS = 12
 """Reweighted solutions: each is exact to second order, and each leaves more of the outliers out."""
+
+
+def compare_at_horizon(
+    first: np.ndarray, second: np.ndarray, angle: np.ndarray, lens: Lens, hidden: float = 0.0
+) -> Hypotheses:
+    """The likeliest hypothesis of each pair, fitted again to the rings nearest the horizon, for ``find_lean``.
+
+    Args:
+        first: Polar images (P, rings, sectors, channels).
+        second: Polar images of the same shape.
+        angle: Angles turned (P,) [rad]; NaN where they are not known.
+        lens: The lens of the images.
+        hidden: Width of the outermost part of the images that shows nothing [rad].
+    """
+    grid = make_grid(*first.shape[1:3], lens)
+    cosine, last = grid.rays[:, :1, 2], np.cos(lens.half_angle - hidden)
+    away = np.maximum(cosine, last) - max(float(last), 0.0)
+    weight = grid.weight * np.exp(-((away / HORIZON) ** 2)) * (cosine >= last)
+    grid = replace(grid, weight=weight.astype(np.float32))
+
+    def fit() -> Iterator[np.ndarray]:
+        for start in range(0, len(angle), CHUNK):
+            some = slice(start, start + CHUNK)
+            known = np.isfinite(angle[some])
+            spectra = (take_spectra(images[some], grid) for images in (first, second))
+            fitted = fit_rotation(*spectra, np.where(known, angle[some], 0.0), grid)
+            found = np.column_stack([fitted.angle, fitted.std, known, fitted.lean])
+            yield np.where(known[:, None], found, np.nan)
+
+    found = np.concatenate([np.empty((0, 5)), *fit()])[:, None]
+    return Hypotheses(found[..., 0], found[..., 1], np.nan_to_num(found[..., 2]), found[..., 3:])
 
 
 def find_lean(hypotheses: Hypotheses) -> np.ndarray:

@@ -24,10 +24,12 @@ class Upright:
     Attributes:
         lens: Their lens.
         lean: Lean of the camera to the robot's right and forward [rad]; none: images stay as they are.
+        parallax: Lean that turns seem to show besides, as the camera is off the turning axis [rad]; images show none.
     """
 
     lens: Lens
     lean: tuple[float, float]
+    parallax: tuple[float, float] = (0.0, 0.0)
 
     def __call__(self, images: np.ndarray) -> np.ndarray:
         """Upright images (N, rings, sectors, channels) uint8 of a leaning camera's images of the same shape.

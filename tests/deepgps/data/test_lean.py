@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.data.compass_turns import measure_turns
-from deepgps.data.lean import LAST_TURNS, adapt_upright, choose_upright, compare_images, find_in_place
+from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small
 from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt
 from deepgps.learning.training_data import prepare
@@ -17,6 +17,8 @@ from deepgps.settings import LearnSettings
 from sim.recording.collect import collect
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
+from sim.sensors.lens import make_lens
+from sim.sensors.upright import Upright
 from sim.settings import (
     CameraMountSettings,
     CameraSettings,
@@ -29,6 +31,7 @@ from sim.settings import (
 from tests.helpers.made_once import make_once
 from tests.helpers.toy import QUICK
 
+CAMERA = CameraSettings(rings=16, sectors=64, face_px=32)
 TRAINED, KNOCKED = (6.0, -3.0), (9.0, -3.0)
 
 
@@ -36,7 +39,7 @@ TRAINED, KNOCKED = (6.0, -3.0), (9.0, -3.0)
 def leaning(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """A recording of a camera that leans, and leans more in use."""
     changes = {
-        "camera": CameraSettings(rings=16, sectors=64, face_px=32),
+        "camera": CAMERA,
         "drive": DriveSettings(samples=200),
         "grid": GridSettings(spacing_m=0.6, headings=2),
         "camera_mount": CameraMountSettings(roll_deg=TRAINED[0], pitch_deg=TRAINED[1]),
@@ -49,18 +52,21 @@ def leaning(small_settings: SimSettings, tmp_path_factory: pytest.TempPathFactor
     return open_recording(make_once(tmp_path_factory, "leaning", make) / "recording")
 
 
+def set_lean(lean: np.ndarray | tuple[float, float]) -> Upright:
+    return Upright(make_lens(CAMERA), (float(lean[0]), float(lean[1])))
+
+
 @pytest.fixture(scope="module")
 def drive_in_use(leaning: Recording) -> Recording:
     return open_recording(leaning.folder / "use")
 
 
 def test_the_lean_of_training_and_that_in_use_are_found(leaning: Recording, drive_in_use: Recording):
-    lean = measure_turns(leaning).lean
-    np.testing.assert_allclose(np.degrees(lean), TRAINED, atol=0.3)
-    upright = choose_upright(leaning, lean)
-    assert upright.lean == tuple(lean)
+    upright = measure_turns(leaning).upright
+    assert upright is not None and ignore_small(upright) == upright
+    np.testing.assert_allclose(np.degrees(upright.lean), TRAINED, atol=0.3)
     adapted, in_use = adapt_upright(upright, drive_in_use)
-    assert in_use is not None and adapted.lean == tuple(in_use)
+    assert in_use is not None and adapted.lean == in_use
     np.testing.assert_allclose(np.degrees(in_use), KNOCKED, atol=0.6)
 
 
@@ -75,7 +81,7 @@ def test_turns_of_a_leaning_camera_are_those_of_the_robot(leaning: Recording):
 
 
 def test_a_lean_too_small_to_matter_changes_no_image(leaning: Recording, tmp_path: Path):
-    upright = choose_upright(leaning, np.radians([0.06, 0.07]))
+    upright = ignore_small(set_lean(np.radians([0.06, 0.07])))
     assert upright.lean == (0.0, 0.0)
     settings = LearnSettings.model_validate(QUICK)
     same, plain = (prepare(leaning, settings, 0, tmp_path / name, one) for name, one in (("a", upright), ("b", None)))
@@ -83,15 +89,15 @@ def test_a_lean_too_small_to_matter_changes_no_image(leaning: Recording, tmp_pat
 
 
 def test_a_camera_that_was_not_knocked_keeps_the_correction_of_training(leaning: Recording, drive_in_use: Recording):
-    _, lean = adapt_upright(choose_upright(leaning, np.zeros(2)), drive_in_use)
+    _, lean = adapt_upright(set_lean(np.zeros(2)), drive_in_use)
     assert lean is not None
     for off_deg, kept in ((0.05, True), (0.2, False)):
-        upright = choose_upright(leaning, lean + np.radians([off_deg, 0.0]))
+        upright = set_lean(lean + np.radians([off_deg, 0.0]))
         assert (adapt_upright(upright, drive_in_use)[0] == upright) == kept
 
 
 def test_too_few_turns_in_use_leave_the_lean_of_training(leaning: Recording, drive_in_use: Recording):
-    upright = choose_upright(leaning, np.radians(TRAINED))
+    upright = set_lean(np.radians(TRAINED))
     turns = drive_in_use.turns
     assert turns is not None
     few = replace(drive_in_use, turns=Turns(*turns.array[find_in_place(turns)[: LAST_TURNS - 1]].T))
