@@ -37,6 +37,8 @@ COLUMNS: tuple[Column, ...] = (
     ("align", "alignment", str),
     ("train [s]", "train_s", lambda value: f"{value:.1f}"),
 )
+VISIBLE_DEG = 0.1
+"""Smallest lean of the camera that is reported [deg]."""
 OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
 
 
@@ -80,7 +82,7 @@ def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
-    """Describe the drive, the coverage, the encoders and the time, in a sentence each.
+    """Describe the drive, the coverage, the encoders, the camera, the drive in use and the time, in a sentence each.
 
     Args:
         metrics: Contents of ``metrics.json``.
@@ -106,6 +108,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
             f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
             f"{_describe_wrong(distances)}",
         )
+    sentences[-1:-1] = [*_describe_leans(metrics["methods"]), *_describe_in_use(metrics)]
     if left_out := describe_readings(metrics.get("readings", {})):
         sentences.insert(1, left_out)
     return sentences
@@ -181,6 +184,35 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
         console.print(sentence, style="yellow", markup=False, soft_wrap=True)
     if sitting_s is not None:
         console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
+
+
+def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
+    """How the camera leans, in training and in use, by the first method that measures it, if it does so visibly."""
+    leans = ((values, values.get("in_use", {})) for values in methods.values() if "lean_roll_deg" in values)
+    trained, in_use = next(leans, ({}, {}))
+    found = {where: _read_lean(some) for where, some in (("training", trained), ("use", in_use))}
+    if not any(lean and max(map(abs, lean)) >= VISIBLE_DEG for lean in found.values()):
+        return []
+    parts = (
+        f"{lean[0]:.2f}° to the right and {lean[1]:.2f}° forward in {where}" for where, lean in found.items() if lean
+    )
+    return [f"By its turns, the camera leans {', '.join(parts)}."]
+
+
+def _read_lean(values: Mapping[str, Any]) -> tuple[float, float] | None:
+    return (values["lean_roll_deg"], values["lean_pitch_deg"]) if "lean_roll_deg" in values else None
+
+
+def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
+    """Errors on the images of the drive in use, if there was one."""
+    found = {name: values["in_use"] for name, values in metrics["methods"].items() if "in_use" in values}
+    if not found:
+        return []
+    parts = (
+        f"{title_of(name)} {_centimetres(values['rms_m'])} ({_centimetres(values['median_m'])})"
+        for name, values in found.items()
+    )
+    return [f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."]
 
 
 def _describe_wrong(distances: Mapping[str, Any]) -> str:

@@ -24,15 +24,21 @@ TITLES = {
     "camera_mount.roll_deg": "tilted {:g}° to the right",
     "camera_mount.pitch_deg": "tilted {:g}° forward",
     "camera_mount.wobble_deg": "wobbling by {:g}°",
+    "camera_mount.ahead_m": "{:g} m ahead of the axle",
+    "camera_mount.left_m": "{:g} m to the left of the axle",
+    "camera_mount.centre_px": "optical centre off by {:g} of 480 px",
     "deployment.light": "all light x {:g}",
     "deployment.lamps": "lamps x {:g}",
     "deployment.moved_m": "furniture moved {:g} m",
+    "deployment.camera_mount.roll_deg": "knocked {:g}° to the right",
+    "deployment.camera_mount.centre_px": "knocked, optical centre off by {:g} of 480 px",
 }
 WHEN = {True: "deployment only", False: "training and deployment"}
 NOTE = (
     "Means over seeds; in brackets, the ratio to the mean without faults. Errors in centimetres on the test grid, for "
     "the worst heading of each position; aligned on training samples, never scaled. Changes between training and "
     "deployment do not appear in the training images. Test positions that moved furniture covers are left out. "
+    "DeepGPS with compass sets the images of a camera that leans upright, by turns in training and in use. "
     "Folded: maps that flip more than a tenth of the neighbourhoods, which includes maps that are wrong only in "
     "deployment; said: maps that the detector, which uses only the training images, reports as folded."
 )

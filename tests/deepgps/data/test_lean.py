@@ -2,17 +2,19 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 
+from deepgps.alignment import Alignment
 from deepgps.data.compass_turns import measure_turns
 from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small
 from deepgps.evaluation.evaluate import predict
-from deepgps.evaluation.in_use import adapt
+from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
 from deepgps.methods.fit import fit_method
-from deepgps.methods.positioner import NetworkPositioner, read_training
+from deepgps.methods.positioner import NetworkPositioner, Positioner, read_training
 from deepgps.settings import LearnSettings
 from sim.recording.collect import collect
 from sim.recording.format import Recording, open_recording, open_truth
@@ -125,3 +127,18 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     cells, headings = leaning.test_observation.shape[:2]
     test = np.asarray(leaning.test_observation).reshape(cells * headings, *images.shape[1:])
     np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))
+
+
+def test_errors_in_use_are_those_of_the_positions_there(drive_in_use: Recording, tmp_path: Path):
+    place = open_truth(drive_in_use.folder).pose[:, :2]
+    turned = Alignment(rotation=np.array([[0.0, -1.0], [1.0, 0.0]]), translation=np.array([1.0, 2.0]), scale=1.0)
+    own = (place - turned.translation) @ turned.rotation
+    own[0] += [0.3, 0.4]
+
+    def know(observations: np.ndarray) -> np.ndarray:
+        assert len(observations) == len(own)
+        return own
+
+    found = measure_in_use(cast(Positioner, know), turned, drive_in_use, tmp_path)
+    expected = {"rms_m": 0.5 / np.sqrt(len(own)), "median_m": 0.0, "max_m": 0.5}
+    assert found == pytest.approx(expected, abs=1e-9)

@@ -104,3 +104,19 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None,
         (tmp_path / "metrics.json").write_text(content)
     with pytest.raises(InputError, match=message):
         read_metrics(tmp_path)
+
+
+def test_the_lean_of_the_camera_and_the_drive_in_use_are_reported(metrics: dict) -> None:
+    before = describe(metrics)
+    assert not any("leans" in sentence or "in use" in sentence for sentence in before)
+    metrics["in_use"] = {"samples": 40}
+    metrics["methods"]["mine"] |= {"lean_roll_deg": 0.02, "lean_pitch_deg": 0.0}
+    metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
+    assert not any("leans" in sentence for sentence in describe(metrics)), "too little to be seen"
+    metrics["methods"]["mine"]["in_use"] |= {"lean_roll_deg": 2.0, "lean_pitch_deg": -0.1}
+    after = describe(metrics)
+    assert [sentence for sentence in after if sentence not in before] == [
+        "By its turns, the camera leans 0.02° to the right and 0.00° forward in training, 2.00° to the right and "
+        "-0.10° forward in use.",
+        "RMS (median) on the 40 images of the drive in use [cm]: mine 5.0 (2.0).",
+    ]

@@ -112,10 +112,12 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     assert "(1.00)" in cells(text, "no fault", "training and deployment", "Nearest neighbour")[1]
     assert text == write_report(study, plans, {}, camera_rows(folder))
     assert (folder / "figures" / "camera.png").stat().st_size > 10_000
-    clean, noisy, dim = (folder / "recordings" / plan.recording for plan in plans)
+    clean, noisy, dim, knocked = (folder / "recordings" / plan.recording for plan in plans)
     assert read_manifest(noisy).model_dump()["derived_from"] == clean.name
     check_recording(noisy)
     np.testing.assert_array_equal(open_recording(clean).observation, open_recording(dim).observation)
+    np.testing.assert_array_equal(open_recording(clean).observation, open_recording(knocked).observation)
+    assert "knocked 8° to the right" in text and open_recording(knocked / "use").turns is not None
     light = [decode(open_recording(folder).test_observation).mean() for folder in (dim, clean)]
     assert light[0] == pytest.approx(0.5 * light[1], rel=0.2)
 
