@@ -45,8 +45,8 @@ def compare_at_horizon(
         for start in range(0, len(angle), CHUNK):
             some = slice(start, start + CHUNK)
             known = np.isfinite(angle[some])
-            spectra = (take_spectra(images[some], grid) for images in (first, second))
-            fitted = fit_rotation(*spectra, np.where(known, angle[some], 0.0), grid)
+            one, two = take_spectra(first[some], grid), take_spectra(second[some], grid)
+            fitted = fit_rotation(one, two, np.where(known, angle[some], 0.0), grid)
             found = np.column_stack([fitted.angle, fitted.std, known, fitted.lean])
             yield np.where(known[:, None], found, np.nan)
 
