@@ -18,8 +18,10 @@ from sim.user_input import shorten
 
 WorldName = Literal["room", "landmarks", "obstacles"]
 SensorName = Literal["fisheye", "lidar"]
-RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab"]
+RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth"]
 RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
+SMALLEST_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
+"""Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
 LARGEST_MJCF = 64 * 1024 * 1024
 """Largest size of each XML file of a user's own room, in bytes."""
 FEWEST_SAMPLES = 16
@@ -60,8 +62,24 @@ class RoomSettings(Group):
     """Extent along x [m]; None: the default of the kind."""
     depth_m: Metres | None = None
     """Extent along y [m]; None: the default of the kind."""
+    look_alike: bool = False
+    """Places look alike: all walls have the same wallpaper, whose motif repeats, the ceiling has panels with the same
+    lamp at regular distances, and pieces of furniture of one name are the same. In a labyrinth, all walls have one
+    texture in place of two to four."""
     mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
-    """Your own room: path of an MJCF file, used instead of kind, shape, seed and size."""
+    """Your own room: path of an MJCF file, used instead of kind, shape, seed, size and look_alike."""
+
+    @model_validator(mode="after")
+    def _walls_inside_have_room(self) -> "RoomSettings":
+        smallest = SMALLEST_M.get(self.kind)
+        if smallest is None or self.mjcf is not None:
+            return self
+        if self.shape != "rectangle":
+            raise ValueError(f"shape {self.shape}: a {self.kind} has walls of its own inside a rectangle")
+        for name, size in (("width_m", self.width_m), ("depth_m", self.depth_m)):
+            if size is not None and size < smallest:
+                raise ValueError(f"{name} {size:g}: a {self.kind} needs at least {smallest:g} m")
+        return self
 
 
 class LandmarksSettings(Group):

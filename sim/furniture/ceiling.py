@@ -112,6 +112,13 @@ def hatch(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Cover:
     return width, depth
 
 
+def panel_lamp(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, side_m: float) -> Cover:
+    """A square lamp of the size of a panel of the ceiling."""
+    box(body, (0, 0, -0.01), (side_m, side_m, 0.02), look.white)
+    box(body, (0, 0, -0.018), (side_m - 0.06, side_m - 0.06, 0.02), look.glow)
+    return side_m, side_m
+
+
 def beam(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, size: tuple[float, float]) -> Cover:
     """A wooden beam; ``size`` is its extent along x and y [m]."""
     tall = rng.uniform(0.12, 0.2)

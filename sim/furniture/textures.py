@@ -115,6 +115,26 @@ def wallpaper(rng: np.random.Generator, shape: Shape, colour: Colour, second: Co
     return to_bytes(image)
 
 
+def panel(rng: np.random.Generator, shape: Shape) -> np.ndarray:
+    """A panel of a suspended ceiling: speckled, with a dark seam on two of its edges."""
+    shade = 0.84 + 0.06 * noise(rng, shape, (shape[0] / 2, shape[1] / 2))
+    shade[:1], shade[:, :1] = 0.6, 0.6
+    return to_bytes(shade[..., None] * np.array((1.0, 0.99, 0.96)))
+
+
+def motif(rng: np.random.Generator, shape: Shape, colour: Colour, second: Colour) -> np.ndarray:
+    """A motif of wallpaper without seams: waves of whole periods, cut at two levels."""
+    rows, columns = shape
+    v, u = (np.arange(size)[at] / size for size, at in ((rows, np.s_[:, None]), (columns, np.s_[None, :])))
+    height = np.zeros(shape)
+    for _ in range(4):
+        down, across = rng.integers(-2, 3, 2)
+        height += rng.uniform(0.5, 1.0) * np.cos(2 * np.pi * (down * v + across * u + rng.random()))
+    low, high = np.quantile(height, [0.45, 0.75])
+    mix = 0.4 * np.clip(3 * (height - low), 0, 1) + 0.5 * np.clip(3 * (height - high), 0, 1)
+    return to_bytes(np.asarray(colour) * (1 - mix[..., None]) + np.asarray(second) * mix[..., None])
+
+
 def brick(rng: np.random.Generator, shape: Shape, colour: Colour, courses: int, per_course: float) -> np.ndarray:
     """Bricks in running bond, each with its own tint, with large-scale variation from soot and light."""
     rows, columns = shape

@@ -8,7 +8,9 @@ import numpy as np
 
 from sim.furniture import textures
 from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
+from sim.rng import split
 from sim.rooms.layout import Layout
+from sim.rooms.look_alike import hang_lamps, panel_ceiling, paper_wall
 from sim.rooms.outline import DOORWAY_M, outline, slabs
 from sim.rooms.placement import Finish, Room, surface
 from sim.rooms.plans import PLANS, RoomPlan
@@ -40,13 +42,16 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     )
     plan = PLANS[settings.kind]
     width, depth, height = plan.size_m
+    if plan.draw_size is not None:
+        width, depth = plan.draw_size(split(rng, "size"))
     width = width if settings.width_m is None else settings.width_m
     depth = depth if settings.depth_m is None else settings.depth_m
     spec = mujoco.MjSpec()
     spec.modelname = f"{settings.kind}_{settings.shape}_{settings.seed}"
     layout = Layout(outline(settings.shape, width, depth, rng))
     look = make_look(spec, rng)
-    room = Room(spec, rng, look, layout, height + float(rng.uniform(-0.08, 0.12)), [])
+    twins = {} if settings.look_alike else None
+    room = Room(spec, rng, look, layout, height + float(rng.uniform(-0.08, 0.12)), [], twins=twins)
     _lay_floor(room, plan)
     _raise_walls(room, plan)
     _close_ceiling(room, plan)
@@ -55,7 +60,7 @@ def build_room(settings: RoomSettings) -> mujoco.MjSpec:
     elif settings.shape == "two_rooms":
         _lay_lintel(room, plan)
     plan.furnish(room)
-    plan.finish_ceiling(room)
+    (plan.finish_ceiling if room.twins is None or plan.panelled else hang_lamps)(room)
     _light(spec)
     return spec
 
@@ -85,7 +90,10 @@ def _raise_walls(room: Room, plan: RoomPlan) -> None:
         finish = finishes[(number + shift) % len(finishes)]
         # Steps by the golden section keep the hues of neighbouring walls apart, however many walls there are.
         colour = textures.muted(room.rng, first_hue + 0.382 * number) * 0.7 + 0.28 * room.rng.uniform(0.6, 1.0)
-        material = surface(room.look, room.rng, finish, (length, room.height_m), colour)
+        if room.twins is None:
+            material = surface(room.look, room.rng, finish, (length, room.height_m), colour)
+        else:
+            material = paper_wall(room, (length, room.height_m))
         size = (length, WALL_M, room.height_m)
         box(body, (middle, WALL_M / 2, room.height_m / 2), size, material, solid=True)
         room.wall_bodies.append(body)
@@ -99,15 +107,18 @@ def _overlap(wall, following) -> float:
 
 def _close_ceiling(room: Room, plan: RoomPlan) -> None:
     rng, corners = room.rng, room.layout.corners
-    width, depth = np.ptp(corners, axis=0) + 2 * WALL_M
+    width, depth = (np.ptp(corners, axis=0) + 2 * WALL_M).tolist()
+    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
+    body = room.spec.worldbody.add_body(name="ceiling", pos=(0, 0, room.height_m))
+    if plan.panelled or room.twins is not None:
+        panel_ceiling(room, body, middle, (width, depth))
+        return
     shape = (int(np.clip(72 * depth, 128, 512)), int(np.clip(72 * width, 128, 640)))
     if plan.wooden_ceiling and rng.random() < 0.5:
         image = textures.wood(rng, shape, (0.8, 0.68, 0.52), int(rng.integers(14, 24)))
     else:
         colour, second = 0.4 + 0.55 * textures.muted(rng), 0.35 + 0.6 * textures.muted(rng)
         image = textures.plaster(rng, shape, colour, second, stains=int(rng.integers(8, 14)), cracks=9, depth=0.35)
-    body = room.spec.worldbody.add_body(name="ceiling", pos=(0, 0, room.height_m))
-    middle = (corners.max(axis=0) + corners.min(axis=0)) / 2
     box(body, (middle[0], middle[1], 0.05), (width, depth, 0.1), paper(room.spec, image))
 
 

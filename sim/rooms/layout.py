@@ -174,6 +174,26 @@ class Layout:
         """Take a rectangle of the ceiling with the given middle [m] and size along x and y [m]."""
         self._footprint(Footprint(*size, 0.0), Pose(*at, 0.0), self.overhead)[:] = True
 
+    def close(self, left: float, right: float, bottom: float, top: float) -> None:
+        """Fill a rectangle [m] with a wall inside the room: it is no floor, and nothing hangs above it."""
+        self._cells(left, right, bottom, top, self.inside)[:] = False
+        self._cells(left, right, bottom, top, self.overhead)[:] = True
+
+    def keep(self, left: float, right: float, bottom: float, top: float) -> None:
+        """Keep a rectangle of floor open [m]."""
+        self._cells(left, right, bottom, top, self.kept)[:] = True
+
+    def is_floor(self, points: np.ndarray) -> np.ndarray:
+        """Whether points (n, 2) [m] are on the floor: in the room and in no wall inside."""
+        column, row = np.floor((points - self.low) / CELL_M + 0.01).astype(int).T
+        rows, columns = self.inside.shape
+        known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+        return known & self.inside[np.where(known, row, 0), np.where(known, column, 0)]
+
+    def is_covered(self, piece: Footprint, pose: Pose) -> bool:
+        """Whether something is already on the ceiling, or a wall, in a footprint."""
+        return bool(self._footprint(piece, pose, self.overhead).any())
+
     def is_inside(self, piece: Footprint, pose: Pose) -> bool:
         """Whether a footprint is in the room, whatever else is there."""
         return self._whole(piece, pose)

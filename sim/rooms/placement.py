@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import mujoco
 import numpy as np
@@ -10,9 +10,11 @@ import numpy as np
 from sim.furniture import textures
 from sim.furniture.decor import rug
 from sim.furniture.primitives import Footprint, Look, paper, turned
+from sim.rng import split
 from sim.rooms.layout import CELL_M, Cost, Layout, Pose
 from sim.rooms.outline import Wall
 
+Made = TypeVar("Made")
 Piece = Callable[[mujoco.MjsBody, np.random.Generator, Look], Footprint]
 Hanging = Callable[[mujoco.MjsBody, np.random.Generator, Look], tuple[float, float, float]]
 NEIGHBOUR_M = 0.58
@@ -35,6 +37,8 @@ class Room:
         height_m: Height from the floor to the ceiling [m].
         wall_bodies: One body for each wall of the layout; its hangings are children of the body.
         names: Number of the last body of each name.
+        twins: In a room whose places look alike, the first piece of each name, which later ones repeat; None: all
+            pieces differ.
     """
 
     spec: mujoco.MjSpec
@@ -44,11 +48,17 @@ class Room:
     height_m: float
     wall_bodies: list[mujoco.MjsBody]
     names: dict[str, int] = field(default_factory=dict)
+    twins: dict[str, Callable[..., Any]] | None = None
 
     @property
     def area_m2(self) -> float:
         """Floor area [m2]."""
         return float(self.layout.inside.mean() * np.prod(np.ptp(self.layout.corners, axis=0)))
+
+    def name(self, kind: str) -> str:
+        """A new name for a body of a kind, such as ``desk_2``."""
+        self.names[kind] = self.names.get(kind, -1) + 1
+        return f"{kind}_{self.names[kind]}"
 
 
 def stand(
@@ -89,10 +99,11 @@ def hang(
     order = range(len(choice)) if walls is not None else _by_length(room)
     for number in order:
         wall = choice[number]
-        body = room.wall_bodies[room.layout.walls.index(wall)].add_body(name=_name(room, name))
-        x = room.layout.hang(wall, piece(body, room.rng, room.look), room.rng, cost)
+        body = room.wall_bodies[room.layout.walls.index(wall)].add_body(name=room.name(name))
+        x = room.layout.hang(wall, _make(room, name, piece, body), room.rng, cost)
         if x is not None:
             body.pos = (x, 0.0, 0.0)
+            _remember(room, name, piece)
             return wall, x
         _remove(room, body)
     return None
@@ -100,7 +111,7 @@ def hang(
 
 def fix(room: Room, name: str, piece: Overhead, drop_m: float, cost: Cost | None = None) -> bool:
     """Fix a fitting to the ceiling where no piece is taller than ``drop_m`` [m]."""
-    body = room.spec.worldbody.add_body(name=_name(room, name))
+    body = room.spec.worldbody.add_body(name=room.name(name))
     at = room.layout.overhang(piece(body, room.rng, room.look), room.rng, drop_m, cost)
     if at is None:
         _remove(room, body)
@@ -117,7 +128,7 @@ def spread(room: Room, at: Pose, size: tuple[float, float]) -> None:
     low, high = room.layout.corners.min(axis=0) + 0.1, room.layout.corners.max(axis=0) - 0.1
     extent = np.minimum(extent, high - low)
     middle = np.clip(middle, low + extent / 2, high - extent / 2)
-    body = room.spec.worldbody.add_body(name=_name(room, "rug"))
+    body = room.spec.worldbody.add_body(name=room.name("rug"))
     # Where two rugs overlap, the later one is on top.
     body.pos = (middle[0], middle[1], 0.001 * room.names["rug"])
     rug(body, room.rng, room.look, (float(extent[0]), float(extent[1])))
@@ -137,7 +148,7 @@ def beams(room: Room, name: str, draw: Callable[..., tuple[float, float]], count
         middle, length = (run[0] + run[1]) / 2, run[1] - run[0]
         at = (middle, place) if along_x else (place, middle)
         size = (length, width_m) if along_x else (width_m, length)
-        body = room.spec.worldbody.add_body(name=_name(room, name), pos=(*at, room.height_m))
+        body = room.spec.worldbody.add_body(name=room.name(name), pos=(*at, room.height_m))
         draw(body, room.rng, room.look, size)
         layout.cover_ceiling(at, size)
 
@@ -193,8 +204,8 @@ def set_at(
 ) -> None:
     """Place a seat, slightly turned, at each of the places that is clear or that its table keeps free."""
     for pose in poses:
-        body = room.spec.worldbody.add_body(name=_name(room, name))
-        it = piece(body, room.rng, room.look)
+        body = room.spec.worldbody.add_body(name=room.name(name))
+        it = _make(room, name, piece, body)
         good = room.layout.is_inside if at_table else room.layout.is_clear
         if not good(it, pose):
             _remove(room, body)
@@ -228,15 +239,29 @@ def surface(
 
 
 def _settle(room: Room, name: str, piece: Piece, find: Callable[[Footprint], Pose | None]) -> Pose | None:
-    body = room.spec.worldbody.add_body(name=_name(room, name))
-    it = piece(body, room.rng, room.look)
+    body = room.spec.worldbody.add_body(name=room.name(name))
+    it = _make(room, name, piece, body)
     pose = find(it)
     if pose is None:
         _remove(room, body)
         return None
+    _remember(room, name, piece)
     room.layout.take(it, pose)
     body.pos, body.quat = (pose.x, pose.y, 0.0), turned(pose.yaw)
     return pose
+
+
+def _make(room: Room, name: str, piece: Callable[..., Made], body: mujoco.MjsBody) -> Made:
+    """Build a piece into a body; its twins are built from the same random numbers."""
+    if room.twins is None:
+        return piece(body, room.rng, room.look)
+    return room.twins.get(name, piece)(body, split(room.rng, "twins", name), room.look)
+
+
+def _remember(room: Room, name: str, piece: Callable[..., Any]) -> None:
+    """Remember a piece that was placed for its twins."""
+    if room.twins is not None:
+        room.twins.setdefault(name, piece)
 
 
 def _by_length(room: Room) -> list[int]:
@@ -257,11 +282,6 @@ def _longest_run(layout: Layout, place: float, axis: int) -> tuple[float, float]
     first, last = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     start = layout.low[1 - axis]
     return float(start + first * CELL_M), float(start + last * CELL_M)
-
-
-def _name(room: Room, name: str) -> str:
-    room.names[name] = room.names.get(name, -1) + 1
-    return f"{name}_{room.names[name]}"
 
 
 def _remove(room: Room, body: mujoco.MjsBody) -> None:

@@ -10,6 +10,9 @@ from sim.furniture import ceiling, decor, seating, storage, tables, textures
 from sim.furniture import fittings as wall
 from sim.rooms.groups import adorn, dine, enter, put_stand, sit, sleep, work
 from sim.rooms.lab import hang_tags, place_posts
+from sim.rooms.labyrinth import draw_size, light_cells, raise_labyrinth
+from sim.rooms.look_alike import hang_lamps
+from sim.rooms.office_floor import furnish_office_floor
 from sim.rooms.placement import (
     Finish,
     Room,
@@ -214,6 +217,8 @@ class RoomPlan:
         floor: Draws the floor's texture.
         finish_ceiling: Adds lamps and whatever else is on the ceiling.
         wooden_ceiling: Whether half of the ceilings, at random, are of boards.
+        panelled: Whether the ceiling consists of equal panels.
+        draw_size: Draws width and depth [m] of a room whose settings give none; None: those of ``size_m``.
     """
 
     size_m: tuple[float, float, float]
@@ -222,6 +227,8 @@ class RoomPlan:
     floor: Callable[[np.random.Generator], Texture] = wooden_floor
     finish_ceiling: Callable[[Room], None] = lamps_and_beams
     wooden_ceiling: bool = False
+    panelled: bool = False
+    draw_size: Callable[[np.random.Generator], tuple[float, float]] | None = None
 
 
 PLANS: dict[RoomKind, RoomPlan] = {
@@ -240,5 +247,9 @@ PLANS: dict[RoomKind, RoomPlan] = {
         (8.0, 5.6, 3.1), ("brick", "plaster", "boards", "brick"), furnish_workshop, concrete, tubes_and_ducts
     ),
     "lab": RoomPlan((6.0, 5.0, 2.8), ("plaster", "brick", "plaster", "boards"), furnish_lab, carpet, tubes_and_ducts),
+    "corridor": RoomPlan((15.0, 8.0, 2.7), ("plaster",), furnish_office_floor, carpet, hang_lamps, panelled=True),
+    "labyrinth": RoomPlan(
+        (9.0, 7.0, 2.0), ("plaster",), raise_labyrinth, concrete, light_cells, panelled=True, draw_size=draw_size
+    ),
 }
 """Every kind of room, in the order of ``RoomKind``; new ones go last, as the position is part of the random seed."""

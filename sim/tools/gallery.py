@@ -17,7 +17,7 @@ from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.sensors import gl
 from sim.sensors.fisheye import Fisheye
-from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+from sim.settings import SMALLEST_M, CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 
 MARK = ("Software", "deepgps")
 """Mark of origin in the picture's metadata, so that no other picture is overwritten."""
@@ -54,7 +54,11 @@ def draw_gallery(
     """
     gl.choose_backend()
     shapes = get_args(RoomShape)
-    rooms = [RoomSettings(kind=kind, shape=shapes[seed % len(shapes)], seed=seed) for kind in kinds for seed in seeds]
+    rooms = [
+        RoomSettings(kind=kind, shape="rectangle" if kind in SMALLEST_M else shapes[seed % len(shapes)], seed=seed)
+        for kind in kinds
+        for seed in seeds
+    ]
     rows = []
     for room in rooms:
         rows.append(draw_room(room))
