@@ -98,6 +98,13 @@ REPORTS: dict[str, Report] = {
         "camera:measure",
         ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
     ),
+    "corridors": Report(
+        "corridors:report",
+        {"corridors": "corridors:draw"},
+        "corridors:measure",
+        ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
+        "corridors:add_map",
+    ),
     "lidar": Report(
         "lidar:report",
         {"lidar": "lidar:draw"},

@@ -201,10 +201,11 @@ def _box(
 
 def _hang_doors(hall: Room, partition: Partition) -> None:
     """Hang the leaf of each doorway, all alike, where it is when it is open: on the corridor's wall beside it."""
+    line = [side for side in hall.layout.walls if abs(side.middle[1] - partition.at) < WALL_M]
     for door in partition.doorways:
-        beside = partition.place(door + DOORWAY_M)
-        sides = sorted(hall.layout.walls, key=lambda side: _distance(side, beside))
-        hang(hall, "door", partial(_door, room=hall), near(beside), walls=sides[:2])
+        middle = partition.place(door)
+        sides = sorted(line, key=lambda side: _distance(side, middle))
+        hang(hall, "door", partial(_door, room=hall), near(middle), walls=sides)
 
 
 def _door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, room: Room) -> tuple[float, float, float]:

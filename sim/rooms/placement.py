@@ -64,8 +64,11 @@ class Room:
 def stand(
     room: Room, name: str, piece: Piece, cost: Cost | None = None, walls: Sequence[Wall] | None = None
 ) -> Pose | None:
-    """Place a piece with its back to a wall."""
-    return _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+    """Place a piece with its back to a wall and, in a room whose places look alike, a twin of it somewhere else."""
+    pose = _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, cost, walls))
+    if pose is not None and room.twins is not None:
+        _settle(room, name, piece, lambda it: room.layout.against_wall(it, room.rng, walls=walls))
+    return pose
 
 
 def stand_first(room: Room, name: str, pieces: Iterable[Piece], cost: Cost | None = None) -> Pose | None:

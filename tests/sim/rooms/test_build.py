@@ -10,10 +10,11 @@ from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.rooms.plans import PLANS
-from sim.settings import RoomKind, RoomSettings, RoomShape
+from sim.settings import SMALLEST_M, RoomKind, RoomSettings, RoomShape
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
-EVERY = [(kind, shape) for kind in get_args(RoomKind) for shape in get_args(RoomShape)]
+KINDS = [kind for kind in get_args(RoomKind) if kind not in SMALLEST_M]
+EVERY = [(kind, shape) for kind in KINDS for shape in get_args(RoomShape)]
 HANGS = {"door", "roller_door", "window", "picture", "mirror", "whiteboard", "tool_wall", "clock", "wall_shelf"}
 
 
@@ -179,7 +180,7 @@ def test_small_long_and_large_rooms_work(size, shape):
     assert space.reachable.sum() * 0.05**2 > 0.2 * size[0] * size[1] - 0.5
 
 
-@pytest.mark.parametrize("kind", get_args(RoomKind))
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_person_can_walk_in_it(kind):
     model, _, _ = _room(kind, "rectangle")
     walk = find_free_space(model, 0.27, 1.7, cell_m=0.05)

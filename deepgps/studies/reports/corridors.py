@@ -1,0 +1,155 @@
+"""The report of worlds whose places look alike: errors beside PoseNet's, and whether a wrong map is said to be wrong."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure as Picture
+
+from deepgps.alignment import fit_alignment
+from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import read_metrics
+from deepgps.figures.style import count_by_decades
+from deepgps.figures.targets import Figure, write
+from deepgps.methods.catalog import METHODS, colour_of, folder_of, title_of
+from deepgps.methods.positioner import load_positioner
+from deepgps.studies.table import Row, find_methods, split_by
+from sim.recording.format import open_recording, open_truth
+
+NOISE, LOOK_ALIKE = "encoder.step_noise", "room.look_alike"
+FAR_M, FAR_SHARE = 0.5, 0.1
+"""A map is wrong if more than this share of the training images is off by more than this distance [m]."""
+ALIASED_M = 1.0
+"""RMS of the nearest neighbour from which a world's places look alike [m]."""
+NOTE = (
+    "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Off: "
+    f"share of the training images that the map puts more than {FAR_M:g} m from the truth; a map with more than "
+    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. PoseNet and the "
+    "nearest neighbour learn from true positions, so that noise of the encoders does not change them."
+)
+
+
+def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A table of all worlds and methods, and one that counts wrong maps by method and noise."""
+    headings = ["world", "w", "method", "RMS [cm]", "median [cm]", "RMS / PoseNet", "median / PoseNet", "off", "said"]
+    rivals, cells = _find(rows, "posenet"), []
+    for row in rows:
+        rival = rivals.get(row["recording"]) if row["method"] != "posenet" else None
+        ratios = [write(row[name] / rival[name] if rival else None, "") for name in ("rms_m", "median_m")]
+        errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
+        off = write(row["map_off"], "%")
+        cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, off, _said(row)])
+    return [tabulate(headings, cells), NOTE, _count(rows)]
+
+
+def measure(rows: Sequence[Row]) -> dict[str, Figure]:
+    """Ratios of the compass to PoseNet without noise, wrong maps that nothing is said of, and how alike places look."""
+    figures, rivals = {}, _find(rows, "posenet")
+    ours = [row for row in rows if row["method"] == "deepgps_compass"]
+    exact = [row for row in ours if not row.get(NOISE) and row["recording"] in rivals]
+    for name, title in (("rms_m", "RMS"), ("median_m", "median")) if exact else ():
+        mine, other = np.array([(row[name], rivals[row["recording"]][name]) for row in exact]).T
+        key = f"compass_{name.removesuffix('_m')}_ratio"
+        worst = float((mine / other).max())
+        figures[key] = Figure(
+            f"{title} / PoseNet's, means over worlds", float(mine.mean() / other.mean()), "", False, worst
+        )
+    for key, method in (("compass_unsaid", "deepgps_compass"), ("deepgps_unsaid", "deepgps")):
+        some = [row for row in rows if row["method"] == method]
+        if some:
+            unsaid = sum(is_wrong(row) and not is_flagged(row) for row in some)
+            figures[key] = Figure(f"{title_of(method)}: maps wrong and not said to be, of {len(some)}", unsaid, "count")
+    if nearest := [row["rms_m"] for row in rows if row["method"] == "knn"]:
+        figures["aliased_rms_m"] = Figure(
+            f"least RMS of the nearest neighbour, of {len(nearest)}", min(nearest), "cm", at_least=True
+        )
+    return figures
+
+
+def add_map(run: Path, row: Row) -> Row:
+    """Columns of a method that makes its own map: the share of training images that is far off, and its own verdict."""
+    verdict = {"undecided": read_metrics(run)["methods"][row["method"]].get("undecided"), "map_off": None}
+    if row["fold_found"] is None:
+        return verdict
+    recording, pose = open_recording(run / "recording"), open_truth(run / "recording").pose[:, :2]
+    places = load_positioner(folder_of(run, row["method"]))(recording.observation)
+    alignment = fit_alignment(places, pose, METHODS[row["method"]].alignment)
+    off = np.linalg.norm(alignment.apply(places) - pose, axis=1) > FAR_M
+    return {**verdict, "map_off": float(off.mean())}
+
+
+def is_wrong(row: Row) -> bool:
+    """Whether a map is wrong according to the truth."""
+    return row["map_off"] is not None and row["map_off"] > FAR_SHARE
+
+
+def is_flagged(row: Row) -> bool:
+    """Whether the method itself says that its map is folded or not decided."""
+    return bool(row["fold_found"] or row["undecided"])
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Draw RMS (filled) and median (open) of every method in every world; a cross marks a wrong map."""
+    worlds = list(dict.fromkeys(_label(row, varied) for row in rows))
+    picture = Picture(figsize=(8, 1.6 + 0.34 * len(worlds)), layout="constrained")
+    axes = picture.add_subplot()
+    for method, group in split_by(rows, "method").items():
+        place = [worlds.index(_label(row, varied)) for row in group]
+        colour, title = colour_of(method), title_of(method)
+        for name, inside, word in (("rms_m", colour, "RMS"), ("median_m", "none", "median")):
+            values = [100 * row[name] for row in group]
+            axes.plot(values, place, "o", color=colour, mfc=inside, label=f"{title}, {word}")
+        wrong = [(100 * row["rms_m"], at) for row, at in zip(group, place, strict=True) if is_wrong(row)]
+        for x, at in wrong:
+            axes.plot(x, at, "x", color="black", ms=9, zorder=4)
+    axes.set_yticks(range(len(worlds)), worlds)
+    axes.set(xscale="log", ylim=(len(worlds) - 0.5, -0.5))
+    axes.set_xlabel("error of the worst heading [cm]; crosses: wrong maps")
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.25, which="both")
+    picture.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=4)
+    return picture
+
+
+def _count(rows: Sequence[Row]) -> str:
+    """A line for each method that makes its own map, and each noise: how many maps are wrong, said to be, or both."""
+    headings = ["w", "method", "maps", "wrong", "said folded", "said undecided", "wrong, unsaid", "right, said wrong"]
+    cells = []
+    for noise, same in split_by([{NOISE: None, **row} for row in rows], NOISE).items():
+        for method in find_methods(row for row in same if row["fold_found"] is not None):
+            group = [row for row in same if row["method"] == method]
+            wrong, said = ([test(row) for row in group] for test in (is_wrong, is_flagged))
+            undecided = [row["undecided"] for row in group if row["undecided"] is not None]
+            unsaid = sum(one and not other for one, other in zip(wrong, said, strict=True))
+            alarms = sum(other and not one for one, other in zip(wrong, said, strict=True))
+            counts = [len(group), sum(wrong), sum(row["fold_found"] for row in group)]
+            told = str(sum(undecided)) if undecided else "-"
+            cells.append(["-" if noise is None else f"{noise:g}", title_of(method), *map(str, counts), told])
+            cells[-1] += [str(unsaid), str(alarms)]
+    return tabulate(headings, cells)
+
+
+def _find(rows: Sequence[Row], method: str) -> Mapping[str, Row]:
+    return {row["recording"]: row for row in rows if row["method"] == method}
+
+
+def _world(row: Row, varied: Sequence[str]) -> str:
+    """A world in words, such as ``labyrinth 3 alike``."""
+    names = [name for name in varied if name not in (NOISE, LOOK_ALIKE) and row[name] is not None]
+    return " ".join([*(str(row[name]) for name in names), *(["alike"] if row.get(LOOK_ALIKE) else [])])
+
+
+def _label(row: Row, varied: Sequence[str]) -> str:
+    return f"{_world(row, varied)}, w {_noise(row)}" if row.get(NOISE) else _world(row, varied)
+
+
+def _noise(row: Row) -> str:
+    return "-" if row.get(NOISE) is None else f"{row[NOISE]:g}"
+
+
+def _said(row: Row) -> str:
+    """What the method says of its map, in a word or two."""
+    if row["fold_found"] is None:
+        return "-"
+    words = ["folded"] * row["fold_found"] + ["undecided"] * bool(row["undecided"])
+    return ", ".join(words) or "nothing"
