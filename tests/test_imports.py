@@ -95,7 +95,7 @@ OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
-    *("deepgps.studies.reports.mds", "deepgps.studies.reports.concave"),
+    *(f"deepgps.studies.reports.{name}" for name in ("mds", "concave", "corridors")),
 )
 OPENS_ALIGNMENT = ("deepgps.evaluation", "deepgps.api.run", "deepgps.viewer")
 """The alignment of a map with the world is fitted on the truth."""

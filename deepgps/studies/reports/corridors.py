@@ -1,4 +1,4 @@
-"""The report of worlds whose places look alike: errors beside PoseNet's, and whether a wrong map is said to be wrong."""
+"""The report of worlds whose places look alike: errors beside PoseNet's, and wrong maps that nothing is said of."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,11 +16,9 @@ from deepgps.methods.positioner import load_positioner
 from deepgps.studies.table import Row, find_methods, split_by
 from sim.recording.format import open_recording, open_truth
 
-NOISE, LOOK_ALIKE = "encoder.step_noise", "room.look_alike"
+NOISE, LOOK_ALIKE, SIZE = "encoder.step_noise", "room.look_alike", ("room.width_m", "room.depth_m")
 FAR_M, FAR_SHARE = 0.5, 0.1
 """A map is wrong if more than this share of the training images is off by more than this distance [m]."""
-ALIASED_M = 1.0
-"""RMS of the nearest neighbour from which a world's places look alike [m]."""
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Off: "
     f"share of the training images that the map puts more than {FAR_M:g} m from the truth; a map with more than "
@@ -134,9 +132,11 @@ def _find(rows: Sequence[Row], method: str) -> Mapping[str, Row]:
 
 
 def _world(row: Row, varied: Sequence[str]) -> str:
-    """A world in words, such as ``labyrinth 3 alike``."""
-    names = [name for name in varied if name not in (NOISE, LOOK_ALIKE) and row[name] is not None]
-    return " ".join([*(str(row[name]) for name in names), *(["alike"] if row.get(LOOK_ALIKE) else [])])
+    """A world in words, such as ``office 2, 10 x 7 m, alike``."""
+    names = [name for name in varied if name not in (NOISE, LOOK_ALIKE, *SIZE)]
+    sides = [f"{row[name]:g}" for name in SIZE if row.get(name)]
+    size = [f"{' x '.join(sides)} m"] if sides else []
+    return ", ".join([" ".join(str(row[name]) for name in names), *size, *(["alike"] if row.get(LOOK_ALIKE) else [])])
 
 
 def _label(row: Row, varied: Sequence[str]) -> str:
