@@ -112,7 +112,7 @@ def test_a_shape_or_size_without_room_for_the_walls_is_refused(settings: dict, t
 
 
 @pytest.mark.parametrize("kind", ["labyrinth", "corridor"])
-@pytest.mark.parametrize("size", [(6.0, 6.0), (6.37, 9.1), (25.0, 11.03)])
+@pytest.mark.parametrize("size", [(6.0, 6.0), (15.3, 8.03)])
 def test_any_size_works(kind: str, size: tuple[float, float]) -> None:
     _, space = build(kind=kind, width_m=size[0], depth_m=size[1], look_alike=True)
     assert space.reachable.sum() > 0.97 * enclosed(space).sum()
