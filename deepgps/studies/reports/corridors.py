@@ -22,14 +22,26 @@ FAR_M, FAR_SHARE = 0.5, 0.1
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Off: "
     f"share of the training images that the map puts more than {FAR_M:g} m from the truth; a map with more than "
-    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. PoseNet and the "
+    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. Seen: share of positions within 0.25 m of a "
+    "training image; where it is low, errors are the drive's. PoseNet and the "
     "nearest neighbour learn from true positions, so that noise of the encoders does not change them."
 )
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table of all worlds and methods, and one that counts wrong maps by method and noise."""
-    headings = ["world", "w", "method", "RMS [cm]", "median [cm]", "RMS / PoseNet", "median / PoseNet", "off", "said"]
+    headings = [
+        "world",
+        "w",
+        "method",
+        "RMS [cm]",
+        "median [cm]",
+        "RMS / PoseNet",
+        "median / PoseNet",
+        "off",
+        "said",
+        "seen",
+    ]
     rivals, cells = _find(rows, "posenet"), []
     for row in rows:
         rival = rivals.get(row["recording"]) if row["method"] != "posenet" else None
@@ -37,6 +49,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
         off = write(row["map_off"], "%")
         cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, off, _said(row)])
+        cells[-1].append(write(row["seen"], "%"))
     return [tabulate(headings, cells), NOTE, _count(rows)]
 
 

@@ -20,7 +20,7 @@ VARIED = ["room.kind", "room.seed", "room.look_alike", "room.width_m", "encoder.
 
 def make_row(method: str, world: int, rms: float, noise: float = 0.0, **known: object) -> Row:
     settings = {"room.kind": "labyrinth", "room.seed": world, "room.look_alike": world == 1, "room.width_m": None}
-    errors = {"rms_m": rms, "median_m": rms / 10, "fold_found": None, "undecided": None, "map_off": None}
+    errors = {"rms_m": rms, "median_m": rms / 10, "fold_found": None, "undecided": None, "map_off": None, "seen": 0.9}
     place = {"method": method, "recording": f"{world}-{noise}", "encoder.step_noise": noise}
     return {**settings, **place, **errors, **known}
 
@@ -47,9 +47,11 @@ def lines(table: str) -> list[list[str]]:
 
 def test_each_world_has_a_line_for_each_method_with_ratios_and_what_the_method_says() -> None:
     table = lines(corridors.report(ROWS, VARIED)[0])
-    assert table[0] == [*("labyrinth 0", "0", "DeepGPS, compass", "30.0", "3.0", "1.50", "1.50", "2.0 %", "nothing")]
+    assert table[0] == [
+        *("labyrinth 0", "0", "DeepGPS, compass", "30.0", "3.0", "1.50", "1.50", "2.0 %", "nothing", "90.0 %")
+    ]
     assert table[4][0:7] == ["labyrinth 1, alike", "0", "PoseNet", "20.0", "2.0", "-", "-"]
-    assert [line[-1] for line in table[6:]] == ["undecided", "nothing", "-", "folded", "folded"]
+    assert [line[-2] for line in table[6:]] == ["undecided", "nothing", "-", "folded", "folded"]
     assert table[6][5:8] == ["-", "-", "60.0 %"]  # no PoseNet to compare with
 
 
