@@ -69,6 +69,10 @@ class RoomSettings(Group):
     mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
     """Your own room: path of an MJCF file, used instead of kind, shape, seed, size and look_alike."""
 
+    @model_serializer(mode="wrap")
+    def _write_look_alike_only_if_set(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if name != "look_alike" or value}
+
     @model_validator(mode="after")
     def _walls_inside_have_room(self) -> "RoomSettings":
         smallest = SMALLEST_M.get(self.kind)

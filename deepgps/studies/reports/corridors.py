@@ -22,9 +22,9 @@ FAR_M, FAR_SHARE = 0.5, 0.1
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Off: "
     f"share of the training images that the map puts more than {FAR_M:g} m from the truth; a map with more than "
-    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. Seen: share of positions within 0.25 m of a "
-    "training image; where it is low, errors are the drive's. PoseNet and the "
-    "nearest neighbour learn from true positions, so that noise of the encoders does not change them."
+    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. Seen: share of "
+    "positions within 0.25 m of a training image; where it is low, errors are the drive's. PoseNet and the nearest "
+    "neighbour learn from true positions, so that noise of the encoders does not change them."
 )
 
 
