@@ -19,12 +19,12 @@ from sim.sensors.upright import Upright
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
 have turned it by a right angle while they did not move [rad]."""
-WANDER_RAD = np.radians(0.1)
+WANDER_RAD = np.radians(0.07)
 """Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
-BACKED_OFF_M, MEETING_M = 0.05, 0.002
+BACKED_OFF_M, MEETING_M = 0.05, 0.0005
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
-UNKNOWN_RAD = 3.0
-"""Standard deviation of a turn of which nothing is known [rad]."""
+UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
+"""Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,11 @@ def measure_turns(recording: Recording) -> CompassTurns:
     wheels = yaw[turns.after] - yaw[turns.after - 1]
     spread = np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
     found = disambiguate(seen, wheels, spread)
-    known = np.isfinite(found.angle[:, 0])
+    known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
     angle = np.where(known, found.angle[:, 0], wheels)
-    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2, spread**2)
+    likely = np.where(found.weight > 0.0, found.weight, 0.0)
+    apart = np.nansum(likely * (found.angle - found.angle[:, :1]) ** 2, axis=1)  # where several peaks are likely
+    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2 + apart, spread**2)
     return replace(_join(recording, angle, variance), upright=upright)
 
 
@@ -77,9 +79,11 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
         number = numbers.get(int(run[0]))
         skipped = recording.reading[run[0], 0] - recording.reading[before[-1], 0] > 1
         if begun and (number is None or skipped):
-            squared += UNKNOWN_RAD**2
+            squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
         if begun and number is not None:
-            if KINDS[turns.kind[number]] != "in_place":
+            if KINDS[turns.kind[number]] == "relocated":
+                squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
+            elif KINDS[turns.kind[number]] == "backed_off":
                 back_m = travelled[run[0]] - travelled[before[-1]]
                 jump = jump + back_m * np.array([np.cos(turned), np.sin(turned)])
                 jump_squared += BACKED_OFF_M**2

@@ -1,42 +1,55 @@
 """An initial map by the compass: segments laid end to end along its headings, then refined by loop closures.
 
-A segment is a straight bar with four unknowns: its beginning (x, y), its heading and the logarithm of its length's
-scale. The compass gives the differences of headings, the encoders the lengths, so the map can neither fold nor mirror.
-Loop closures are believed only within a gate: a few standard deviations of the distance between their two ends, from
-the covariance of the map itself, so that a place that only looks alike is never joined with one far away.
-
-Covariances come from samples: solving the normal equations for residuals drawn from their own distribution gives
-samples of the map's errors (Papandreou and Yuille, "Gaussian sampling by local perturbations", NIPS 2010), and one
-factorisation serves all of them.
+The compass gives the differences of headings, the encoders the lengths, so the map can neither fold nor mirror. A loop
+closure says that two images were taken in almost one place, and how far the second is turned against the first. It is
+believed only within a gate: a few standard deviations of the distance between its two ends, from the covariance of the
+map itself, so that a place that only looks alike is never joined with one far away.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csc_array, eye_array
-from scipy.sparse.linalg import splu
 
 from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
-from deepgps.initial_map.isomap import LoopClosures
+from deepgps.initial_map.bars import SHARED, Bars, lay_out
+from deepgps.initial_map.closures import (
+    GATE,
+    Belief,
+    Closures,
+    Links,
+    believe,
+    find_contradicted,
+    find_parts,
+    limit_gate,
+    link,
+)
+from deepgps.initial_map.join_parts import join_parts
+from deepgps.initial_map.least_squares import SAMPLES, Equations
+from deepgps.initial_map.odometry import (
+    Joints,
+    Scale,
+    add_links,
+    add_odometry,
+    carry,
+    hold_length,
+    make_joints,
+    rescale,
+)
 
 NEIGHBOURS = 3
-ROUNDS = 12
-SAMPLES = 32
-GATE = 4.0
-"""Standard deviations within which a loop closure is believed."""
-LOOK = 0.25
-"""Standard deviation of a loop closure at distance zero, in steps between readings."""
-WIDTH = 3.0
-"""Standard deviations at which a loop closure has lost three quarters of its weight."""
-RIGID = 1e-3
-"""Smallest standard deviation of the logarithm of a segment's length."""
-FIXED = 1e-4
-"""Standard deviation that holds the first bar in place: the map may move and turn freely [m], [rad]."""
+ROUNDS = 20
+SETTLED_M = 0.001
+"""The map is finished once no round moves it further than this [m]."""
+CUT_RAD, CUT_M = 0.15, 0.5
+"""A turn, or a way between two segments, that is known less well cuts the drive into parts."""
+RECUTS = 3
+"""Times that turns which loop closures contradict are cut."""
+UNDERSTATED = 1.5
+"""Where lengths err so many times more than expected, the map is made again with shorter bars."""
 LARGEST_TURN = 0.5
-SHORTEST_M = 0.001
-"""Shortest step between readings, where most encoders stick [m]."""
-DAMPING = 1e-9
+HALF = 0.5
+"""A map that contradicts a larger part of the loop closures is undecided."""
 
 
 @dataclass(frozen=True)
@@ -44,205 +57,159 @@ class CompassMap:
     """A map and how well it is known.
 
     Attributes:
-        places: Positions of the observations (N, 2) [m]; NaN for those on no segment.
-        std: Standard deviation of each, along either axis, against the first segment (N,) [m].
-        believed: Which loop closures lie within the gate (n,) bool.
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown or undecided.
+        heading: Heading of the robot at each (N,) [rad].
+        std: Standard deviation of each position along either axis, after alignment of the whole map (N,) [m].
+        error: Samples of the positions' errors after alignment (N, 2, SAMPLES) [m].
+        believed: Which loop closures are believed (n,) bool.
+        undecided: Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool.
+        repeats_m: Distance after which the world looks alike [m]; infinite: it does not; 0: unknown.
+        shared: Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to
+            its left [m] (3,).
+        shared_std: Their standard deviations (3,).
     """
 
     places: np.ndarray
+    heading: np.ndarray
     std: np.ndarray
+    error: np.ndarray
     believed: np.ndarray
-
-
-@dataclass
-class _Bars:
-    """Bars with their readings, and the unknowns of each: x, y [m], heading [rad], logarithm of the scale."""
-
-    row: np.ndarray
-    observation: np.ndarray
-    along: np.ndarray
-    first: np.ndarray
-    last: np.ndarray
-    unknown: np.ndarray
-
-    @property
-    def axis(self) -> np.ndarray:
-        """Unit vector along each bar (L, 2)."""
-        return np.stack([np.cos(self.unknown[:, 2]), np.sin(self.unknown[:, 2])], axis=1)
-
-    @property
-    def ahead(self) -> np.ndarray:
-        """Each reading's offset from the beginning of its bar (r, 2) [m]."""
-        return self.axis[self.row] * (self.along * np.exp(self.unknown[self.row, 3]))[:, None]
-
-    @property
-    def point(self) -> np.ndarray:
-        """Position of each reading (r, 2) [m]."""
-        return self.unknown[self.row, :2] + self.ahead
-
-    def derive(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (n, 2, 3) and values (n, 2, 3) of the derivatives of readings' positions, x and y."""
-        bar, ahead = self.row[reading], self.ahead[reading]
-        one = np.ones(len(reading))
-        values = np.stack(
-            [
-                np.stack([one, -ahead[:, 1], ahead[:, 0]], axis=1),
-                np.stack([one, ahead[:, 0], ahead[:, 1]], axis=1),
-            ],
-            axis=1,
-        )
-        columns = 4 * bar[:, None, None] + np.array([[0, 2, 3], [1, 2, 3]])
-        return columns, values
-
-
-class _Equations:
-    """Weighted residuals and their derivatives, collected row by row."""
-
-    def __init__(self) -> None:
-        self.rows, self.columns, self.values = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
-        self.residual = list[np.ndarray]()
-        self.count = 0
-
-    def add(self, columns: np.ndarray, values: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> None:
-        """Add residuals (n,) with derivatives (n, k), each times its weight (n,), one over its standard deviation."""
-        count, width = columns.shape
-        self.rows.append(np.repeat(self.count + np.arange(count), width))
-        self.columns.append(columns.ravel())
-        self.values.append((np.broadcast_to(values, columns.shape) * weight[:, None]).ravel())
-        self.residual.append(residual * weight)
-        self.count += count
-
-    def solve(self, held: np.ndarray, excess: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton step (n,) and samples of the errors (n, SAMPLES).
-
-        Args:
-            held: Derivative of a sum that the step must make zero (n,).
-            excess: What this sum is now.
-            rng: Draws the samples.
-        """
-        unknowns = len(held)
-        entries = np.concatenate(self.values), (np.concatenate(self.rows), np.concatenate(self.columns))
-        jacobian = csc_array(entries, shape=(self.count, unknowns))
-        normal = (jacobian.T @ jacobian).tocsc() + DAMPING * eye_array(unknowns, format="csc")
-        solver = splu(normal.tocsc())
-        drawn = rng.standard_normal((self.count, SAMPLES))
-        step, samples = -solver.solve(jacobian.T @ np.concatenate(self.residual)), solver.solve(jacobian.T @ drawn)
-        along = solver.solve(held)
-        along /= held @ along
-        return step - along * (held @ step + excess), samples - along[:, None] * (held @ samples)
+    undecided: np.ndarray
+    repeats_m: float
+    shared: np.ndarray
+    shared_std: np.ndarray
+    scale: Scale
 
 
 def find_compass_map(
     segments: Segments,
     turns: CompassTurns,
-    closures: LoopClosures,
+    closures: Closures,
     observations: int,
-    length_std: np.ndarray,
     rng: np.random.Generator,
+    curvature: float = 0.0,
 ) -> CompassMap:
-    """Lay the segments out and refine them by Gauss-Newton, with robust weights of the loop closures.
+    """Lay the segments out, refine them with their loop closures, and join the parts of the drive.
 
     Args:
-        segments: Weak constraints, all of them, in the order driven.
+        segments: Weak constraints, all of them, in the order driven, with expected errors.
         turns: Turns between them.
         closures: Loop closures.
         observations: Number of observations, N.
-        length_std: Standard deviation of the logarithm of each segment's length (L,).
         rng: Draws the samples of the map's errors.
+        curvature: Of what the robot drives for straight, as far as it is known before the map [1 / m].
     """
-    bars = _lay_out(segments, turns)
-    reading = np.full(observations, -1)
-    reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
-    first, second, length = closures
-    one, other = reading[first], reading[second]
-    step = max(float(np.median(np.diff(bars.along)[np.diff(bars.row) == 0])), SHORTEST_M)
-    variance = (LOOK * step) ** 2 + length**2 / 2.0
-    there = (one >= 0) & (other >= 0) & (first < second)
-    weight, believed = np.zeros(len(first)), np.zeros(len(first), bool)
-    error = np.zeros((len(bars.row), 2, SAMPLES))
-    for _ in range(ROUNDS):
-        equations = _collect(bars, turns, length_std)
-        if len(used := np.flatnonzero(believed)):
-            _add_pairs(equations, bars, one[used], other[used], np.zeros(2), np.sqrt(weight[used] / variance[used]))
-        step_taken, samples = equations.solve(*_hold_length(bars), rng)
-        move = step_taken.reshape(-1, 4)
-        move[:, 2:] = move[:, 2:].clip(-LARGEST_TURN, LARGEST_TURN)
-        bars.unknown += move
-        error = _carry(bars, samples)
-        point = bars.point
-        apart = ((point[one] - point[other]) ** 2).sum(axis=1)
-        known = ((error[one] - error[other]) ** 2).mean(axis=2).sum(axis=1) / 2.0
-        believed = there & (apart < 2.0 * GATE**2 * (known + variance))
-        weight = (1.0 + apart / (2.0 * WIDTH**2 * variance)) ** -2.0
-    places, std = np.full((observations, 2), np.nan), np.full(observations, np.nan)
-    places[bars.observation] = bars.point
-    std[bars.observation] = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
-    return CompassMap(places, std, believed)
+    bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
+    if fit.scale.length > UNDERSTATED:  # bars are too long for readings that err so much more
+        assert segments.variance is not None
+        variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
+        segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
+        bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
+    return _describe(bars, links, fit, len(closures.first), observations)
 
 
-def _lay_out(segments: Segments, turns: CompassTurns) -> _Bars:
-    """Lay the bars end to end, along the compass headings."""
-    row, column = np.nonzero(segments.valid.numpy())
-    along = segments.distance.double().numpy()[row, column]
-    count = segments.count.numpy()
-    last = np.cumsum(count) - 1
-    heading = np.append(0.0, np.cumsum(turns.angle))
-    axis = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    step = axis[:-1] * along[last[:-1], None] + _turn(axis[:-1], turns.jump)
-    begin = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
-    unknown = np.column_stack([begin, heading, np.zeros(len(count))])
-    return _Bars(row, segments.index.numpy()[row, column], along, last - count + 1, last, unknown)
+def _find(
+    segments: Segments,
+    turns: CompassTurns,
+    closures: Closures,
+    observations: int,
+    rng: np.random.Generator,
+    curvature: float,
+) -> tuple[Bars, Links, "_Fit"]:
+    """Find the map, with turns that loop closures contradict cut."""
+    bars = lay_out(segments, turns, curvature)
+    joints, links = make_joints(bars, turns), link(bars, closures, observations)
+    cut = (joints.angle_std > CUT_RAD) | (joints.jump_std > CUT_M)
+    fit = _fit(bars, joints, links, cut, curvature, rng)
+    for _ in range(RECUTS):
+        wrong = find_contradicted(bars, fit.part, links, fit.belief) & ~cut
+        if not wrong.any():
+            break
+        cut = cut | wrong
+        fit = _fit(bars, joints, links, cut, curvature, rng)
+    return bars, links, fit
 
 
-def _collect(bars: _Bars, turns: CompassTurns, length_std: np.ndarray) -> _Equations:
-    """Residuals of the compass, of bars that meet, and of lengths; and the first bar is held in place."""
-    equations, number = _Equations(), np.arange(len(bars.unknown) - 1)
-    turned = np.diff(bars.unknown[:, 2]) - turns.angle
-    columns = np.stack([4 * number + 6, 4 * number + 2], axis=1)
-    equations.add(columns, np.array([1.0, -1.0]), turned, 1.0 / turns.angle_std)
-    jump = _turn(bars.axis[:-1], turns.jump)
-    _add_pairs(equations, bars, bars.first[1:], bars.last[:-1], jump, 1.0 / turns.jump_std)
-    scale = 4 * np.arange(len(bars.unknown))[:, None] + 3
-    equations.add(scale, np.ones(1), bars.unknown[:, 3], 1.0 / np.maximum(length_std, RIGID))
-    equations.add(np.arange(3)[:, None], np.ones(1), np.zeros(3), np.full(3, 1.0 / FIXED))
-    return equations
+@dataclass
+class _Fit:
+    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), what is believed."""
+
+    part: np.ndarray
+    samples: np.ndarray
+    belief: Belief
+    scale: Scale
 
 
-def _hold_length(bars: _Bars) -> tuple[np.ndarray, float]:
-    """Derivative (4 L,) of the total length of the bars, and by how much it exceeds the distance driven [m].
+def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
+    """Refine the parts between the joints ``cut`` (J,), and join them one by one."""
+    none = np.zeros(len(links.one), bool)
+    belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
+    fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
+    while True:
+        _refine(fit, bars, joints, links, cut, curvature, rng)
+        joined = none.copy()
+        while (more := join_parts(bars, fit.part, links)).any():
+            joined |= more
+        if not joined.any():
+            return fit
+        fit.belief = fit.belief._replace(believed=fit.belief.believed | joined)
 
-    Both ends of a loop closure are a few centimetres apart, and loop closures that pull them together would shrink a
-    map whose lengths are free.
-    """
-    length, scale = bars.along[bars.last], np.exp(bars.unknown[:, 3])
-    held = np.zeros(bars.unknown.shape)
-    held[:, 3] = length * scale
-    return held.ravel(), float(length @ (scale - 1.0))
 
-
-def _add_pairs(
-    equations: _Equations, bars: _Bars, one: np.ndarray, other: np.ndarray, jump: np.ndarray, weight: np.ndarray
+def _refine(
+    fit: _Fit,
+    bars: Bars,
+    joints: Joints,
+    links: Links,
+    cut: np.ndarray,
+    curvature: float,
+    rng: np.random.Generator,
 ) -> None:
-    """Add, for x and y, the differences of the readings ``one`` and ``other`` (n,) from ``jump`` (n, 2) [m]."""
-    point = bars.point
-    apart = point[one] - point[other] - jump
-    (columns, values), (columns_other, values_other) = bars.derive(one), bars.derive(other)
-    for axis in range(2):
-        equations.add(
-            np.concatenate([columns[:, axis], columns_other[:, axis]], axis=1),
-            np.concatenate([values[:, axis], -values_other[:, axis]], axis=1),
-            apart[:, axis],
-            weight,
-        )
+    """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
+    narrow = True
+    for _ in range(ROUNDS):
+        fit.part = find_parts(bars, links, cut, fit.belief)
+        equations = Equations()
+        add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
+        add_links(equations, bars, links, fit.belief)
+        move, fit.samples = equations.solve(*hold_length(bars), rng)
+        angles = move[:-SHARED].reshape(-1, 4)[:, 2:]
+        angles[...] = angles.clip(-LARGEST_TURN, LARGEST_TURN)
+        before, number = bars.camera, fit.belief.believed.sum()
+        bars.move(move)
+        fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
+        fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
+        if np.abs(bars.camera - before).max() < SETTLED_M and fit.belief.believed.sum() == number:
+            if not narrow:
+                break
+            narrow = False
 
 
-def _carry(bars: _Bars, samples: np.ndarray) -> np.ndarray:
-    """Samples of the errors of readings' positions (r, 2, SAMPLES) [m] from those of the unknowns."""
-    columns, values = bars.derive(np.arange(len(bars.row)))
-    return np.einsum("rak,raks->ras", values, samples[columns])
+def _describe(bars: Bars, links: Links, fit: _Fit, closures: int, observations: int) -> CompassMap:
+    part, belief, samples = fit.part, fit.belief, fit.samples
+    main = part[bars.row] == np.bincount(part[bars.row]).argmax()
+    places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
+    error = np.full((observations, 2, SAMPLES), np.nan)
+    seen, first = np.unique(bars.observation[main], return_index=True)  # at a turn: as it was before the turn
+    taken = np.flatnonzero(main)[first]
+    camera = bars.camera[taken]
+    places[seen], heading[seen] = camera, bars.heading[taken]
+    error[seen] = align_samples(camera, carry(bars, samples)[taken])
+    std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
+    undecided = ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
+    if belief.believed.sum() < HALF * len(belief.believed):
+        undecided[:] = True  # what most look-alikes say is not what the map says
+    believed = np.zeros(closures, bool)
+    believed[links.number] = belief.believed
+    shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))
+    return CompassMap(
+        places, heading, std, error, believed, undecided, belief.repeats_m, bars.shared, shared_std, fit.scale
+    )
 
 
-def _turn(axis: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Vectors (n, 2) given in frames whose first axis is ``axis`` (n, 2)."""
-    (c, s), (x, y) = axis.T, vector.T
-    return np.stack([c * x - s * y, s * x + c * y], axis=1)
+def align_samples(places: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors (r, 2, k) without the motion of the whole map that each sample contains."""
+    centred = places - places.mean(axis=0)
+    error = error - error.mean(axis=0)
+    about = np.stack([-centred[:, 1], centred[:, 0]], axis=1)
+    angle = np.einsum("ra,rak->k", about, error) / (about**2).sum()
+    return error - about[:, :, None] * angle

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import numpy as np
 import torch
 
+from deepgps.data.closure_headings import compare_headings
 from deepgps.data.compass_turns import CompassTurns, measure_turns
-from deepgps.data.encoder_noise import expect_errors, expect_length_errors
+from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.lean import describe_lean, ignore_small
+from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality
@@ -43,7 +46,10 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
 def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
     """The map of all training observations by compass, encoders and loop closures."""
-    closures = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
-    length_std = expect_length_errors(expect_errors(recording, data.segments))
-    rng = stream(seed, "compass map")
-    return find_compass_map(data.segments, turns, closures, len(data.features), length_std, rng)
+    first, second, length = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
+    once = first < second
+    first, second, length = first[once], second[once], length[once]
+    headings = compare_headings(recording.observation, first, second)
+    closures = Closures(first, second, length, np.where(headings.clear, headings.turn, np.nan))
+    segments, rng = expect_errors(recording, data.segments), stream(seed, "compass map")
+    return find_compass_map(segments, turns, closures, len(data.features), rng)

@@ -1,0 +1,183 @@
+"""Segments as bars: few unknowns each, from which the positions and headings of all readings follow.
+
+A bar has four unknowns: its beginning (x, y), its heading there and the logarithm of its length's scale. All share
+three more: the curvature of what the robot drives for straight, and the camera's place ahead and to the left of the
+axle. Where gaps between readings are noisy, a segment is several bars that continue one another.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepgps.data.compass_turns import CompassTurns
+from deepgps.data.segments import Segments
+
+SHARED = 3
+"""Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]."""
+BENT_M = 0.015
+"""A segment is cut where its readings may be further from even scaling than this [m]."""
+CONTINUED_M, CONTINUED_RAD = 1e-4, 1e-4
+"""Standard deviations of where, and in which direction, a bar continues another of the same segment."""
+RIGID, WRONG = 1e-3, 0.7
+"""Smallest and largest standard deviation of the logarithm of a bar's length. Where the wheels disagree, it is the
+largest: a wheel that sticks halves the length."""
+SHORTEST_M = 0.001
+OF_AXLE, OF_CAMERA = slice(0, 4), slice(0, 6)
+"""Unknowns, in the order of ``derive``, on which the places of the axle and of the camera depend."""
+
+
+@dataclass
+class Bars:
+    """Bars with their readings, and their unknowns.
+
+    Attributes:
+        row: Bar of each reading (r,).
+        observation: Observation of each reading (r,).
+        along: Distance of each reading from the beginning of its bar, by encoder (r,) [m].
+        first: First reading of each bar (B,).
+        last: Last reading of each bar (B,).
+        segment: Segment of each bar (B,).
+        scale_std: Standard deviation of the logarithm of each bar's scale (B,).
+        unknown: x, y [m], heading [rad] and logarithm of the scale of each bar (B, 4).
+        shared: Curvature [1 / m], camera ahead and to the left of the axle [m] (3,).
+    """
+
+    row: np.ndarray
+    observation: np.ndarray
+    along: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+    segment: np.ndarray
+    scale_std: np.ndarray
+    unknown: np.ndarray
+    shared: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of unknowns."""
+        return self.unknown.size + SHARED
+
+    @property
+    def way(self) -> np.ndarray:
+        """Distance of each reading from the beginning of its bar, on the map (r,) [m]."""
+        return self.along * np.exp(self.unknown[self.row, 3])
+
+    @property
+    def heading(self) -> np.ndarray:
+        """Heading of the robot at each reading (r,) [rad]."""
+        return self.unknown[self.row, 2] + self.shared[0] * self.way
+
+    @property
+    def axle(self) -> np.ndarray:
+        """Position of the axle's centre at each reading (r, 2) [m]."""
+        way = self.way
+        ahead = np.stack([way, self.shared[0] * way**2 / 2.0], axis=1)
+        return self.unknown[self.row, :2] + turn(self.unknown[self.row, 2], ahead)
+
+    @property
+    def camera(self) -> np.ndarray:
+        """Position of the camera at each reading (r, 2) [m]."""
+        return self.axle + turn(self.heading, np.broadcast_to(self.shared[1:], (len(self.row), 2)))
+
+    def move(self, step: np.ndarray) -> None:
+        """Add a step (count,) to the unknowns."""
+        self.unknown = self.unknown + step[:-SHARED].reshape(-1, 4)
+        self.shared = self.shared + step[-SHARED:]
+
+    def derive(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and values (n, 2, 6) of the derivatives of cameras' positions, to first order in the curvature."""
+        bar, way, heading = self.row[reading], self.way[reading], self.heading[reading]
+        arm = self.camera[reading] - self.unknown[bar, :2]
+        one, zero = np.ones(len(reading)), np.zeros(len(reading))
+        along = turn(self.unknown[bar, 2], np.stack([way, self.shared[0] * way**2], axis=1))
+        bent = turn(self.unknown[bar, 2], np.stack([zero, way**2 / 2.0], axis=1))
+        cos, sin = np.cos(heading), np.sin(heading)
+        values = np.stack(
+            [
+                np.stack([one, -arm[:, 1], along[:, 0], bent[:, 0], cos, -sin], axis=1),
+                np.stack([one, arm[:, 0], along[:, 1], bent[:, 1], sin, cos], axis=1),
+            ],
+            axis=1,
+        )
+        of_all = np.broadcast_to(self.unknown.size + np.arange(SHARED), (len(reading), SHARED))
+        columns = np.stack(
+            [np.column_stack([4 * bar + axis, 4 * bar + 2, 4 * bar + 3, of_all]) for axis in range(2)], 1
+        )
+        return columns, values
+
+    def derive_heading(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and values (n, 2) of the derivatives of headings."""
+        columns = np.column_stack([4 * self.row[reading] + 2, np.full(len(reading), self.unknown.size)])
+        return columns, np.column_stack([np.ones(len(reading)), self.way[reading]])
+
+
+def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
+    """Lay the bars end to end, along the compass headings.
+
+    Args:
+        segments: All segments in the order driven, with expected errors (``expect_errors``).
+        turns: Turns between them.
+        curvature: Of what the robot drives for straight, to the left [1 / m].
+    """
+    index, distance = segments.index.numpy(), segments.distance.double().numpy()
+    assert segments.variance is not None, "expect_errors comes first"
+    variance = segments.variance.double().numpy()
+    parts = [_cut(variance[row, :count]) for row, count in enumerate(segments.count.tolist())]
+    segment = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    span = np.concatenate(parts)
+    size = span[:, 1] - span[:, 0] + 1
+    last = np.cumsum(size) - 1
+    row = np.repeat(np.arange(len(span)), size)
+    column = np.arange(len(row)) - (last - size + 1)[row] + span[row, 0]
+    begin, end = (segment, span[:, 0]), (segment, span[:, 1])
+    length = distance[end] - distance[begin]
+    squared = variance[end] - variance[begin] + segments.rounding_m2
+    scale_std = (np.sqrt(squared) / length.clip(SHORTEST_M)).clip(RIGID, WRONG)
+    if segments.weight is not None:
+        scale_std[segments.weight.numpy()[segment] < 0.5] = WRONG
+    bars = Bars(
+        row,
+        index[segment[row], column],
+        distance[segment[row], column] - distance[begin][row],
+        last - size + 1,
+        last,
+        segment,
+        scale_std,
+        np.zeros((len(span), 4)),
+        np.array([curvature, 0.0, 0.0]),
+    )
+    angle, jump = expand(bars, turns.angle, 0.0), expand(bars, turns.jump, 0.0)
+    turned = np.append(0.0, np.cumsum(angle + curvature * length[:-1]))
+    bars.unknown[:, 2] = turned
+    ahead = turn(turned, np.stack([length, curvature * length**2 / 2.0], axis=1))
+    meet = ahead[:-1] + turn(turned[:-1] + curvature * length[:-1], jump)
+    bars.unknown[1:, :2] = np.cumsum(meet, axis=0)
+    return bars
+
+
+def expand(bars: Bars, values: np.ndarray, within: float) -> np.ndarray:
+    """Values (B - 1, ...) between consecutive bars, from those between segments (L - 1, ...), and ``within`` these."""
+    new = np.diff(bars.segment) > 0
+    found = np.full((len(new), *values.shape[1:]), within)
+    found[new] = values
+    return found
+
+
+def _cut(variance: np.ndarray) -> np.ndarray:
+    """First and last readings (k, 2) of the bars of a segment whose readings have these variances (n,) [m^2]."""
+    gaps = len(variance) - 1
+    # Between ends that are known, errors that add up are largest in the middle: half of the root of their sum.
+    bars = max(min(int(np.ceil(variance[-1] / (2.0 * BENT_M) ** 2)), gaps), 1)
+    edges = np.rint(np.linspace(0, gaps, bars + 1)).astype(int)
+    return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def turn(angle: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Vectors (n, 2) turned by angles (n,) to the left."""
+    cos, sin = np.cos(angle), np.sin(angle)
+    return np.stack([cos * vector[:, 0] - sin * vector[:, 1], sin * vector[:, 0] + cos * vector[:, 1]], axis=1)
+
+
+def wrap(angle: np.ndarray) -> np.ndarray:
+    """Angles from -pi to pi [rad]."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
