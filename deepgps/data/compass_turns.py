@@ -21,7 +21,7 @@ WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 have turned it by a right angle while they did not move [rad]."""
 WANDER_RAD = np.radians(0.07)
 """Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
-BACKED_OFF_M, MEETING_M = 0.05, 0.0005
+BACKED_OFF_M, MEETING_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
 UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
 """Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""

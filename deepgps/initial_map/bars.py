@@ -14,7 +14,7 @@ from deepgps.data.segments import Segments
 
 SHARED = 3
 """Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]."""
-BENT_M = 0.015
+BENT_M = 0.01
 """A segment is cut where its readings may be further from even scaling than this [m]."""
 CONTINUED_M, CONTINUED_RAD = 1e-4, 1e-4
 """Standard deviations of where, and in which direction, a bar continues another of the same segment."""
@@ -70,9 +70,7 @@ class Bars:
     @property
     def axle(self) -> np.ndarray:
         """Position of the axle's centre at each reading (r, 2) [m]."""
-        way = self.way
-        ahead = np.stack([way, self.shared[0] * way**2 / 2.0], axis=1)
-        return self.unknown[self.row, :2] + turn(self.unknown[self.row, 2], ahead)
+        return self.unknown[self.row, :2] + turn(self.unknown[self.row, 2], follow_arc(self.way, self.shared[0]))
 
     @property
     def camera(self) -> np.ndarray:
@@ -88,10 +86,10 @@ class Bars:
         """Columns and values (n, 2, 6) of the derivatives of cameras' positions, to first order in the curvature."""
         bar, way, heading = self.row[reading], self.way[reading], self.heading[reading]
         arm = self.camera[reading] - self.unknown[bar, :2]
-        one, zero = np.ones(len(reading)), np.zeros(len(reading))
-        along = turn(self.unknown[bar, 2], np.stack([way, self.shared[0] * way**2], axis=1))
-        bent = turn(self.unknown[bar, 2], np.stack([zero, way**2 / 2.0], axis=1))
+        one = np.ones(len(reading))
         cos, sin = np.cos(heading), np.sin(heading)
+        along = way[:, None] * np.stack([cos, sin], axis=1)
+        bent = turn(self.unknown[bar, 2], np.stack([-self.shared[0] * way**3 / 3.0, way**2 / 2.0], axis=1))
         values = np.stack(
             [
                 np.stack([one, -arm[:, 1], along[:, 0], bent[:, 0], cos, -sin], axis=1),
@@ -149,7 +147,7 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
     angle, jump = expand(bars, turns.angle, 0.0), expand(bars, turns.jump, 0.0)
     turned = np.append(0.0, np.cumsum(angle + curvature * length[:-1]))
     bars.unknown[:, 2] = turned
-    ahead = turn(turned, np.stack([length, curvature * length**2 / 2.0], axis=1))
+    ahead = turn(turned, follow_arc(length, curvature))
     meet = ahead[:-1] + turn(turned[:-1] + curvature * length[:-1], jump)
     bars.unknown[1:, :2] = np.cumsum(meet, axis=0)
     return bars
@@ -170,6 +168,13 @@ def _cut(variance: np.ndarray) -> np.ndarray:
     bars = max(min(int(np.ceil(variance[-1] / (2.0 * BENT_M) ** 2)), gaps), 1)
     edges = np.rint(np.linspace(0, gaps, bars + 1)).astype(int)
     return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def follow_arc(way: np.ndarray, curvature: float) -> np.ndarray:
+    """Places (n, 2) [m] after ways (n,) [m] along an arc that begins along the first axis and bends to the second."""
+    half = curvature * way / 2.0
+    chord = way * np.sinc(half / np.pi)
+    return np.stack([chord * np.cos(half), chord * np.sin(half)], axis=1)
 
 
 def turn(angle: np.ndarray, vector: np.ndarray) -> np.ndarray:

@@ -25,6 +25,8 @@ TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
 from the map's heading than the last, it is false."""
 SHORTEST_M = 0.001
 """Shortest step between readings, where most encoders stick [m]."""
+FEW, HALF = 4, 0.5
+"""A segment is doubted where it has so many loop closures and a smaller part of them is believed."""
 CROSSING, CONTRADICTED = 10, 0.1
 """A turn is wrong if, of so many look-alikes across it or more, no larger part is believed."""
 
@@ -170,3 +172,12 @@ def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief
 
     across = count(same)
     return (across >= CROSSING) & (count(same & belief.believed) < CONTRADICTED * across) & (np.diff(bars.segment) > 0)
+
+
+def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
+    """Segments (L,) bool at a place that most of their loop closures contradict."""
+    ends = bars.segment[bars.row[np.concatenate([links.one, links.other])]]
+    segments = bars.segment[-1] + 1
+    count = np.bincount(ends, minlength=segments)
+    agreed = np.bincount(ends, np.tile(belief.believed, 2), segments)
+    return (count >= FEW) & (agreed < HALF * count)

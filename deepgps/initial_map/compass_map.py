@@ -20,6 +20,7 @@ from deepgps.initial_map.closures import (
     Links,
     believe,
     find_contradicted,
+    find_doubted,
     find_parts,
     limit_gate,
     link,
@@ -48,8 +49,6 @@ RECUTS = 3
 UNDERSTATED = 1.5
 """Where lengths err so many times more than expected, the map is made again with shorter bars."""
 LARGEST_TURN = 0.5
-HALF = 0.5
-"""A map that contradicts a larger part of the loop closures is undecided."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +195,8 @@ def _describe(bars: Bars, links: Links, fit: _Fit, closures: int, observations: 
     error[seen] = align_samples(camera, carry(bars, samples)[taken])
     std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
     undecided = ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
-    if belief.believed.sum() < HALF * len(belief.believed):
-        undecided[:] = True  # what most look-alikes say is not what the map says
+    doubted = find_doubted(bars, links, belief)
+    undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
     believed = np.zeros(closures, bool)
     believed[links.number] = belief.believed
     shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))

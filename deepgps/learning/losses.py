@@ -55,6 +55,7 @@ def dense(
     valid: torch.Tensor,
     kind: PairLoss,
     trust: torch.Tensor | None = None,
+    curvature: float = 0.0,
 ) -> torch.Tensor:
     """Mean loss over all pairs inside each segment (Eq. 5).
 
@@ -64,12 +65,16 @@ def dense(
         valid: Which samples exist (S, m) bool.
         kind: Loss of one pair.
         trust: Factor of each pair's loss (S, m, m); none: 1.
+        curvature: Of the segments [1 / m]: positions are as far apart as the chord, (2 / k) sin(k c / 2).
 
     Returns:
         A scalar; zero if there is no pair.
     """
     i, j = torch.triu_indices(positions.shape[1], positions.shape[1], offset=1, device=positions.device)
-    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), (along[:, i] - along[:, j]).abs())
+    way = (along[:, i] - along[:, j]).abs()
+    if curvature:
+        way = 2.0 / curvature * (curvature * way / 2.0).sin()
+    pair = PAIR_LOSSES[kind](distance(positions[:, i], positions[:, j]), way)
     weight = (valid[:, i] & valid[:, j]).to(pair.dtype)
     if trust is not None:
         pair = pair * trust[:, i, j]
@@ -77,7 +82,11 @@ def dense(
 
 
 def straight(
-    positions: torch.Tensor, along: torch.Tensor, valid: torch.Tensor, trust: torch.Tensor | None = None
+    positions: torch.Tensor,
+    along: torch.Tensor,
+    valid: torch.Tensor,
+    trust: torch.Tensor | None = None,
+    curvature: float = 0.0,
 ) -> torch.Tensor:
     """Mean distance of predictions from the straight line along which the robot drove; ours, not the paper's.
 
@@ -92,6 +101,8 @@ def straight(
         valid: Which samples exist (S, m) bool.
         trust: Factor of the part of the distance along the line (S, m), since encoders err along the line and not
             across it; none: 1.
+        curvature: Of the segments, to the left [1 / m]; other than 0 only for positions in a plane that is not
+            mirrored. The line is then an arc: sin(k c) / k along ``u`` and (1 - cos(k c)) / k to its left.
 
     Returns:
         A scalar [m]; zero if there is no sample.
@@ -103,6 +114,11 @@ def straight(
     total = ((weight * c)[..., None] * p).sum(dim=1, keepdim=True)
     length = distance(total, torch.zeros_like(total))[..., None]
     u = total / torch.where(length > 0, length, 1.0)
+    if curvature:
+        left = torch.stack([-u[..., 1], u[..., 0]], dim=-1)
+        bent, c = (1.0 - (curvature * c).cos()) / curvature, (curvature * c).sin() / curvature
+        p = p - (bent - (share * bent).sum(dim=1, keepdim=True))[..., None] * left
+        c = c - (share * c).sum(dim=1, keepdim=True)
     if trust is None:
         away = distance(p, c[..., None] * u)
     else:

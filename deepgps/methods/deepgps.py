@@ -69,11 +69,13 @@ class Variant:
         make_initial_map: See the function of this name.
         orient: Positions (N, 2) of all training observations -> -1 if the map is mirrored, else 1. Distances alone
             leave a mirror ambiguity, so by default the map is taken as it is.
+        curvature: Of what the robot drives for straight, to the left [1 / m].
     """
 
     weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
     make_initial_map: Callable[[Sample, Start, int, int], torch.Tensor] = make_initial_map
     orient: Callable[[torch.Tensor], int] | None = None
+    curvature: float = 0.0
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -128,7 +130,7 @@ def train_attempt(
     start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
-    loss = segment_loss(settings, variant.weigh)
+    loss = segment_loss(settings, variant.weigh, variant.curvature if start in INITIAL_MAPS else 0.0)
     # 4. An unfolded start (ours).
     if start in INITIAL_MAPS:
         progress(f"{label}: initial map", 0, 1)
@@ -172,14 +174,14 @@ def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -
     return settings.start
 
 
-def segment_loss(settings: LearnSettings, weigh: Callable[[Batch], losses.Weights]) -> Loss:
-    """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight."""
+def segment_loss(settings: LearnSettings, weigh: Callable[[Batch], losses.Weights], curvature: float = 0.0) -> Loss:
+    """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight, for segments of a curvature."""
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         weights = weigh(batch)
-        pairs = losses.dense(out, batch.target, batch.valid, settings.loss, weights.pairs)
+        pairs = losses.dense(out, batch.target, batch.valid, settings.loss, weights.pairs, curvature)
         if settings.straight == 0.0:
             return pairs
-        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid, weights.places)
+        return pairs + settings.straight * losses.straight(out, batch.target, batch.valid, weights.places, curvature)
 
     return both

@@ -1,14 +1,15 @@
 """DeepGPS that also uses the images after turns in place: by compass, its map is never folded or mirrored."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
-from deepgps.data.closure_headings import compare_headings
 from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.lean import describe_lean, ignore_small
+from deepgps.data.relative_headings import compare_headings, measure_curvature
 from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
@@ -31,17 +32,21 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     assert turns.upright is not None
     data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
 
+    progress("compass: initial map", 0, 1)
+    found = make_compass_map(recording, data, turns, seed)
+    progress("compass: initial map", 1, 1)
+
     def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
         if start != "paths" or number > 0:
             return make_initial_map(sample, start, seed, number)
-        return torch.from_numpy(make_compass_map(recording, data, turns, seed).places)[sample.chosen]
+        return torch.from_numpy(found.places)[sample.chosen]
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
-    variant = Variant(make_initial_map=start_from_compass, orient=orient)
+    variant = Variant(make_initial_map=start_from_compass, orient=orient, curvature=float(found.shared[0]))
     positioner, training = fit_data(data, variant, settings, seed, folder, progress)
-    return Fitted(positioner, {**training, **describe_lean(turns.upright.lean)})
+    return Fitted(positioner, {**training, **describe_lean(turns.upright.lean), "map": describe_map(found)})
 
 
 def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
@@ -52,4 +57,27 @@ def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTur
     headings = compare_headings(recording.observation, first, second)
     closures = Closures(first, second, length, np.where(headings.clear, headings.turn, np.nan))
     segments, rng = expect_errors(recording, data.segments), stream(seed, "compass map")
-    return find_compass_map(segments, turns, closures, len(data.features), rng)
+    curvature = measure_curvature(recording.observation, data.segments)
+    return find_compass_map(segments, turns, closures, len(data.features), rng, curvature)
+
+
+def describe_map(found: CompassMap) -> dict[str, Any]:
+    """What ``training.json`` holds of a map: how well it is known, what is undecided, and what all segments share.
+
+    ``rms_m`` is the error that turns, encoders and loop closures allow, after alignment; ``undecided`` the share of the
+    observations that may lie elsewhere, and ``parts`` their first and last observations.
+    """
+    edge = np.diff(np.concatenate([[0], found.undecided, [0]]).astype(int))
+    parts = np.stack([np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1], axis=1)
+    known = found.std[np.isfinite(found.std)]
+    curvature, ahead, left = zip(found.shared.round(5).tolist(), found.shared_std.round(5).tolist(), strict=True)
+    return {
+        "rms_m": round(float(np.sqrt(2.0 * (known**2).mean())), 5),
+        "undecided": round(float(found.undecided.mean()), 4),
+        "parts": parts.tolist(),
+        "repeats_m": round(found.repeats_m, 2) if np.isfinite(found.repeats_m) else None,
+        "believed": round(float(found.believed.mean()), 4) if len(found.believed) else None,
+        "curvature_per_m": curvature,
+        "camera_ahead_m": ahead,
+        "camera_left_m": left,
+    }

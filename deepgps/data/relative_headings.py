@@ -1,13 +1,15 @@
-"""Relative headings of loop closures: how far the second image is turned against the first, from the images alone.
+"""Relative headings of images taken centimetres apart: how far one is turned against the other, from the images alone.
 
-Unlike the images of a turn, both were taken centimetres apart, so a coarse description is as good as the whole images:
-a few rings without colours, and slow waves around the circle.
+So far apart, a coarse description is as good as the whole images: a few rings without colours, and slow waves around
+the circle. Error RMS: 0.2 to 0.4 degrees within 2 cm, 13 degrees for each metre beyond.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
+
+from deepgps.data.segments import Segments
 
 RINGS = 8
 WAVES = 24
@@ -18,6 +20,10 @@ FINER = 8
 """Samples of the correlation for each cycle of the highest wave."""
 AMBIGUOUS = 0.9
 """A second peak of the correlation above this part of the first leaves the heading open."""
+STEPS = 1500
+"""Steps between readings that measure the curvature at most."""
+LARGEST_RAD = 0.5
+"""No robot turns by more from one reading to the next of a segment [rad]."""
 CHUNK = 1000
 
 
@@ -50,6 +56,26 @@ def compare_headings(images: np.ndarray, first: np.ndarray, second: np.ndarray) 
         part = slice(start, start + CHUNK)
         turn[part], clear[part] = _compare(waves[one[part]], waves[other[part]])
     return Headings(turn, clear)
+
+
+def measure_curvature(images: np.ndarray, segments: Segments) -> float:
+    """Measure the curvature of what the robot drives for straight, to the left [1 / m]; right to about 0.01.
+
+    What the robot passes on its left and right turns single pairs of images, and the mean hardly.
+
+    Args:
+        images: Polar images (N, rings, sectors, channels).
+        segments: Segments through them; their first readings may have been taken before a turn and do not count.
+    """
+    valid = segments.valid.numpy()[:, 2:]
+    index, distance = segments.index.numpy()[:, 1:], segments.distance.numpy()[:, 1:]
+    first, second = index[:, :-1][valid], index[:, 1:][valid]
+    step = (distance[:, 1:] - distance[:, :-1])[valid]
+    chosen = np.linspace(0, len(step) - 1, min(STEPS, len(step))).astype(int)
+    headings = compare_headings(images, first[chosen], second[chosen])
+    used = headings.clear & (np.abs(headings.turn) < LARGEST_RAD)
+    driven = float(step[chosen][used].sum())
+    return float(headings.turn[used].sum()) / driven if driven > 0.0 else 0.0
 
 
 def _describe_all(images: np.ndarray, chosen: np.ndarray) -> np.ndarray:
