@@ -91,7 +91,7 @@ def _describe(images: np.ndarray) -> np.ndarray:
     weight = np.sqrt(np.arange(rings) + 0.5).astype(np.float32)[:, None]
     blocks = np.add.reduceat(grey * weight, edges[:-1], axis=1)
     wave = np.arange(min(WAVES, sectors // 2 - 1) + 1)
-    return (fft.rfft(blocks)[..., : len(wave)] * (wave / (wave + SMOOTH))).astype(np.complex64)
+    return (np.asarray(fft.rfft(blocks))[..., : len(wave)] * (wave / (wave + SMOOTH))).astype(np.complex64)
 
 
 def _compare(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
