@@ -25,6 +25,11 @@ class Alignment:
         """World positions of ``points`` (..., 2) [m]."""
         return np.asarray(points) @ self.rotation.T + self.translation
 
+    def turn(self, yaw: np.ndarray) -> np.ndarray:
+        """Yaw in the world (...) [rad], from -pi to pi, of ``yaw`` (...) in the method's frame."""
+        x, y = np.moveaxis(np.stack([np.cos(yaw), np.sin(yaw)], axis=-1) @ self.rotation.T, -1, 0)
+        return np.arctan2(y, x)
+
 
 def fit_alignment(source: np.ndarray, target: np.ndarray, kind: AlignmentKind) -> Alignment:
     """Least-squares rigid transform from ``source`` (N, 2) to ``target`` (N, 2) (Kabsch-Umeyama).

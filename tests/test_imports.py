@@ -80,6 +80,7 @@ WITHOUT_MUJOCO = {
         "sim.sensors.catalog",
         "sim.sensors.compass",
         "sim.sensors.compass_lean",
+        "sim.sensors.compass_fit",
         "sim.sensors.lens",
         "sim.sensors.upright",
         "sim.sensors.unwrap",

@@ -15,15 +15,16 @@ from deepgps.plugins import load_plugins
 from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario
 from sim.errors import InputError
-from sim.files import damaged, read_arrays
 from sim.recording.format import Recording, has_truth, open_recording, read_manifest
 from sim.recording.manifest import DIMENSIONS, ObservationKind
-from sim.renamed import name_methods
 from sim.user_input import quote
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from deepgps.alignment import Alignment
+    from deepgps.evaluation.error_field import ErrorField
+    from deepgps.methods.pose import Poses
     from deepgps.methods.positioner import Positioner
 
 Frame = Literal["world", "map"]
@@ -87,15 +88,37 @@ class Run:
         """
         from deepgps.learning.trainer import use_threads
 
-        name, observations = self._choose(method), self._as_recorded(observations)
-        single = observations.ndim == DIMENSIONS[self._kind] - 1
+        name, batch, single = self._take(observations, method)
         with use_threads(self.scenario.learn.train.threads):  # as in evaluation: to the last bit the same
-            found = self._positioner(name)(observations[None] if single else observations)
-        if frame == "world":
-            found = self._align(name, found)
-        elif frame != "map":
-            raise InputError(f"frame {quote(frame)}: must be 'world' or 'map'")
+            found = self._positioner(name)(batch)
+        alignment = self._find_alignment(name, frame)
+        found = found if alignment is None else alignment.apply(found)
         return found[0] if single else found
+
+    def pose(self, observations: np.ndarray, method: str | None = None, frame: Frame = "world") -> "Poses":
+        """Positions and yaws that a trained method predicts, with standard deviations.
+
+        Args:
+            observations: As for ``position``.
+            method: Name of the method; None: the first of the run.
+            frame: As for ``position``.
+
+        Returns:
+            Poses of N observations, or of one without the axis N. Only methods on polar images tell a yaw; for others,
+            and for methods trained by an earlier version, all but the position is None.
+
+        Raises:
+            InputError: As for ``position``.
+        """
+        from deepgps.learning.trainer import use_threads
+        from deepgps.methods.pose import find_poses
+
+        name, batch, single = self._take(observations, method)
+        with use_threads(self.scenario.learn.train.threads):
+            found = find_poses(self._positioner(name), batch)
+        if alignment := self._find_alignment(name, frame):
+            found = found.align(alignment)
+        return found.take(0) if single else found
 
     def errors(self, method: str | None = None) -> "pa.Table":
         """Errors at the test positions, one row for each method, position and heading.
@@ -105,30 +128,26 @@ class Run:
 
         Returns:
             A table with the columns ``method``, ``x_m``, ``y_m`` and ``heading_rad`` (the truth), ``predicted_x_m``,
-            ``predicted_y_m`` and ``error_m``; ``to_pandas()`` turns it into a data frame.
+            ``predicted_y_m``, ``error_m``, ``predicted_yaw_rad`` and ``yaw_error_rad`` (null where a method tells no
+            yaw); ``to_pandas()`` turns it into a data frame.
 
         Raises:
             InputError: The run has not been evaluated, or not with this method.
         """
         import pyarrow as pa
 
-        fields, truth, heading = self._read_fields()
+        fields = self._read_fields()
         names = list(fields) if method is None else [method]
         if unknown := [name for name in names if name not in fields]:
             raise InputError(f"method {quote(unknown[0])}: {self.folder} has measured {', '.join(fields)}")
-        return pa.concat_tables([_tabulate(name, truth, heading, fields[name]) for name in names])
+        return pa.concat_tables([_tabulate(name, fields[name]) for name in names])
 
-    def _read_fields(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-        """Predictions (C, H, 2) of each method, test positions (C, 2) and headings (C, H)."""
-        path = self.folder / "error_field.npz"
-        if not path.is_file():
+    def _read_fields(self) -> "dict[str, ErrorField]":
+        from deepgps.evaluation.error_field import read_all_headings
+
+        if not (self.folder / "error_field.npz").is_file():
             raise InputError(f"{self.folder} has not been evaluated: it has no error_field.npz")
-        fields = name_methods(read_arrays(path))
-        try:
-            truth, heading = fields.pop("truth"), fields.pop("heading")
-        except KeyError as error:
-            raise damaged(path, f"it has no array {error}") from None
-        return fields, truth, np.broadcast_to(heading, (len(truth), heading.shape[-1]))
+        return read_all_headings(self.folder)
 
     def _choose(self, method: str | None) -> str:
         if not self.methods:
@@ -168,17 +187,27 @@ class Run:
             self._positioners[name] = load_positioner(folder_of(self.folder, name))
         return self._positioners[name]
 
-    def _align(self, name: str, positions: np.ndarray) -> np.ndarray:
-        """Positions (N, 2) of a method's map in the world's frame."""
+    def _take(self, observations: np.ndarray, method: str | None) -> tuple[str, np.ndarray, bool]:
+        """The method's name, an array of observations, and whether only one was given."""
+        name, array = self._choose(method), self._as_recorded(observations)
+        single = array.ndim == DIMENSIONS[self._kind] - 1
+        return name, array[None] if single else array, single
+
+    def _find_alignment(self, name: str, frame: Frame) -> "Alignment | None":
+        """The transform from a method's map to a frame; None: none is needed."""
         from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 
+        if frame == "map":
+            return None
+        if frame != "world":
+            raise InputError(f"frame {quote(frame)}: must be 'world' or 'map'")
         folder = folder_of(self.folder, name)
         if not has_alignment(folder) and not has_truth(self.folder / "recording"):
             raise InputError(
                 f"{self.folder} has no truth, so its maps have no place in the world; frame='map' gives positions in "
                 "the method's own frame"
             )
-        return read_alignment(folder).apply(positions)
+        return read_alignment(folder)
 
 
 def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:
@@ -195,12 +224,17 @@ def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:
     return Run(Path(folder), open_run(Path(folder)))
 
 
-def _tabulate(name: str, truth: np.ndarray, heading: np.ndarray, predicted: np.ndarray) -> "pa.Table":
+def _tabulate(name: str, field: "ErrorField") -> "pa.Table":
     import pyarrow as pa
 
-    count = heading.shape[1]
-    place = np.repeat(truth, count, axis=0)
-    guess = predicted.reshape(-1, 2)
+    place = np.repeat(field.truth, field.predicted.shape[1], axis=0)
+    guess = field.predicted.reshape(-1, 2)
+    heading = np.broadcast_to(field.heading, field.predicted.shape[:2])
+
+    def as_column(yaw: np.ndarray | None) -> pa.Array:
+        missing = np.ones(len(place), bool) if yaw is None else ~np.isfinite(yaw).ravel()
+        return pa.array(np.zeros(len(place)) if yaw is None else yaw.ravel(), mask=missing)
+
     columns = {
         "method": pa.array([name] * len(place)),
         "x_m": place[:, 0],
@@ -209,5 +243,7 @@ def _tabulate(name: str, truth: np.ndarray, heading: np.ndarray, predicted: np.n
         "predicted_x_m": guess[:, 0],
         "predicted_y_m": guess[:, 1],
         "error_m": np.linalg.norm(guess - place, axis=1),
+        "predicted_yaw_rad": as_column(field.yaw),
+        "yaw_error_rad": as_column(field.yaw_error),
     }
     return pa.table(columns)

@@ -10,6 +10,9 @@ from sim.errors import DamagedError, InputError
 from sim.files import damaged, read_arrays, write_arrays
 from sim.renamed import name_methods
 
+YAWS = ("yaw", "yaw_std", "yaw_weight")
+"""Arrays of a method that tells yaws, in the file as ``<array>/<method>``."""
+
 
 @dataclass(frozen=True)
 class ErrorField:
@@ -19,16 +22,27 @@ class ErrorField:
         truth: Test positions (C, 2) [m].
         heading: Test headings [rad], shared by all positions (H,) or separate for each (C, H).
         predicted: Aligned predictions (C, H, 2) [m].
+        yaw: Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method tells none.
+        yaw_std: Its standard deviation, as the method tells it (C, H) [rad]; None like ``yaw``.
+        yaw_weight: Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``.
     """
 
     truth: np.ndarray
     heading: np.ndarray
     predicted: np.ndarray
+    yaw: np.ndarray | None = None
+    yaw_std: np.ndarray | None = None
+    yaw_weight: np.ndarray | None = None
 
     @property
     def error(self) -> np.ndarray:
         """Distance between prediction and truth (C, H) [m]."""
         return np.linalg.norm(self.predicted - self.truth[:, None], axis=-1)
+
+    @property
+    def yaw_error(self) -> np.ndarray | None:
+        """Predicted minus true heading (C, H) [rad], from -pi to pi; None where the method tells none."""
+        return None if self.yaw is None else (self.yaw - self.heading + np.pi) % (2.0 * np.pi) - np.pi
 
     @property
     def worst(self) -> np.ndarray:
@@ -39,8 +53,12 @@ class ErrorField:
 def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
     """Write the error fields of several methods at the same places."""
     some = next(iter(fields.values()))
-    predictions = {method: field.predicted for method, field in fields.items()}
-    write_arrays(path, {"truth": some.truth, "heading": some.heading, **predictions})
+    arrays = {method: field.predicted for method, field in fields.items()}
+    for method, field in fields.items():
+        for part in YAWS:
+            if (array := getattr(field, part)) is not None:
+                arrays[f"{part}/{method}"] = array
+    write_arrays(path, {"truth": some.truth, "heading": some.heading, **arrays})
 
 
 @dataclass(frozen=True)
@@ -77,8 +95,11 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
     missing = {"truth", "heading"} - set(data)
     if missing:
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
-    methods = (name for name in data if name not in {"truth", "heading"})
-    fields = {name: ErrorField(data["truth"], data["heading"], data[name]) for name in methods}
+    methods = (name for name in data if name not in {"truth", "heading"} and "/" not in name)
+    fields = {
+        name: ErrorField(data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in YAWS))
+        for name in methods
+    }
     return name_methods(fields)
 
 

@@ -19,6 +19,7 @@ from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
+from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.positioner import load_positioner, read_training
@@ -59,10 +60,13 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     fields, label_fields, methods = {}, {}, {}
     for method in scenario.methods:
         maps = predict(folder_of(run, method), recording, in_use)
-        fields[method], alignment = measure_field(maps, method, truth)
+        field, alignment = measure_field(maps, method, truth)
+        positioner, lean = adapt(load_positioner(folder_of(run, method)), in_use)
+        fields[method] = add_yaws(field, positioner, recording, maps[1], alignment)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
+            **summarise_yaw(fields[method]),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": alignment.scale,
             **measure_grid(fields[method], scenario),
@@ -70,7 +74,6 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             **read_training(folder_of(run, method)),
         }
         if in_use is not None:
-            positioner, lean = adapt(load_positioner(folder_of(run, method)), in_use)
             errors = measure_in_use(positioner, alignment, in_use, folder_of(run, method))
             methods[method]["in_use"] = {**errors, **lean}
         if labels is not None:

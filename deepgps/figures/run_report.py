@@ -32,6 +32,7 @@ COLUMNS: tuple[Column, ...] = (
     ("p75 [cm]", "p75_m", _centimetres),
     ("p95 [cm]", "p95_m", _centimetres),
     ("max [cm]", "max_m", _centimetres),
+    ("yaw [deg]", "yaw_rms_deg", lambda value: f"{value:.1f}"),
     ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
     ("scale", "scale", lambda value: f"{value:.4f}"),
     ("align", "alignment", str),
@@ -58,6 +59,7 @@ def read_metrics(run: Path) -> dict[str, Any]:
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
     """Headings and one row per method, with a dash for a figure that a method does not have."""
+    columns = [column for column in columns if column[1] != "yaw_rms_deg" or _has_yaw(metrics)]
     headings = ("method", *(heading for heading, _, _ in columns))
     return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
 
@@ -220,6 +222,10 @@ def _describe_wrong(distances: Mapping[str, Any]) -> str:
         return ""
     found = distances["wrong_doubted"]
     return f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals {found}."
+
+
+def _has_yaw(metrics: Mapping[str, Any]) -> bool:
+    return any("yaw_rms_deg" in values for values in metrics["methods"].values())
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:

@@ -2,8 +2,10 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from pkgutil import resolve_name
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +14,13 @@ from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.attempts import remove_leftovers
 from deepgps.methods.catalog import METHODS
+from deepgps.methods.heading_fit import make_headings
 from deepgps.methods.positioner import (
     ArrayPositioner,
+    NeighbourPositioner,
+    NetworkPositioner,
     Positioner,
+    add_headings,
     is_finished,
     load_positioner,
     save_positioner,
@@ -54,6 +60,18 @@ def fit_method(
                 parameters = sum(np.asarray(array).size for array in positioner.values())
                 took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
                 positioner, training = ArrayPositioner(name, positioner), {**took, **training}
+            positioner = learn_headings(positioner, recording, folder)
             save_positioner(folder, positioner, {**training, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)
+
+
+def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
+    """The positioner with a table of headings from its own map, if it takes polar images."""
+    if recording.kind != "polar_image" or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+        return positioner
+    positions = positioner(recording.observation)
+    if isinstance(positioner, NetworkPositioner) and positioner.upright is not None:
+        recording = replace(recording, observation=positioner.upright.copy(recording.observation, folder))
+    headings = make_headings(recording, positions)
+    return positioner if headings is None else add_headings(positioner, headings)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
 from deepgps.methods.catalog import find_method
+from deepgps.methods.headings import HeadingTable, unpack
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
 from deepgps.settings import LearnSettings, NetworkSettings
@@ -31,6 +32,8 @@ from sim.sensors.upright import Upright
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 CHUNK = 500
+HEADINGS = "headings."
+"""Prefix of the heading table's arrays among the weights."""
 LARGEST_TABLE = 16_000_000
 """Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
@@ -47,6 +50,7 @@ class NetworkPositioner:
         centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
         upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
+        headings: Table from which yaw is found; none: it tells positions alone.
     """
 
     shape: tuple[int, ...]
@@ -56,6 +60,7 @@ class NetworkPositioner:
     centre: torch.Tensor
     axes: torch.Tensor
     upright: Upright | None = None
+    headings: HeadingTable | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
@@ -85,12 +90,14 @@ class NeighbourPositioner:
         known: Features of the training observations (N, components).
         places: Their positions (N, 2) float64 [m].
         neighbours: Number of neighbours that are averaged.
+        headings: Table from which yaw is found; none: it tells positions alone.
     """
 
     features: Features
     known: torch.Tensor
     places: torch.Tensor
     neighbours: int
+    headings: HeadingTable | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m] of observations (B, ...)."""
@@ -145,6 +152,17 @@ class Fitted(NamedTuple):
     training: Mapping[str, Any] = MappingProxyType({})
 
 
+def headings_of(positioner: Positioner) -> HeadingTable | None:
+    """The table from which a positioner tells yaw; None: it tells positions alone."""
+    return positioner.headings if isinstance(positioner, NetworkPositioner | NeighbourPositioner) else None
+
+
+def add_headings(positioner: Positioner, headings: HeadingTable) -> Positioner:
+    """The positioner with a table of headings; the kinds that are not for images are returned as they are."""
+    able = isinstance(positioner, NetworkPositioner | NeighbourPositioner)
+    return replace(positioner, headings=headings) if able else positioner
+
+
 def is_finished(folder: Path) -> bool:
     """Whether a method's folder holds a complete positioner."""
     return (folder / INDEX).is_file()
@@ -162,6 +180,9 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
             f"has predict, and not a {type(positioner).__name__}"
         )
     tensors, description = _take_apart(positioner)
+    if (headings := headings_of(positioner)) is not None:
+        arrays, description["headings"] = headings.pack()
+        tensors |= {f"{HEADINGS}{name}": torch.from_numpy(array) for name, array in arrays.items()}
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
@@ -177,7 +198,12 @@ def load_positioner(folder: Path) -> Positioner:
         description = check_positioner(folder)
         if description["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
-        return _put_together(description, load_file(folder / WEIGHTS))
+        tensors = load_file(folder / WEIGHTS)
+        positioner = _put_together(description, tensors)
+        if description.get("headings") is None:  # as in earlier versions and in methods that tell no yaw
+            return positioner
+        own = {n.removeprefix(HEADINGS): t.numpy() for n, t in tensors.items() if n.startswith(HEADINGS)}
+        return add_headings(positioner, unpack(own, description["headings"]))
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
     except InputError:

@@ -19,6 +19,7 @@ Row = dict[str, Any]
 # figures of a method, by their names in metrics.json
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
+    *("yaw_rms_deg", "yaw_median_deg", "yaw_p95_deg"),
     *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
 )
 # the errors in the paper's tables

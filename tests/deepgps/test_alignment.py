@@ -42,3 +42,14 @@ def test_agrees_with_an_independent_implementation():
     alignment = fit_alignment(noisy, points, "SE2")
     np.testing.assert_allclose(alignment.rotation, expected_rotation, atol=1e-12)
     np.testing.assert_allclose(alignment.translation, expected_translation, atol=1e-12)
+
+
+@given(st.floats(-3.2, 3.2), st.floats(-3.2, 3.2), st.booleans())
+def test_a_yaw_is_turned_as_the_step_between_two_points(angle, yaw, mirrored):
+    moved = (points * [1.0, -1.0] if mirrored else points) @ rotation(angle).T
+    alignment = fit_alignment(moved, points, "E2")
+    step = np.array([np.cos(yaw), np.sin(yaw)])
+    turned = float(alignment.turn(np.array(yaw)))
+    np.testing.assert_allclose(
+        [np.cos(turned), np.sin(turned)], alignment.apply(step) - alignment.apply(np.zeros(2)), atol=1e-9
+    )

@@ -19,7 +19,7 @@ PICTURE_TITLES = {
     "polar": ("Test image, polar", "Alike 1, polar", "Alike 2, polar", "Closest, polar"),
 }
 Headings = Mapping[str, Sequence[str]]
-"""Entities of a method's error field at each heading, by method."""
+"""Entities of a method's error field that are hidden at first, by method: errors at each heading, and yaws."""
 
 
 def make_blueprint(
@@ -29,7 +29,7 @@ def make_blueprint(
 
     Args:
         space: The room's floor.
-        headings: Measured methods, and the entities of each heading.
+        headings: Measured methods, and their entities that are hidden at first.
         trained: Methods with a training history.
         pictures: Titles of the sensors' pictures, by name.
         drive_s: Duration of the drive [s].

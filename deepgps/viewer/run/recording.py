@@ -26,6 +26,7 @@ from deepgps.viewer.run.pictures import LARGE, PICTURES, log_pictures, read_pict
 from deepgps.viewer.run.places import find_places, log_places
 from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
+from deepgps.viewer.run.yaw import list_yaws, log_yaws
 from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
 from sim.files import is_intact
@@ -37,6 +38,7 @@ HELP = (
     "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
     "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
     "The panel on the left (button at the top right) switches on and off: each heading, errors above or below 10 cm, "
+    "predicted yaws (arrows of 7 cm; those off by more than 5 degrees in purple), "
     "floor that is not covered by images, images per cell of 0.25 m.",
 )
 
@@ -55,7 +57,7 @@ def write_recording(run: Path) -> Path:
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
     blueprint = make_blueprint(
         space,
-        {name: list_headings(name, field) for name, field in fields.items()},
+        {name: [*list_headings(name, field), *list_yaws(name, field)] for name, field in fields.items()},
         list(histories),
         titles,
         float(recording.time[-1] - recording.time[0]),
@@ -67,6 +69,7 @@ def write_recording(run: Path) -> Path:
         for name, field in fields.items():
             log_field(stream, name, find_worst(field))
             log_headings(stream, name, field)
+            log_yaws(stream, name, field)
         log_coverage(stream, driven, space)
         log_places(stream, fields, find_places(fields), recording, truth)
         log_drive(stream, recording, truth)

@@ -5,6 +5,7 @@ from shutil import copytree
 
 import numpy as np
 import pytest
+from safetensors.torch import load_file, save_file
 
 import deepgps
 from sim.files import read_arrays, read_json, write_json
@@ -49,6 +50,38 @@ def test_positions_of_the_test_images_are_those_of_the_error_field(run: deepgps.
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_poses_of_the_test_images_are_those_of_the_error_field(run: deepgps.Run, method: str):
+    images, field = run.recording.test_observation, read_arrays(run.folder / "error_field.npz")
+    found = run.pose(images.reshape(-1, *images.shape[2:]), method)
+    np.testing.assert_allclose(found.position, field[method].reshape(-1, 2), rtol=0, atol=1e-6)
+    for part in ("yaw", "yaw_std", "yaw_weight"):
+        np.testing.assert_allclose(vars(found)[part], field[f"{part}/{method}"].ravel(), rtol=0, atol=1e-5)
+    assert found.position_std is not None and (found.position_std > 0).all()
+    one, own = run.pose(images[0, 0], method), run.pose(images[0, 0], method, frame="map")
+    assert one.yaw is not None and own.yaw is not None
+    assert one.position.shape == (2,) and np.shape(one.yaw) == ()
+    assert one.yaw_std == own.yaw_std and one.yaw != own.yaw
+
+
+@pytest.mark.slow
+def test_methods_trained_by_an_earlier_version_tell_positions_alone(copied: deepgps.Run):
+    folder = copied.folder / "knn"
+    before = copied.position(copied.recording.test_observation[:, 0], "knn")
+    description = read_json(folder / "positioner.json")
+    kept = {name: t for name, t in load_file(folder / "weights.safetensors").items() if "headings" not in name}
+    save_file(kept, folder / "weights.safetensors")
+    write_json(folder / "positioner.json", {k: v for k, v in description.items() if k not in ("headings", "sha256")})
+    for name in ("metrics.json", "error_field.npz", "knn/alignment.json"):
+        (copied.folder / name).unlink()
+    again = deepgps.simulate(copied.scenario, copied.folder, progress=False)
+    pose = again.pose(again.recording.test_observation[:, 0], "knn")
+    assert np.array_equal(pose.position, before) and pose.yaw is None and pose.position_std is None
+    assert "yaw_rms_deg" not in again.metrics["methods"]["knn"]
+    assert again.errors("knn").column("yaw_error_rad").null_count == again.errors("knn").num_rows
+
+
+@pytest.mark.slow
 def test_the_report_is_what_the_command_prints(run: deepgps.Run):
     said = run.report()
     assert "DeepGPS" in said and "reachable test positions" in said
@@ -70,6 +103,7 @@ def test_errors_hold_one_row_for_each_place_and_heading(run: deepgps.Run):
     table = run.errors()
     assert table.column_names == [
         *("method", "x_m", "y_m", "heading_rad", "predicted_x_m", "predicted_y_m", "error_m"),
+        *("predicted_yaw_rad", "yaw_error_rad"),
     ]
     assert table.num_rows == len(METHODS) * len(truth)
     for method in METHODS:
@@ -78,6 +112,10 @@ def test_errors_hold_one_row_for_each_place_and_heading(run: deepgps.Run):
         np.testing.assert_allclose(rows[["x_m", "y_m", "heading_rad"]], truth)
         away = np.hypot(rows.predicted_x_m - rows.x_m, rows.predicted_y_m - rows.y_m)
         np.testing.assert_allclose(rows.error_m, away)
+        turns = (rows.predicted_yaw_rad - rows.heading_rad - rows.yaw_error_rad) / (2 * np.pi)
+        np.testing.assert_allclose(turns, np.rint(turns), atol=1e-9)
+        yaw_rms_deg = run.metrics["methods"][method]["yaw_rms_deg"]
+        assert np.degrees(np.sqrt((rows.yaw_error_rad**2).mean())) == pytest.approx(yaw_rms_deg)
         worst = rows.groupby(["x_m", "y_m"]).error_m.max()
         assert worst.max() == pytest.approx(run.metrics["methods"][method]["max_m"])
 

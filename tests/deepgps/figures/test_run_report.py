@@ -49,7 +49,14 @@ def test_a_figure_that_a_method_lacks_is_a_dash(metrics: dict) -> None:
 def test_markdown_has_a_line_per_method_and_a_cell_per_column(metrics: dict) -> None:
     lines = markdown_table(metrics).splitlines()
     assert len(lines) == 2 + len(metrics["methods"])
-    assert {line.count("|") for line in lines} == {len(COLUMNS) + 2}
+    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+
+
+def test_yaw_has_a_column_where_a_method_tells_one(metrics: dict) -> None:
+    assert "yaw [deg]" not in tabulate(metrics)[0]
+    metrics["methods"]["deepgps"]["yaw_rms_deg"] = 0.449
+    headings, rows = tabulate(metrics)
+    assert [row[headings.index("yaw [deg]")] for row in rows] == ["0.4", "-"]
 
 
 def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
@@ -86,6 +93,7 @@ def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: s
 
 
 def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
+    metrics["methods"]["deepgps"]["yaw_rms_deg"] = 113.4
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
     console = Console(width=80, record=True, file=StringIO())
     print_report(tmp_path, console)

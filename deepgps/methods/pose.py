@@ -1,0 +1,68 @@
+"""Whole poses of observations: position and yaw, each with a standard deviation."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepgps.alignment import Alignment
+from deepgps.methods.positioner import NetworkPositioner, Positioner, headings_of
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where B observations were taken, and which way the robot looked.
+
+    Only methods on polar images tell more than a position. The yaw is NaN where an image shows no direction, and the
+    other yaw is NaN where the image leaves no second hypothesis.
+
+    Attributes:
+        position: Positions x, y (B, 2) [m].
+        position_std: Standard deviation along each axis (B,) [m]: how far the training images near by are from the
+            straight lines driven. It knows nothing of places that look alike. None: unknown.
+        yaw: Counter-clockwise from x (B,) [rad]; None: the method tells no yaw.
+        yaw_std: Its standard deviation if the hypothesis is right (B,) [rad]; None like ``yaw``.
+        yaw_weight: Share of the stored images near by and of those most alike that agree on the yaw (B,); low where a
+            place is new or looks like another. None like ``yaw``.
+        other_yaw: Second hypothesis of the yaw (B,) [rad]; None like ``yaw``.
+        other_weight: Its share (B,), 0 where there is none; None like ``yaw``.
+    """
+
+    position: np.ndarray
+    position_std: np.ndarray | None = None
+    yaw: np.ndarray | None = None
+    yaw_std: np.ndarray | None = None
+    yaw_weight: np.ndarray | None = None
+    other_yaw: np.ndarray | None = None
+    other_weight: np.ndarray | None = None
+
+    def align(self, alignment: Alignment) -> "Poses":
+        """The same poses in the frame that an alignment leads to."""
+        yaw, other = (None if one is None else alignment.turn(one) for one in (self.yaw, self.other_yaw))
+        return replace(self, position=alignment.apply(self.position), yaw=yaw, other_yaw=other)
+
+    def take(self, index: int) -> "Poses":
+        """One of the poses, without the axis B."""
+        return replace(self, **{name: part[index] for name, part in vars(self).items() if part is not None})
+
+
+def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
+    """Poses of observations (B, ...) in the method's own frame."""
+    position, headings = positioner(observations), headings_of(positioner)
+    if headings is None:
+        return Poses(position)
+    found = headings.find(set_upright(positioner, observations), position)
+    return Poses(
+        position,
+        headings.find_position_std(position),
+        found.yaw[:, 0],
+        found.std[:, 0],
+        found.weight[:, 0],
+        found.yaw[:, 1],
+        found.weight[:, 1],
+    )
+
+
+def set_upright(positioner: Positioner, images: np.ndarray) -> np.ndarray:
+    """Images as an upright camera sees them, if the positioner corrects the lean of its camera."""
+    upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
+    return images if upright is None else upright(np.asarray(images))
