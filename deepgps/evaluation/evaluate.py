@@ -19,6 +19,7 @@ from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
+from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
@@ -71,6 +72,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "scale": alignment.scale,
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,
+            **describe_parts(find_turned_parts(maps[0], recording)),
             **read_training(folder_of(run, method)),
         }
         if in_use is not None:

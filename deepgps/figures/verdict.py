@@ -35,6 +35,8 @@ def find_doubts(method: Mapping[str, Any]) -> list[str]:
         reasons.append(f"scale {scale:.2f}")
     if isinstance(fold, Mapping) and fold.get("found"):
         reasons.append("the map is folded")
+    if reason := _describe_turned(method.get("turned")):
+        reasons.append(reason)
     if rms is not None and rms > LARGEST_RELATIVE_RMS:
         reasons.append(f"RMS {100 * rms:.0f} % of the room's shorter side")
     return reasons
@@ -48,3 +50,12 @@ def describe_missed(coverage: Mapping[str, Any]) -> str | None:
     share = 100 * (1 - coverage["cells_seen"] / reachable)
     part = f", mostly in the {coverage['missed']}" if coverage.get("missed") else ""
     return f"The drive missed {share:.0f} % of the room{part}: drive more, with --drive.samples."
+
+
+def _describe_turned(turned: Any) -> str | None:
+    """Say which part of a map goes another way than the compass saw; None: no part, or nothing is known."""
+    if not isinstance(turned, Mapping) or not turned.get("parts"):
+        return None
+    parts = turned["parts"]
+    images = f"{sum(parts)} images" if len(parts) == 1 else f"{len(parts)} parts with {sum(parts)} images"
+    return f"{images}, {100 * turned['share']:.0f} % of the way, are mirrored or turned by the compass"

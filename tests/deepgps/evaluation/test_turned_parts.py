@@ -1,0 +1,45 @@
+"""Turned parts: none in a right map or its mirror image; what is mirrored or turned is found, and nothing else."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.evaluation.turned_parts import find_turned_parts
+from deepgps.figures.verdict import find_doubts
+from sim.recording.format import Recording, open_recording, open_truth
+
+
+@pytest.fixture(scope="module")
+def recording(small_recording: Path) -> Recording:
+    return open_recording(small_recording)
+
+
+@pytest.fixture(scope="module")
+def places(recording: Recording) -> np.ndarray:
+    return open_truth(recording.folder).pose[:, :2]
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_a_right_map_and_its_mirror_image_have_no_turned_part(recording: Recording, places: np.ndarray, mirror: float):
+    angle = np.radians(70.0)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    found = find_turned_parts(places * [1.0, mirror] @ turn + 3.0, recording)
+    assert found is not None and found.turns > 10
+    assert found.share == 0.0 and not found.parts
+
+
+def test_a_part_that_is_mirrored_is_found(recording: Recording, places: np.ndarray):
+    middle = np.median(places[:, 0])
+    folded = places.copy()
+    beyond = places[:, 0] > middle
+    folded[beyond, 0] = 2 * middle - folded[beyond, 0]  # folded over along a line: each segment beyond keeps its length
+    found = find_turned_parts(folded, recording)
+    assert found is not None and found.parts
+    assert 0.05 < found.share < 0.6
+
+
+def test_the_verdict_says_how_much_is_turned():
+    turned = {"share": 0.02, "parts": [131], "turns": 182}
+    assert find_doubts({"turned": turned}) == ["131 images, 2 % of the way, are mirrored or turned by the compass"]
+    assert find_doubts({"turned": {**turned, "parts": []}}) == []
