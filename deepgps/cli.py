@@ -16,6 +16,7 @@ from deepgps.cli_arguments import (
     HELP,
     BenchArguments,
     CompletionArguments,
+    DiagnoseArguments,
     NoArguments,
     RoomsArguments,
     RunArguments,
@@ -177,6 +178,21 @@ def view_command(words: Sequence[str]) -> None:
         view(folders)
 
 
+def diagnose_command(words: Sequence[str]) -> None:
+    """Say what is wrong with the wheels of a recording, how sure that is, and what to set; no ground truth is used."""
+    arguments = parse(DiagnoseArguments, "diagnose", words, diagnose_command.__doc__)
+    from deepgps.diagnosis.command import diagnose_folder, is_diagnosis
+    from deepgps.figures.diagnosis_page import print_diagnosis
+
+    if arguments.out is not None:
+        check_overwrite(arguments.out, is_diagnosis)
+    with show_progress(errors) as progress:
+        diagnosis, written = diagnose_folder(arguments.recording, arguments.out, progress)
+    print_diagnosis(diagnosis, console)
+    if written is not None:
+        console.print(f"\nwrote {written}", soft_wrap=True)
+
+
 def runs_command(words: Sequence[str]) -> None:
     """List runs: what each changes in its scenario, its errors, and its age."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
@@ -257,6 +273,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "evaluate": stage_command("evaluate"),
     "study": study_command,
     "view": view_command,
+    "diagnose": diagnose_command,
     "runs": runs_command,
     "rooms": rooms_command,
     "bench": bench_command,
@@ -271,6 +288,7 @@ SUMMARIES = {
     "evaluate": "collect, train, and measure the methods",
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
+    "diagnose": "say what is wrong with the wheels, and what to set",
     "runs": "list runs by what they change, with their errors",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency and memory beside naive baselines",

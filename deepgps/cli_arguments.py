@@ -90,6 +90,14 @@ class ViewArguments:
 
 
 @dataclass(frozen=True)
+class DiagnoseArguments:
+    recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING"), tyro.conf.Positional]
+    """The folder of a recording or of a run."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """The file to write; default: diagnosis.json in the folder of the run, none for a recording without one."""
+
+
+@dataclass(frozen=True)
 class RoomsArguments:
     kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
     """Kinds of room, separated by commas, or all."""
@@ -132,6 +140,7 @@ ARGUMENTS: dict[str, Any] = {
     **dict.fromkeys(("run", "collect", "train", "evaluate"), RunArguments),
     "study": StudyArguments,
     "view": ViewArguments,
+    "diagnose": DiagnoseArguments,
     "runs": RunsArguments,
     "rooms": RoomsArguments,
     "bench": BenchArguments,

@@ -29,6 +29,7 @@ ORDER = (
     ("deepgps",),
     ("deepgps.command",),
     ("deepgps.data",),
+    ("deepgps.diagnosis",),
     ("deepgps.initial_map",),
     ("deepgps.learning",),
     ("deepgps.methods",),

@@ -11,6 +11,7 @@ from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.lean import describe_lean, ignore_small
 from deepgps.data.relative_headings import compare_headings, measure_curvature
 from deepgps.initial_map.closures import Closures
+from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality
@@ -28,6 +29,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     Images of a camera that leans are set upright first.
     """
+    recording, told = take_diagnosed(recording, folder.parent)
     turns = measure_turns(recording)
     assert turns.upright is not None
     data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
@@ -45,8 +47,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
     variant = Variant(make_initial_map=start_from_compass, orient=orient, curvature=float(found.shared[0]))
-    positioner, training = fit_data(data, variant, settings, seed, folder, progress)
-    return Fitted(positioner, {**training, **describe_lean(turns.upright.lean), "map": describe_map(found)})
+    fitted = fit_data(data, variant, settings, seed, folder, progress)
+    return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **told})
 
 
 def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:

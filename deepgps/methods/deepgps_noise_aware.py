@@ -1,9 +1,10 @@
-"""DeepGPS with the encoders' data sheet: residuals are weighted by expected error, and doubtful segments count less."""
+"""DeepGPS with the diagnosed noise: residuals are weighted by expected error, and doubtful segments count less."""
 
 from dataclasses import replace
 from pathlib import Path
 
 from deepgps.data.encoder_noise import expect_errors, weigh_pairs, weigh_places
+from deepgps.diagnosis.store import take_diagnosed
 from deepgps.learning.batches import Batch
 from deepgps.learning.losses import Weights
 from deepgps.learning.training_data import prepare
@@ -16,6 +17,7 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS with weighted residuals; a segment on which the wheels disagree counts less."""
+    recording, told = take_diagnosed(recording, folder.parent)
     data = prepare(recording, settings, seed, folder.parent)
     segments = expect_errors(recording, data.segments)
     rounding_m2 = segments.rounding_m2
@@ -26,4 +28,4 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         return Weights(weigh_pairs(batch.variance, rounding_m2), of_places)
 
     data = replace(data, segments=segments)
-    return fit_data(data, Variant(weigh=weigh), settings, seed, folder, progress)
+    return fit_data(data, Variant(weigh=weigh), settings, seed, folder, progress).note(told)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import torch
 
+from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.wheel_turns import find_chirality, read_turns, straighten
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
@@ -15,6 +16,7 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS from the dead-reckoned path, with the chirality that the wheels' turns determine."""
+    recording, told = take_diagnosed(recording, folder.parent)
     data, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
 
     def start_from_path(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
@@ -25,4 +27,5 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
-    return fit_data(data, Variant(make_initial_map=start_from_path, orient=orient), settings, seed, folder, progress)
+    variant = Variant(make_initial_map=start_from_path, orient=orient)
+    return fit_data(data, variant, settings, seed, folder, progress).note(told)

@@ -151,6 +151,10 @@ class Fitted(NamedTuple):
     positioner: Positioner | Mapping[str, np.ndarray]
     training: Mapping[str, Any] = MappingProxyType({})
 
+    def note(self, more: Mapping[str, Any]) -> "Fitted":
+        """The same with more entries in the record of the training."""
+        return self._replace(training={**self.training, **more})
+
 
 def headings_of(positioner: Positioner) -> HeadingTable | None:
     """The table from which a positioner tells yaw; None: it tells positions alone."""

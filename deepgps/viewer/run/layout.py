@@ -7,6 +7,7 @@ import rerun.blueprint as rrb
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.distribution import distribution_view
 from deepgps.viewer.run.coverage import COVERAGE, DENSITY
+from deepgps.viewer.run.diagnosis import diagnosis_view
 from deepgps.viewer.run.pictures import LARGE
 from deepgps.viewer.run.place_drawing import PICTURES
 from deepgps.viewer.timeline import PROGRESS
@@ -148,8 +149,9 @@ def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
         line_grid=False,
         overrides={**hold_still(), "world/drive/path": trail, "world/reckoned/path": trail},
     )
+    faults = rrb.TextDocumentView(name="Faults that were set", origin="encoders/faults")
     return rrb.Horizontal(
-        rrb.Vertical(paths, rrb.TextDocumentView(name="Faults", origin="encoders/faults"), row_shares=[5, 6]),
+        rrb.Vertical(paths, rrb.Tabs(diagnosis_view(), faults, active_tab=0), row_shares=[5, 6]),
         rrb.Vertical(
             rrb.Horizontal(
                 _segment_error(drive_s),

@@ -12,6 +12,7 @@ from typing import Any
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
@@ -19,6 +20,7 @@ from deepgps.viewer.distribution import log_distribution
 from deepgps.viewer.error_field import list_headings, log_field, log_headings
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.run.coverage import log_coverage
+from deepgps.viewer.run.diagnosis import log_diagnosis
 from deepgps.viewer.run.drive import find_pictures, log_drive
 from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
@@ -78,6 +80,7 @@ def write_recording(run: Path) -> Path:
         for name, history in histories.items():
             log_training(stream, name, history, driven)
         _log_report(stream, metrics)
+        log_diagnosis(stream, run)
         log_distribution(stream, {name: [find_worst(field).error] for name, field in fields.items()})
 
     path = run / RECORDING
@@ -119,6 +122,8 @@ def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
 
 
 def hash_run(run: Path) -> str:
-    """Thirty-two hexadecimal digits of a run's metrics, error fields and recording, and of its pictures."""
+    """Thirty-two hexadecimal digits of a run's metrics, error fields, recording, pictures and diagnosis."""
     names = ["metrics.json", "error_field.npz", "recording/manifest.json"]
-    return hash_files(run, [run / name for name in [*names, *([PICTURES] if (run / PICTURES).is_file() else [])]])
+    return hash_files(
+        run, [run / name for name in [*names, *(name for name in (PICTURES, DIAGNOSIS) if (run / name).is_file())]]
+    )

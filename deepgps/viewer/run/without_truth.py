@@ -12,8 +12,10 @@ import rerun.blueprint as rrb
 
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.figures import run_figures
 from deepgps.methods.catalog import title_of
+from deepgps.viewer.run.diagnosis import diagnosis_view, log_diagnosis
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
 from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view
 from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
@@ -42,10 +44,12 @@ def write_without_truth(run: Path, path: Path) -> Path:
         _log_drive(stream, recording)
         for name, history in histories.items():
             _log_map(stream, name, history)
+        log_diagnosis(stream, run)
         stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
 
     blueprint = _make_blueprint(recording, {name: history["snapshot"][-1] for name, history in histories.items()})
-    identity = hash_files(run, [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz"))])
+    shown = [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS)]
+    identity = hash_files(run, shown)
     save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
     return path
 
@@ -85,7 +89,12 @@ def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb
     losses = [loss_view(name) for name in methods]
     note = rrb.TextDocumentView(name="Without truth", origin="report")
     tabs: list[rrb.Horizontal | rrb.Vertical] = [
-        rrb.Horizontal(path, rrb.Vertical(*camera_views(pictures), *curves, note), name="Drive", column_shares=[3, 2])
+        rrb.Horizontal(
+            path,
+            rrb.Vertical(*camera_views(pictures), *curves, rrb.Tabs(note, diagnosis_view())),
+            name="Drive",
+            column_shares=[3, 2],
+        )
     ]
     if methods:
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))

@@ -1,0 +1,80 @@
+"""``diagnosis.json`` in a run's folder: made once, read by every method, the viewer and people's own programs."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from deepgps.diagnosis.diagnosis import LEARNED_WITH, Diagnosis, Estimate, StuckStretch, apply_diagnosis, diagnose
+from deepgps.diagnosis.findings import as_stored
+from sim.errors import DamagedError
+from sim.files import read_json, write_json
+from sim.recording.format import Recording
+
+FILE = "diagnosis.json"
+SCHEMA = 1
+
+
+def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
+    """The diagnosis of a run's recording, as stored in its folder or else made and stored; None without turns."""
+    if recording.turns is None or recording.kind != "polar_image":
+        return None
+    if (stored := read_diagnosis(folder, recording)) is not None:
+        return stored
+    diagnosis = diagnose(recording)
+    write_diagnosis(folder / FILE, diagnosis, recording)
+    return diagnosis
+
+
+def take_diagnosed(recording: Recording, folder: Path) -> tuple[Recording, dict[str, Any]]:
+    """The recording with noise and track width as diagnosed, and what ``training.json`` says of that.
+
+    Recordings without turns keep what their odometry's data sheet says.
+    """
+    diagnosis = diagnose_once(recording, folder)
+    if diagnosis is None:
+        return recording, {"diagnosed": None}
+    told = apply_diagnosis(recording, diagnosis)
+    return told, {"diagnosed": {name: told.manifest.odometry.get(name) for name in LEARNED_WITH}}
+
+
+def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> None:
+    """Write a diagnosis, with the faults that it shows and what to set."""
+    values = {name: vars(estimate) for name, estimate in diagnosis.quantities.items()}
+    write_json(
+        path,
+        {
+            "schema": SCHEMA,
+            "recording": digest_recording(recording),
+            "quantities": values,
+            "stretches": [vars(one) for one in diagnosis.stretches],
+            "turns": diagnosis.turns,
+            "pairs": diagnosis.pairs,
+            "odometry": diagnosis.odometry,
+            **as_stored(diagnosis),
+        },
+    )
+
+
+def read_diagnosis(folder: Path, recording: Recording | None = None) -> Diagnosis | None:
+    """The diagnosis in a run's folder; None: there is none, it is damaged, or it is of another recording."""
+    try:
+        stored = read_json(folder / FILE)
+        if recording is not None and stored["recording"] != digest_recording(recording):
+            return None
+        return Diagnosis(
+            **{name: Estimate(**values) for name, values in stored["quantities"].items()},
+            stretches=tuple(StuckStretch(**values) for values in stored["stretches"]),
+            turns=stored["turns"],
+            pairs=stored["pairs"],
+            odometry=stored["odometry"],
+        )
+    except (DamagedError, KeyError, TypeError):
+        return None
+
+
+def digest_recording(recording: Recording) -> str:
+    """Hexadecimal digest of a recording's files and its odometry."""
+    manifest = recording.manifest
+    named = json.dumps([manifest.sha256, manifest.odometry], sort_keys=True)
+    return hashlib.sha256(named.encode() + recording.reading.tobytes()).hexdigest()[:16]

@@ -1,0 +1,132 @@
+"""Headings by the camera against the wheels: the scale of turns, and the curve of segments that should be straight."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepgps.diagnosis.gaps import Gaps
+from deepgps.diagnosis.sight import Sight, see_pairs, see_turns
+from sim.recording.format import Recording
+from sim.recording.turns import KINDS
+from sim.sensors.compass import disambiguate
+
+WHEELS_RAD = 0.3
+"""Standard deviation of a turn by the wheels, to choose between peaks of the compass [rad]."""
+HUBER = 2.5
+"""Standard deviations beyond which a residual counts as one of this size."""
+TURN_RAD = np.radians(0.05)
+"""Error of a turn by the camera, beside the one that its images tell [rad]."""
+PLACE_RAD = np.radians(0.5)
+"""Error of the angle between two images of about one place, beside the one that they tell [rad]."""
+CURVES = np.linspace(-1.0, 1.0, 4001)
+"""Curvatures among which the one of the segments is sought [rad/m]."""
+UNKNOWN = 1.0
+"""Standard deviation of what was not measured."""
+FEWEST = 8
+"""Turns or pairs below which nothing is concluded."""
+
+
+@dataclass(frozen=True)
+class Slope:
+    """A ratio by weighted least squares and its standard deviation; ``UNKNOWN`` where there is too little."""
+
+    value: float
+    std: float
+
+
+def fit_slope(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> Slope:
+    """Slope of y over x (n,) through the origin, by iteratively reweighted least squares with Huber's weights.
+
+    The standard deviation grows by the residuals' robust scale where that exceeds 1: what ``std`` does not know.
+    """
+    weight = 1.0 / std**2
+    slope, scale = float(np.median(y / np.where(np.abs(x) > 1e-9, x, np.inf)) or 0.0), 1.0
+    robust = np.ones(len(x))
+    for _ in range(20):
+        slope = float((robust * weight * x * y).sum() / max((robust * weight * x**2).sum(), 1e-300))
+        z = np.abs(y - slope * x) / std
+        scale = max(1.0, float(np.sqrt((robust * z**2).sum() / max(robust.sum() - 1.0, 1.0))))
+        robust = np.minimum(1.0, HUBER * scale / np.maximum(z, 1e-12))
+    return Slope(slope, scale / float(np.sqrt(max((robust * weight * x**2).sum(), 1e-300))))
+
+
+def measure_turn_scale(
+    recording: Recording, gaps: Gaps, sight: Sight, slip_per_m: float, step_noise: float
+) -> tuple[Slope, int]:
+    """Turns by the wheels over turns by the camera, for turns in place, and the number of turns.
+
+    A turn by an angle ``a`` moves each wheel by ``b a / 2``; its error by the wheels has the variance
+    s^2 |a| / b + (w a)^2 + t^2 / (3 b^2).
+    """
+    turns, track_m = recording.turns, recording.manifest.odometry["track_m"]
+    seen = see_turns(recording, sight)
+    assert turns is not None
+    gap, reading = turns.after - 1, recording.reading
+    wheels = (gaps.way[gap, 1] - gaps.way[gap, 0]) / track_m
+    clean = (turns.kind == KINDS.index("in_place")) & (turns.image >= 0) & gaps.good[gap]
+    clean &= (reading[gap, 1] == turns.before) & (reading[turns.after, 1] == turns.before)
+    slope = Slope(1.0, UNKNOWN)
+    for _ in range(3):  # the choice of peaks needs the scale
+        found = disambiguate(seen, wheels / slope.value, np.full(len(wheels), WHEELS_RAD))
+        angle, std = found.angle[:, 0], found.std[:, 0]
+        used = clean & np.isfinite(angle) & (np.abs(angle) > 0.1)
+        if used.sum() < FEWEST:
+            return Slope(1.0, UNKNOWN), int(used.sum())
+        x, y = angle[used], wheels[used]
+        variance = std[used] ** 2 + TURN_RAD**2 + (step_noise * x) ** 2
+        variance += slip_per_m**2 * np.abs(x) / track_m + gaps.tick_m**2 / (3.0 * track_m**2)
+        slope = fit_slope(x, y, np.sqrt(variance))
+        if not 0.3 < slope.value < 3.0:
+            return Slope(1.0, UNKNOWN), int(used.sum())
+    return slope, int(used.sum())
+
+
+def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: float) -> tuple[Slope, int]:
+    """Curvature of the segments, to the left [1/m], and the number of pairs of images that tell it.
+
+    Two images of one place, a while apart, differ in heading by the turns between them, which the camera knows, and
+    by the curvature times the distance between them, which no turn explains. The curvature for which most pairs agree
+    is sought first, since angles are known but for whole turns.
+
+    Args:
+        recording: The recording, of plausible readings.
+        gaps: Its gaps.
+        sight: Its angles.
+        scale: Turns by the wheels over turns by the camera.
+    """
+    turns, reading = recording.turns, recording.reading
+    assert turns is not None
+    wheels = (gaps.way[turns.after - 1, 1] - gaps.way[turns.after - 1, 0]) / recording.manifest.odometry["track_m"]
+    found = disambiguate(see_turns(recording, sight), wheels / scale, np.full(len(wheels), WHEELS_RAD))
+    step, square, broken = (np.zeros(len(reading)) for _ in range(3))
+    broken[1:] = ~gaps.good | ~gaps.inside  # a turn that no image shows; those that one shows follow
+    known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
+    rows = turns.after[known]
+    step[rows], square[rows] = found.angle[known, 0], found.std[known, 0] ** 2 + TURN_RAD**2
+    broken[rows] = ~gaps.good[rows - 1]
+    turned, variance, chain = np.cumsum(step), np.cumsum(square), np.cumsum(broken)
+    straight = gaps.inside.copy()
+    straight[turns.after[turns.kind == KINDS.index("in_place")] - 1] = True  # beside the turn: readings that were lost
+    way = np.append(0.0, np.cumsum(np.where(straight, gaps.way.mean(axis=1), 0.0)))
+    row = np.full(len(recording.observation), -1)
+    row[reading[:, 1]] = np.arange(len(reading))
+    pairs, angles = see_pairs(recording, sight)
+    one, two = row[pairs[:, 0]], row[pairs[:, 1]]
+    used = (one >= 0) & (two >= 0) & (chain[one] == chain[two]) & np.isfinite(angles.angle[:, 0])
+    if used.sum() < FEWEST:
+        return Slope(0.0, UNKNOWN), int(used.sum())
+    one, two, angle = one[used], two[used], angles.angle[used, 0]
+    std = np.sqrt(angles.std[used, 0] ** 2 + PLACE_RAD**2 + np.abs(variance[two] - variance[one]))
+    missed, apart = angle - (turned[two] - turned[one]), way[two] - way[one]
+    z = _wrap(missed - CURVES[:, None] * apart) / std
+    best = float(CURVES[(1.0 / (1.0 + z**2 / 4.0)).sum(axis=1).argmax()])
+    left = _wrap(missed - best * apart)
+    near = np.abs(left) < 8.0 * std
+    if near.sum() < FEWEST:
+        return Slope(0.0, UNKNOWN), int(near.sum())
+    slope = fit_slope(apart[near], left[near], std[near])
+    return Slope(best + slope.value, slope.std), int(near.sum())
+
+
+def _wrap(angle: np.ndarray) -> np.ndarray:
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -1,0 +1,190 @@
+"""Slip and noise of gaps: the variance of a random walk that is read through rounding.
+
+Along a segment, the difference of the wheels' readings is a random walk by slip, and their mean runs ahead of a steady
+speed and behind it by slip and by the noise of gaps. Both are seen through the rounding to ticks. A Kalman filter of
+this local level model gives the likelihood (Durbin and Koopman, "Time series analysis by state space methods", 2012,
+sec. 2), which one parameter maximises; its interval is that of the likelihood ratio.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar, root_scalar
+
+from deepgps.diagnosis.gaps import Gaps
+
+FLOOR_M = 1e-5
+"""Error of a reading of the best encoder [m]: it keeps the likelihood finite where nothing is noisy."""
+CREEP = 3e-5
+"""Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor."""
+ROUNDINGS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
+"""Variances of rounding that are tried, as multiples of that of independent wheels: both may round alike."""
+FINE_M = 2e-4
+"""Ticks so short that their rounding need not be known well [m]."""
+CHI2_95 = 3.841
+FARTHEST = 4.0
+"""Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted."""
+SPEEDING, BRAKING = 1, 2
+"""Gaps at the beginning and the end of a segment in which the robot changes its speed."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Consecutive readings of S runs, padded to the longest (S, m); ``valid`` marks those that exist.
+
+    Attributes:
+        level: What is read, counted from the run's first reading (S, m) [m].
+        drift: The quantity it drifts with, counted likewise (S, m).
+        size: Per gap before each reading: the quantities that its variance is made of, by name (S, m).
+        valid: Mask (S, m) bool.
+    """
+
+    level: np.ndarray
+    drift: np.ndarray
+    size: dict[str, np.ndarray]
+    valid: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A maximum of the likelihood: the value, its 95 % interval, its evidence and the drift.
+
+    Attributes:
+        value: The standard deviation that was looked for.
+        low: Lower bound of its interval.
+        high: Upper bound.
+        evidence: Twice the log-likelihood ratio against zero.
+        drift: Level per drift quantity.
+        drift_std: Its standard deviation.
+    """
+
+    value: float
+    low: float
+    high: float
+    evidence: float
+    drift: float
+    drift_std: float
+
+
+def fit_slip(gaps: Gaps) -> Fit:
+    """Slip of a wheel after a metre, from the difference of the wheels, right minus left.
+
+    Slip adds 2 s^2 g to the difference over a gap ``g``, rounding t^2 / 6 to each reading of it. The drift is the
+    difference of the wheels' readings over their mean.
+    """
+    apart, mean = gaps.way[:, 1] - gaps.way[:, 0], gaps.way.mean(axis=1)
+    runs = _collect(apart, mean, {"g": np.abs(mean)}, _list_runs(gaps, 0, 0))
+    return _fit(runs, lambda s: 2.0 * s**2 * runs.size["g"], gaps.tick_m**2 / 6.0)
+
+
+def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
+    """Noise of a gap ``w`` as a part of it, from the mean of the wheels against a steady speed.
+
+    The noise adds (w g)^2 / k to the mean over k original gaps of the length ``g`` in all, slip s^2 g / 2, rounding
+    t^2 / 24 to each reading. The drift is the speed [m/s].
+    """
+    mean, inner = gaps.way.mean(axis=1), _list_runs(gaps, SPEEDING, BRAKING)
+    used = np.concatenate([np.arange(first, end) for first, end in inner]) if inner else np.arange(0)
+    speed = float(np.median(mean[used] / gaps.seconds[used])) if len(used) else 0.0
+    g = np.abs(speed) * gaps.seconds
+    runs = _collect(mean, gaps.seconds, {"g": g, "square": g**2 / gaps.made_of}, inner)
+    slipped = slip_per_m**2 / 2.0 * runs.size["g"]
+    return _fit(runs, lambda w: slipped + w**2 * runs.size["square"], gaps.tick_m**2 / 24.0)
+
+
+def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
+    """Beginning and end of the runs of good gaps, without the first and last gaps of each segment."""
+    used = gaps.inside.copy()
+    begins = np.flatnonzero(used & ~np.append(False, used[:-1]))
+    ends = np.flatnonzero(used & ~np.append(used[1:], False)) + 1
+    runs = []
+    for begin, end in zip((begins + first).tolist(), (ends - last).tolist(), strict=True):
+        inner = np.flatnonzero(gaps.good[begin:end]) + begin
+        for part in np.split(inner, np.flatnonzero(np.diff(inner) > 1) + 1):
+            if len(part):
+                runs.append((int(part[0]), int(part[-1]) + 1))
+    return runs
+
+
+def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], runs: list[tuple[int, int]]) -> Runs:
+    """Runs of gaps as padded tables."""
+    longest = max((end - first for first, end in runs), default=0)
+    shape = len(runs), longest + 1
+    level, drifted, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
+    sizes = {name: np.zeros(shape) for name in size}
+    for row, (first, end) in enumerate(runs):
+        count = end - first
+        level[row, 1 : count + 1] = np.cumsum(step[first:end])
+        drifted[row, 1 : count + 1] = np.cumsum(drift[first:end])
+        valid[row, : count + 1] = True
+        for name, values in size.items():
+            sizes[name][row, 1 : count + 1] = values[first:end]
+    return Runs(level, drifted, sizes, valid)
+
+
+def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float) -> Fit:
+    """Maximise the likelihood over the standard deviation that ``grow`` turns into the variance of each gap."""
+    if runs.valid.sum() - len(runs.valid) < 10:
+        return Fit(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+    shares = ROUNDINGS if rounding_m2 > FINE_M**2 / 24.0 else (1.0,)
+
+    def try_all(value: float) -> tuple[float, float, float]:
+        growth = grow(float(np.hypot(value, CREEP)))
+        return min(_filter(runs, growth, share * rounding_m2 + FLOOR_M**2) for share in shares)
+
+    def cost(value: float) -> float:
+        return try_all(value)[0]
+
+    logs = np.linspace(np.log(1e-5), 0.0, 24)
+    costs = [cost(float(np.exp(log))) for log in logs]
+    best = int(np.argmin(costs))
+    low, high = float(logs[max(best - 1, 0)]), float(logs[min(best + 1, len(logs) - 1)])
+    found = minimize_scalar(lambda log: cost(float(np.exp(log))), bounds=(low, high), method="bounded")
+    value, least, none = float(np.exp(found.x)), float(found.fun), cost(0.0)
+    if none <= least:
+        value, least = 0.0, none
+
+    def excess(log: float) -> float:
+        return cost(float(np.exp(log))) - least - CHI2_95
+
+    def cross(below: float, above: float) -> float:
+        return float(np.exp(root_scalar(excess, bracket=(below, above)).root))
+
+    top, bottom = float(logs[-1]) + 1.0, float(logs[0])
+    middle = float(np.log(max(value, 1e-5)))
+    upper = cross(middle, top) if excess(middle) < 0.0 < excess(top) else max(value, 1e-5)
+    below = value > 0.0 and none - least > CHI2_95 and excess(bottom) > 0.0
+    lower = cross(bottom, middle) if below else 0.0
+    drift, drift_std = try_all(value)[1:]
+    return Fit(value, lower, upper, none - least, drift, drift_std)
+
+
+def _filter(runs: Runs, growth: np.ndarray, noise: float) -> tuple[float, float, float]:
+    """Minus twice the log-likelihood, with the drift that maximises it, and the drift's standard deviation.
+
+    Level and drift are filtered with the same gains, so the innovations are linear in the drift.
+    """
+    count = runs.valid.shape[1]
+    variance = np.full(len(runs.valid), noise)
+    level, drift = runs.level[:, 0].copy(), runs.drift[:, 0].copy()
+    parts = []
+    for k in range(1, count):
+        seen = runs.valid[:, k]
+        variance = variance + growth[:, k]
+        total = variance + noise
+        off, along = runs.level[:, k] - level, runs.drift[:, k] - drift
+        parts.append(np.stack([off, along, total])[:, seen])
+        gain = np.where(seen, variance / total, 0.0)
+        level, drift, variance = level + gain * off, drift + gain * along, variance * (1.0 - gain)
+    off, along, total = np.concatenate(parts, axis=1)
+    weight = np.ones(len(off))
+    slope = 0.0
+    for _ in range(4):
+        slope = float((weight * along * off / total).sum() / max((weight * along**2 / total).sum(), 1e-300))
+        weight = ((off - slope * along) ** 2 < FARTHEST**2 * total).astype(float)
+        if not weight.any():
+            weight[:] = 1.0
+    missed = np.minimum((off - slope * along) ** 2 / total, FARTHEST**2)
+    std = 1.0 / np.sqrt(max((weight * along**2 / total).sum(), 1e-300))
+    return float((np.log(total) + missed).sum()), slope, float(std)

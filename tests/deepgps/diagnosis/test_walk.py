@@ -1,0 +1,73 @@
+"""Noise of wheels: the likelihood finds the random walk under the rounding, and its intervals hold."""
+
+import numpy as np
+import pytest
+
+from deepgps.diagnosis.gaps import Gaps, find_stuck, measure_stuck
+from deepgps.diagnosis.walk import Fit, fit_slip, fit_step_noise
+
+STEP_M, SPEED = 0.08, 0.22
+
+
+def drive(
+    rng: np.random.Generator, slip: float = 0.0, noise: float = 0.0, tick_m: float = 5e-5, ratio: float = 1.0
+) -> Gaps:
+    """Gaps of 60 segments of 20 readings, by an independent model of the faults."""
+    gaps, segments, first = [], [], 0.0
+    for _ in range(60):
+        true = np.full(20, STEP_M)
+        wheels = (true * (1.0 + noise * rng.standard_normal(20)))[:, None] * [1.0, ratio]
+        wheels = wheels + slip * np.sqrt(STEP_M) * rng.standard_normal((20, 2))
+        read = np.floor((rng.uniform(0, tick_m, 2) + np.vstack([[0, 0], wheels.cumsum(axis=0)])) / tick_m) * tick_m
+        gaps.append(np.vstack([np.diff(read, axis=0), [[-0.2, 0.2]]]))
+        segments.append(np.append(np.ones(20, bool), False))
+        first += 1.0
+    way, inside = np.concatenate(gaps), np.concatenate(segments)
+    count = len(way)
+    return Gaps(way, np.full(count, STEP_M / SPEED), np.ones(count, int), inside, (), np.ones(count, bool), tick_m)
+
+
+def hold(fits: list[Fit], truth: float) -> float:
+    """Share of the intervals that contain the truth."""
+    return float(np.mean([fit.low <= truth <= fit.high for fit in fits]))
+
+
+def test_intervals_of_slip_and_noise_hold():
+    slips = [fit_slip(drive(np.random.default_rng(seed), slip=0.01)) for seed in range(40)]
+    noises = [fit_step_noise(drive(np.random.default_rng(seed), noise=0.05), 0.0) for seed in range(40)]
+    assert hold(slips, 0.01) >= 0.85
+    assert hold(noises, 0.05) >= 0.85
+    assert np.mean([fit.high - fit.low for fit in slips]) < 0.001, "an interval is no use where it holds everything"
+    assert np.mean([fit.high - fit.low for fit in noises]) < 0.006
+
+
+@pytest.mark.parametrize("tick_m", [5e-5, 1e-3, 1e-2])
+def test_wheels_without_noise_show_none_however_long_a_tick_is(tick_m: float):
+    gaps = drive(np.random.default_rng(1), tick_m=tick_m)
+    assert fit_slip(gaps).value < 0.1 * tick_m + 1e-4
+    assert fit_step_noise(gaps, 0.0).value < 0.1 * tick_m / STEP_M + 1e-4
+
+
+def test_slip_is_no_noise_of_gaps_and_noise_of_gaps_is_no_slip():
+    slipping, noisy = (drive(np.random.default_rng(2), slip=0.02), drive(np.random.default_rng(2), noise=0.1))
+    slip = fit_slip(slipping)
+    assert fit_step_noise(slipping, slip.value).value < 0.03
+    assert fit_slip(noisy).value < 1e-4, "both wheels share the noise of a gap"
+
+
+def test_the_drift_is_the_ratio_of_the_readings():
+    found = fit_slip(drive(np.random.default_rng(3), slip=0.005, ratio=1.02))
+    assert abs(found.drift - 0.02 / 1.01) < 3.0 * found.drift_std < 0.003
+
+
+def test_a_wheel_is_stuck_where_it_counts_nothing_while_the_other_one_travels():
+    gaps = drive(np.random.default_rng(4))
+    way = gaps.way.copy()
+    way[200:260, 1] = 0.0
+    way[400:402, 0] = 0.0  # two gaps are no stretch
+    stretches = find_stuck(way, 1, gaps.tick_m)
+    assert [(one.first, one.last) for one in stretches] == [(200, 259)]
+    assert find_stuck(way, 0, gaps.tick_m) == []
+    stuck, low, high = measure_stuck(Gaps(**{**vars(gaps), "way": way, "stuck": tuple(stretches)}))
+    assert low <= 60 / len(way) <= high
+    assert stuck == pytest.approx(60 / len(way))
