@@ -107,6 +107,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
 def study_command(words: Sequence[str]) -> None:
     """Run a study: make every missing recording and run, one table of all runs, the report and the figures."""
+    from deepgps.studies.catalog import REPORTS
     from deepgps.studies.study import load_study, plan_runs
 
     if not words or (words[0].startswith("-") and not set(HELP) & set(words)):
@@ -136,12 +137,14 @@ def study_command(words: Sequence[str]) -> None:
         if arguments.publish:
             publish(place, arguments.publish / study.name)
             console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
-        if len(failures) < len(plans):
+        if len(failures) < len(plans) and not REPORTS[study.report].gather:
             from deepgps.viewer.study.study import write_study
 
             write_study(place)
         if failures:
             raise WorkError(f"{len(failures)} of {len(plans)} runs failed; {place / 'table.md'} says why")
+    if REPORTS[study.report].gather:
+        return
     run = folder / "runs" / plans[0].run
     console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {run}", soft_wrap=True)
 

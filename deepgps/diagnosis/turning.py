@@ -125,7 +125,19 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     if near.sum() < FEWEST:
         return Slope(0.0, UNKNOWN), int(near.sum())
     slope = fit_slope(apart[near], left[near], std[near])
-    return Slope(best + slope.value, slope.std), int(near.sum())
+    both = reading[one[near], 0] * (int(reading[-1, 0]) + 1) + reading[two[near], 0]
+    shared = _spread(apart[near], left[near] - slope.value * apart[near], std[near], both)
+    return Slope(best + slope.value, max(slope.std, shared)), int(near.sum())
+
+
+def _spread(x: np.ndarray, left: np.ndarray, std: np.ndarray, group: np.ndarray) -> float:
+    """Standard deviation of a slope whose residuals (n,) are alike within each group, by the sandwich formula.
+
+    Pairs on the same two segments show the same things, and err alike (Liang and Zeger, Biometrika 73(1), 1986).
+    """
+    _, number = np.unique(group, return_inverse=True)
+    sums = np.bincount(number, x * np.clip(left, -HUBER * std, HUBER * std) / std**2)
+    return float(np.sqrt((sums**2).sum()) / (x**2 / std**2).sum())
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

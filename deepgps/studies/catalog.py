@@ -14,6 +14,9 @@ class Report:
         measure: Measured rows -> figures that a target can be set for.
         targets: Names of these figures.
         columns: (run folder, row) -> the report's own columns in the study's table.
+        draw_runs: "package.module:function" that draws the runs: (the study's ``set``, its drives as seed and settings)
+            -> seeds and settings of the runs.
+        gather: (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained.
     """
 
     text: str
@@ -21,6 +24,8 @@ class Report:
     measure: str | None = None
     targets: tuple[str, ...] = ()
     columns: str | None = None
+    draw_runs: str | None = None
+    gather: str | None = None
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
@@ -104,6 +109,17 @@ REPORTS: dict[str, Report] = {
         "corridors:measure",
         ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
         "corridors:add_map",
+    ),
+    "diagnose": Report(
+        "diagnose:report",
+        {"diagnose": "diagnose_plots:draw"},
+        "diagnose:measure",
+        (
+            *("recall", "precision", "false_alarms", "false_alarms_alike", "coverage_least", "coverage_most"),
+            *("track_error", "ratio_error"),
+        ),
+        draw_runs="deepgps.studies.diagnose_runs:draw_runs",
+        gather="diagnose:gather_diagnoses",
     ),
     "lidar": Report(
         "lidar:report",

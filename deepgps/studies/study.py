@@ -7,6 +7,7 @@ from functools import cache, lru_cache
 from itertools import product
 from os.path import isfile
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any
 
 import yaml
@@ -175,8 +176,10 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:
         raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MOST_RUNS}")
+    points = list(_points(study))
+    total = len(points)
     plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
-    for done, (seed, varied) in enumerate(_points(study)):
+    for done, (seed, varied) in enumerate(points):
         if done % STRIDE == 0:
             progress("plan", done, total)
         try:
@@ -282,5 +285,9 @@ def _write_count(count: int) -> str:
 
 
 def _points(study: Study) -> Iterator[tuple[int, Point]]:
-    for case, values, seed in product(study.cases, product(*study.axes.values()), study.seeds):
-        yield seed, {**case, **dict(zip(study.axes, values, strict=True))}
+    points = (
+        (seed, {**case, **dict(zip(study.axes, values, strict=True))})
+        for case, values, seed in product(study.cases, product(*study.axes.values()), study.seeds)
+    )
+    draw = REPORTS[study.report].draw_runs
+    yield from resolve_name(draw)(study.set, list(points)) if draw else points

@@ -12,14 +12,16 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from deepgps.diagnosis.store import read_diagnosis
 from deepgps.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.progress import Report
 from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.scenario import Scenario
 from deepgps.stages import read_measured
-from deepgps.studies.catalog import PICTURES
+from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.engine import local as engine_local
 from deepgps.studies.engine import ray_cluster
+from deepgps.studies.engine.diagnosing import diagnose_all
 from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan, Study, write_out
@@ -126,7 +128,7 @@ def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll,
     unrecorded = record_all(plans, missing, place, progress)
     ready = [plan for plan in missing if plan.recording not in unrecorded]
     failed = {plan.run: unrecorded[plan.recording] for plan in missing if plan.recording in unrecorded}
-    return {**failed, **run_all(ready, place, progress)}
+    return {**failed, **(diagnose_all if REPORTS[study.report].gather else run_all)(ready, place, progress)}
 
 
 def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]:
@@ -134,7 +136,7 @@ def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run
-        if read_measured(run) is None:
+        if (read_diagnosis(run) if REPORTS[study.report].gather else read_measured(run)) is None:
             missing.append(plan)
     return missing
 

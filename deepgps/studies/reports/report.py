@@ -39,7 +39,8 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         failures: Reasons why runs failed, by the hash of the run.
         folder: The study's folder.
     """
-    rows, report = gather(plans, failures, folder), REPORTS[study.report]
+    report = REPORTS[study.report]
+    rows = (load(report.gather) if report.gather else gather)(plans, failures, folder)
     if report.columns:
         rows = add_columns(rows, load(report.columns), folder)
     write_table(folder / "table.parquet", rows)

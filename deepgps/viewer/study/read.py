@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from deepgps.evaluation.error_field import WorstField, read_fields
 from deepgps.run_folder import is_study
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_rows, read_setting
 from deepgps.viewer.save import hash_files
@@ -36,6 +37,8 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
         study = Study.model_validate(translate_study(read_yaml(folder / "study.yaml")))
     except ValidationError as error:
         raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
+    if REPORTS[study.report].gather:
+        raise InputError(f"{folder} is a study without maps to view; its page is {folder / 'table.md'}")
     try:
         rows = read_rows(path)
     except (pa.ArrowException, OSError) as error:
