@@ -161,7 +161,9 @@ def _find_radius(diagnosis: Diagnosis, least: dict[str, float], fix: Correction)
     side, other = fix.readings, "right" if fix.readings == "left" else "left"
     error, size = _off(diagnosis.reading_ratio, side)
     way = "long" if error > 0 else "short"
-    sure = "" if fix.exact else f" Or the {other} one's are too {'short' if error > 0 else 'long'}: turns do not tell."
+    sure = f" Turns say that it is the {side} one, if the track width is right."
+    if not fix.exact:
+        sure = f" Or the {other} one's are too {'short' if error > 0 else 'long'}: turns do not tell."
     return Finding(
         "radius",
         f"The {side} wheel's readings are {size} too {way} against the {other} one's, while the robot drives straight: "
@@ -214,7 +216,7 @@ def _find_stuck(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) 
         f"A wheel counts nothing in {_percent(diagnosis.stuck_fraction)} of the gaps while the other one turns: "
         f"{when}.",
         "look at that encoder's plug and magnet; distances in these stretches are halved, and noise-aware learning "
-        "leaves them out",
+        "gives them little weight",
         f"--encoder.stuck-fraction {diagnosis.stuck_fraction.value:.3f}",
     )
 

@@ -61,8 +61,8 @@ def read_gaps(recording: Recording) -> Gaps:
     ticks = np.diff(reading[:, 2:], axis=0)
     step = max(int(np.gcd.reduce(np.abs(ticks), axis=None)), 1)
     tick_m = float(ticks_to_distance(np.array(step), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
-    way = np.diff(travel(reading[:, 2:], odometry), axis=0)
-    stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(way, wheel, tick_m))
+    way, inside = np.diff(travel(reading[:, 2:], odometry), axis=0), np.diff(reading[:, 0]) == 0
+    stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(way, inside, wheel, tick_m))
     good = np.ones(len(way), bool)
     for stretch in stuck:
         good[max(stretch.first - 1, 0) : stretch.last + 2] = False
@@ -70,24 +70,25 @@ def read_gaps(recording: Recording) -> Gaps:
         way=way,
         seconds=np.diff(recording.time),
         made_of=np.diff(reading[:, 1]).clip(1),
-        inside=np.diff(reading[:, 0]) == 0,
+        inside=inside,
         stuck=stuck,
         good=good,
         tick_m=tick_m,
     )
 
 
-def find_stuck(way: np.ndarray, wheel: int, tick_m: float) -> list[Stretch]:
+def find_stuck(way: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -> list[Stretch]:
     """Find the stretches in which a wheel counts nothing while the other one travels.
 
     Args:
         way: Distance by the left and the right wheel in each gap (G, 2) [m].
+        inside: Whether the gap is on a segment (G,); in a turn one wheel may stand still.
         wheel: 0 left, 1 right.
         tick_m: Distance that a wheel travels between two counts [m].
     """
     still = np.concatenate([[False], way[:, wheel] == 0.0, [False]])
     starts, ends = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
-    other = np.abs(way[:, 1 - wheel])
+    other = np.abs(way[:, 1 - wheel]) * inside
     found = []
     for first, end in zip(starts.tolist(), ends.tolist(), strict=True):
         moved = other[first:end]

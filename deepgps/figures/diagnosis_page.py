@@ -13,7 +13,7 @@ from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_small
 from deepgps.figures.markdown import tabulate
 
 ALL_WELL = "Nothing is wrong with these wheels, as far as the robot's own sensors can tell."
-HEADINGS = ("quantity", "found", "95 % interval", "assumed", "told from")
+HEADINGS = ("quantity", "found", "95 % interval", "assumed", "smallest told")
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Quantity:
 
 
 QUANTITIES = {
-    "track_m": Quantity("track width", "mm", 1e-3, 2, "track"),
+    "track_m": Quantity("track width, with these radii", "mm", 1e-3, 2, "track"),
     "reading_ratio": Quantity("readings, right over left", "", 1.0, 4, "radius"),
     "wheel_ratio": Quantity("radius, right over left", "", 1.0, 4, "wheel"),
     "step_noise": Quantity("noise of a gap", "%", 1e-2, 2, "step_noise"),

@@ -65,9 +65,11 @@ def test_a_wheel_is_stuck_where_it_counts_nothing_while_the_other_one_travels():
     way = gaps.way.copy()
     way[200:260, 1] = 0.0
     way[400:402, 0] = 0.0  # two gaps are no stretch
-    stretches = find_stuck(way, 1, gaps.tick_m)
+    stretches = find_stuck(way, gaps.inside, 1, gaps.tick_m)
     assert [(one.first, one.last) for one in stretches] == [(200, 259)]
-    assert find_stuck(way, 0, gaps.tick_m) == []
+    assert find_stuck(way, gaps.inside, 0, gaps.tick_m) == []
+    way[440] = [0.0, 0.5]  # a turn about one wheel
+    assert find_stuck(way, gaps.inside & (np.arange(len(way)) != 440), 0, gaps.tick_m) == []
     stuck, low, high = measure_stuck(Gaps(**{**vars(gaps), "way": way, "stuck": tuple(stretches)}))
     assert low <= 60 / len(way) <= high
     assert stuck == pytest.approx(60 / len(way))
