@@ -115,7 +115,15 @@ REPORTS: dict[str, Report] = {
         {"diagnose": "diagnose_plots:draw"},
         "diagnose:measure",
         (
-            *("recall", "precision", "false_alarms", "false_alarms_alike", "coverage_least", "coverage_most"),
+            *(
+                "recall",
+                "recall_all",
+                "precision",
+                "false_alarms",
+                "false_alarms_alike",
+                "coverage_least",
+                "coverage_most",
+            ),
             *("track_error", "ratio_error"),
         ),
         draw_runs="deepgps.studies.diagnose_runs:draw_runs",

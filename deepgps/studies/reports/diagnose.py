@@ -156,6 +156,7 @@ def judge_intervals(rows: Sequence[Row]) -> tuple[list[str], list[list[str]]]:
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """Recall and precision above the stated size, false alarms, intervals, and errors of track width and ratios."""
     must = [(_accept(name), row["found"].split()) for row in rows for name in row["must"].split() if name != "alike"]
+    every = [(name, row["found"].split()) for row in rows for name in row["set"].split() if name != "alike"]
     told = [(name, _list_right(row)) for row in rows for name in row["found"].split()]
     none = [row for row in rows if not row["set"]]
     alike = [row for row in rows if row["set"] == "alike"]
@@ -164,6 +165,12 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     ratio = [max(_error(row, "reading_ratio"), _error(row, "wheel_ratio")) for row in rows]
     return {
         "recall": Figure(f"found, of {len(must)} faults", _share(a in b for a, b in must), "%", at_least=True),
+        "recall_all": Figure(
+            f"the same with those too small to be told, {len(every)}",
+            _share(a in b for a, b in every),
+            "%",
+            at_least=True,
+        ),
         "precision": Figure(f"right, of {len(told)} findings", _share(a in b for a, b in told), "%", at_least=True),
         "false_alarms": Figure(
             f"alarms in {len(none)} without faults", sum(bool(row["found"]) for row in none), "count"
