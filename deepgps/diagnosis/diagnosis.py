@@ -136,9 +136,14 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
 
 
 def apply_diagnosis(recording: Recording, diagnosis: Diagnosis) -> Recording:
-    """The recording with noise and track width as diagnosed in its odometry, where they are known."""
+    """The recording with noise and track width as diagnosed in its odometry, where they are known.
+
+    A track width that may be the one assumed stays: where turns by the wheels are noisy, it is known better.
+    """
     told = {name: diagnosis.quantities[name] for name in LEARNED_WITH}
     known = {name: estimate.value for name, estimate in told.items() if estimate.known}
+    if diagnosis.track_m.low <= diagnosis.odometry["track_m"] <= diagnosis.track_m.high:
+        known.pop("track_m", None)
     odometry = {**recording.manifest.odometry, **known}
     return replace(recording, manifest=recording.manifest.model_copy(update={"odometry": odometry}))
 
