@@ -10,8 +10,8 @@ from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.lean import describe_lean, ignore_small
 from deepgps.data.relative_headings import compare_headings, measure_curvature
-from deepgps.initial_map.closures import Closures
 from deepgps.diagnosis.store import take_diagnosed
+from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.wheel_turns import find_chirality

@@ -115,16 +115,8 @@ REPORTS: dict[str, Report] = {
         {"diagnose": "diagnose_plots:draw"},
         "diagnose:measure",
         (
-            *(
-                "recall",
-                "recall_all",
-                "precision",
-                "false_alarms",
-                "false_alarms_alike",
-                "coverage_least",
-                "coverage_most",
-            ),
-            *("track_error", "ratio_error"),
+            *("recall", "recall_all", "precision", "false_alarms", "false_alarms_alike"),
+            *("coverage_least", "coverage_most", "track_error", "ratio_error"),
         ),
         draw_runs="deepgps.studies.diagnose_runs:draw_runs",
         gather="diagnose:gather_diagnoses",
