@@ -23,6 +23,8 @@ WANDER_RAD = np.radians(0.07)
 """Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
 BACKED_OFF_M, MEETING_M = 0.05, 0.001
 """Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
+UNEVEN = 0.3
+"""Standard deviation of the distance between images, as a part of it, where readings were lost."""
 UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
 """Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
 
@@ -81,12 +83,17 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
         if begun and (number is None or skipped):
             squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
         if begun and number is not None:
+            way_m = travelled[run[0]] - travelled[before[-1]]
+            last, place, first = recording.reading[before[-1], 1], turns.before[number], recording.reading[run[0], 1]
+            ahead = _direct(turned)
             if KINDS[turns.kind[number]] == "relocated":
                 squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
             elif KINDS[turns.kind[number]] == "backed_off":
-                back_m = travelled[run[0]] - travelled[before[-1]]
-                jump = jump + back_m * np.array([np.cos(turned), np.sin(turned)])
-                jump_squared += BACKED_OFF_M**2
+                jump, jump_squared = jump + way_m * ahead, jump_squared + BACKED_OFF_M**2
+            elif last < place or first > place:  # readings beside the turn were lost: images are evenly spaced
+                share = (place - last) / (first - last)
+                jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
+                jump_squared += (UNEVEN * way_m / (first - last)) ** 2
             turned, squared = turned + angle[number], squared + variance[number]
         if len(run) >= 2:
             if begun:
@@ -94,3 +101,7 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
             begun, turned, squared, jump, jump_squared = True, 0.0, 0.0, np.zeros(2), MEETING_M**2
     table = np.array(rows).reshape(-1, 5)
     return CompassTurns(table[:, 0], table[:, 1], table[:, 2:4], table[:, 4])
+
+
+def _direct(heading: float) -> np.ndarray:
+    return np.array([np.cos(heading), np.sin(heading)])

@@ -7,6 +7,7 @@ from typing import Any
 
 from deepgps.diagnosis.diagnosis import LEARNED_WITH, Diagnosis, Estimate, StuckStretch, apply_diagnosis, diagnose
 from deepgps.diagnosis.findings import as_stored
+from deepgps.diagnosis.mend import mend_stuck
 from sim.errors import DamagedError
 from sim.files import read_json, write_json
 from sim.recording.format import Recording
@@ -27,14 +28,14 @@ def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
 
 
 def take_diagnosed(recording: Recording, folder: Path) -> tuple[Recording, dict[str, Any]]:
-    """The recording with noise and track width as diagnosed, and what ``training.json`` says of that.
+    """The recording with noise and track width as diagnosed, a stuck wheel mended, and what ``training.json`` says.
 
     Recordings without turns keep what their odometry's data sheet says.
     """
     diagnosis = diagnose_once(recording, folder)
     if diagnosis is None:
         return recording, {"diagnosed": None}
-    told = apply_diagnosis(recording, diagnosis)
+    told = apply_diagnosis(mend_stuck(recording), diagnosis)
     return told, {"diagnosed": {name: told.manifest.odometry.get(name) for name in LEARNED_WITH}}
 
 

@@ -89,7 +89,7 @@ def describe_parts(found: TurnedParts | None) -> dict[str, Any]:
 
 
 def _measure(recording: Recording, runs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Segments (T,) after which the robot turned in place, and the angle that the images show, to the left (T,) [rad]."""
+    """Segments (T,) after which the robot turned in place, and the angles that the images show (T,) [rad]."""
     assert recording.turns is not None and recording.turn_observation is not None
     begins = {int(run[0]): number for number, run in enumerate(runs)}
     found = [

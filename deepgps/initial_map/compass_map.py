@@ -194,7 +194,9 @@ def _describe(bars: Bars, links: Links, fit: _Fit, closures: int, observations: 
     places[seen], heading[seen] = camera, bars.heading[taken]
     error[seen] = align_samples(camera, carry(bars, samples)[taken])
     std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
-    undecided = ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
+    undecided = np.zeros(observations, bool)
+    undecided[bars.observation] = True  # an observation whose readings were all lost is no part of the map
+    undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
     doubted = find_doubted(bars, links, belief)
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
     believed = np.zeros(closures, bool)

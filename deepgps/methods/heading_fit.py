@@ -152,7 +152,7 @@ def _refine(
     found = np.zeros((len(off), 3))
     for _ in range(8):
         missed = wrap(off - np.einsum("emk,ek->em", rows, found))
-        middle = np.nan_to_num(np.nanmedian(np.where(near, np.abs(missed), np.nan), axis=1)) if near.any() else 0.0
+        middle = _median(np.abs(missed), near)
         scale = np.maximum(1.5 * np.asarray(middle), MATCH_RAD)[..., None]
         weight = near / (std**2 + scale**2) / (1.0 + (missed / (2.0 * scale)) ** 2)
         target = missed + np.einsum("emk,ek->em", rows, found)
@@ -168,3 +168,11 @@ def _scale_std(table: HeadingTable, images: np.ndarray, place: np.ndarray, headi
     ratio = ratio[np.isfinite(ratio)]
     factor = float(np.sqrt(np.mean(np.minimum(ratio, 3.0) ** 2))) if len(ratio) else 1.0
     return replace(table, std_factor=factor)
+
+
+def _median(values: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    """Median of those values of each row (E, M) that count; 0 where none does."""
+    some = counted.any(axis=1)
+    found = np.zeros(len(values))
+    found[some] = np.nanmedian(np.where(counted, values, np.nan)[some], axis=1)
+    return found

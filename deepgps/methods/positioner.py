@@ -185,7 +185,7 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
         )
     tensors, description = _take_apart(positioner)
     if (headings := headings_of(positioner)) is not None:
-        arrays, description["headings"] = headings.pack()
+        arrays, description["yaw"] = headings.pack()
         tensors |= {f"{HEADINGS}{name}": torch.from_numpy(array) for name, array in arrays.items()}
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
@@ -204,10 +204,10 @@ def load_positioner(folder: Path) -> Positioner:
             raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
         tensors = load_file(folder / WEIGHTS)
         positioner = _put_together(description, tensors)
-        if description.get("headings") is None:  # as in earlier versions and in methods that tell no yaw
+        if description.get("yaw") is None:  # as in earlier versions and in methods that tell no yaw
             return positioner
         own = {n.removeprefix(HEADINGS): t.numpy() for n, t in tensors.items() if n.startswith(HEADINGS)}
-        return add_headings(positioner, unpack(own, description["headings"]))
+        return add_headings(positioner, unpack(own, description["yaw"]))
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
     except InputError:
