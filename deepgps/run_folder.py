@@ -15,7 +15,7 @@ from sim.errors import DamagedError, InputError
 from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
-TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|checkpoint\.pt"
+TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
 FEATURE_FILES = r"features\.(safetensors|key)"
 
 

@@ -10,8 +10,8 @@ from sim.errors import DamagedError, InputError
 from sim.files import damaged, read_arrays, write_arrays
 from sim.renamed import name_methods
 
-YAWS = ("yaw", "yaw_std", "yaw_weight")
-"""Arrays of a method that tells yaws, in the file as ``<array>/<method>``."""
+OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected")
+"""Arrays that some methods have, in the file as ``<array>/<method>``."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,7 @@ class ErrorField:
         yaw: Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method tells none.
         yaw_std: Its standard deviation, as the method tells it (C, H) [rad]; None like ``yaw``.
         yaw_weight: Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``.
+        expected: RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none.
     """
 
     truth: np.ndarray
@@ -33,6 +34,7 @@ class ErrorField:
     yaw: np.ndarray | None = None
     yaw_std: np.ndarray | None = None
     yaw_weight: np.ndarray | None = None
+    expected: np.ndarray | None = None
 
     @property
     def error(self) -> np.ndarray:
@@ -55,7 +57,7 @@ def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
     some = next(iter(fields.values()))
     arrays = {method: field.predicted for method, field in fields.items()}
     for method, field in fields.items():
-        for part in YAWS:
+        for part in OPTIONAL:
             if (array := getattr(field, part)) is not None:
                 arrays[f"{part}/{method}"] = array
     write_arrays(path, {"truth": some.truth, "heading": some.heading, **arrays})
@@ -97,7 +99,7 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
         raise damaged(path, f"it has no {' and no '.join(sorted(missing))}")
     methods = (name for name in data if name not in {"truth", "heading"} and "/" not in name)
     fields = {
-        name: ErrorField(data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in YAWS))
+        name: ErrorField(data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL))
         for name in methods
     }
     return name_methods(fields)

@@ -110,7 +110,11 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
             f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
             f"{_describe_wrong(distances)}",
         )
-    sentences[-1:-1] = [*_describe_leans(metrics["methods"]), *_describe_in_use(metrics)]
+    sentences[-1:-1] = [
+        *_describe_maps(metrics["methods"]),
+        *_describe_leans(metrics["methods"]),
+        *_describe_in_use(metrics),
+    ]
     if left_out := describe_readings(metrics.get("readings", {})):
         sentences.insert(1, left_out)
     return sentences
@@ -186,6 +190,17 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
         console.print(sentence, style="yellow", markup=False, soft_wrap=True)
     if sitting_s is not None:
         console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
+
+
+def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
+    """Errors of the initial maps that know how good they are, beside what they expect of themselves."""
+    maps = ((name, values.get("map", {})) for name, values in methods.items())
+    return [
+        f"The initial map of {title_of(name)} has an RMS error of {100 * found['rms_m']:.2f} cm; from its turns, "
+        f"encoders and loop closures, {100 * found['expected_rms_m']:.2f} cm are expected."
+        for name, found in maps
+        if "rms_m" in found
+    ]
 
 
 def _describe_leans(methods: Mapping[str, Any]) -> list[str]:

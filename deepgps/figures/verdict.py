@@ -19,6 +19,9 @@ def judge_run(metrics: Mapping[str, Any]) -> list[str]:
     doubts = {title_of(name): find_doubts(values) for name, values in metrics["methods"].items()}
     told = [f"{title} ({', '.join(reasons)})" for title, reasons in doubts.items() if reasons]
     sentences = [f"Not converged: {'; '.join(told)}."] if told else []
+    for name, values in metrics["methods"].items():
+        if undecided := describe_undecided(values.get("map", {})):
+            sentences.append(f"{title_of(name)}: {undecided}")
     if missed := describe_missed(metrics.get("coverage", {})):
         sentences.append(missed)
     if metrics.get("scenario") == "tiny":
@@ -40,6 +43,23 @@ def find_doubts(method: Mapping[str, Any]) -> list[str]:
     if rms is not None and rms > LARGEST_RELATIVE_RMS:
         reasons.append(f"RMS {100 * rms:.0f} % of the room's shorter side")
     return reasons
+
+
+def describe_undecided(found: Mapping[str, Any]) -> str | None:
+    """Say in a sentence how much of an initial map is undecided, and why; None: nothing is, or there is no such map.
+
+    Args:
+        found: The map's part of ``metrics.json``, or of ``training.json``.
+    """
+    share, parts, repeats_m = found.get("undecided", 0.0), found.get("parts", []), found.get("repeats_m")
+    if not share or not parts:
+        return None
+    first, last = max(parts, key=lambda part: part[1] - part[0])
+    pieces = (
+        f"images {first} to {last}" if len(parts) == 1 else f"{len(parts)} parts; longest: images {first} to {last}"
+    )
+    because = f"; the world looks alike every {repeats_m:.1f} m" if repeats_m else ""
+    return f"{max(100 * share, 0.1):.1f} % of its initial map is undecided ({pieces}){because}."
 
 
 def describe_missed(coverage: Mapping[str, Any]) -> str | None:

@@ -6,7 +6,7 @@ believed only within a gate: a few standard deviations of the distance between i
 map itself, so that a place that only looks alike is never joined with one far away.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -49,6 +49,25 @@ RECUTS = 3
 UNDERSTATED = 1.5
 """Where lengths err so many times more than expected, the map is made again with shorter bars."""
 LARGEST_TURN = 0.5
+STAGES = 8
+"""Most stages of the map's making that are kept; the first rounds move it most, and most of these are kept."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The map after one round of its making.
+
+    Attributes:
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown.
+        heading: Heading of the robot at each (N,) [rad].
+        believed: Which loop closures are believed (n,) bool.
+        number: Rounds before it; 0: as laid out along the compass headings.
+    """
+
+    places: np.ndarray
+    heading: np.ndarray
+    believed: np.ndarray
+    number: int
 
 
 @dataclass(frozen=True)
@@ -66,6 +85,8 @@ class CompassMap:
         shared: Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to
             its left [m] (3,).
         shared_std: Their standard deviations (3,).
+        closures: The loop closures that were tried.
+        stages: How the map was made, its last stage last.
     """
 
     places: np.ndarray
@@ -78,6 +99,8 @@ class CompassMap:
     shared: np.ndarray
     shared_std: np.ndarray
     scale: Scale
+    closures: Closures
+    stages: tuple[Stage, ...]
 
 
 def find_compass_map(
@@ -104,7 +127,7 @@ def find_compass_map(
         variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
         segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
         bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
-    return _describe(bars, links, fit, len(closures.first), observations)
+    return _describe(bars, links, fit, closures, observations)
 
 
 def _find(
@@ -124,19 +147,27 @@ def _find(
         wrong = find_contradicted(bars, fit.part, links, fit.belief) & ~cut
         if not wrong.any():
             break
-        cut = cut | wrong
+        cut, before = cut | wrong, fit.rounds
         fit = _fit(bars, joints, links, cut, curvature, rng)
+        fit.rounds[:0] = before
     return bars, links, fit
 
 
 @dataclass
 class _Fit:
-    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), what is believed."""
+    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), what is believed; and of
+    each round, positions (r, 2) and headings (r,) of the readings, and what is believed (m,).
+    """
 
     part: np.ndarray
     samples: np.ndarray
     belief: Belief
     scale: Scale
+    rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def keep(self, bars: Bars) -> None:
+        """Keep the round for the history of the map's making."""
+        self.rounds.append((bars.camera.astype(np.float32), bars.heading.astype(np.float32), self.belief.believed))
 
 
 def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
@@ -144,6 +175,7 @@ def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: f
     none = np.zeros(len(links.one), bool)
     belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
     fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
+    fit.keep(bars)
     while True:
         _refine(fit, bars, joints, links, cut, curvature, rng)
         joined = none.copy()
@@ -177,13 +209,14 @@ def _refine(
         bars.move(move)
         fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
         fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
+        fit.keep(bars)
         if np.abs(bars.camera - before).max() < SETTLED_M and fit.belief.believed.sum() == number:
             if not narrow:
                 break
             narrow = False
 
 
-def _describe(bars: Bars, links: Links, fit: _Fit, closures: int, observations: int) -> CompassMap:
+def _describe(bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int) -> CompassMap:
     part, belief, samples = fit.part, fit.belief, fit.samples
     main = part[bars.row] == np.bincount(part[bars.row]).argmax()
     places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
@@ -199,12 +232,38 @@ def _describe(bars: Bars, links: Links, fit: _Fit, closures: int, observations: 
     undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
     doubted = find_doubted(bars, links, belief)
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
-    believed = np.zeros(closures, bool)
-    believed[links.number] = belief.believed
+    stages = _thin_out(bars, links, fit, len(closures.first), observations)
     shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))
     return CompassMap(
-        places, heading, std, error, believed, undecided, belief.repeats_m, bars.shared, shared_std, fit.scale
+        places,
+        heading,
+        std,
+        error,
+        stages[-1].believed,
+        undecided,
+        belief.repeats_m,
+        bars.shared,
+        shared_std,
+        fit.scale,
+        closures,
+        stages,
     )
+
+
+def _thin_out(bars: Bars, links: Links, fit: _Fit, closures: int, observations: int) -> tuple[Stage, ...]:
+    """At most ``STAGES`` of a fit's rounds, the first and the last among them."""
+    rounds = len(fit.rounds)
+    chosen = np.unique(np.geomspace(1, rounds, min(STAGES, rounds)).round().astype(int)) - 1
+    seen, first = np.unique(bars.observation, return_index=True)
+    stages = []
+    for number in chosen:
+        camera, direction, believed = fit.rounds[number]
+        places, heading = np.full((observations, 2), np.nan, np.float32), np.full(observations, np.nan, np.float32)
+        places[seen], heading[seen] = camera[first], direction[first]
+        of_all = np.zeros(closures, bool)
+        of_all[links.number] = believed
+        stages.append(Stage(places, heading, of_all, int(number)))
+    return tuple(stages)
 
 
 def align_samples(places: np.ndarray, error: np.ndarray) -> np.ndarray:

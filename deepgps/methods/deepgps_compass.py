@@ -14,6 +14,7 @@ from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
 from deepgps.initial_map.isomap import find_loop_closures
+from deepgps.initial_map.stored_map import write_map
 from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
@@ -36,6 +37,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     progress("compass: initial map", 0, 1)
     found = make_compass_map(recording, data, turns, seed)
+    write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
 
     def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
@@ -66,15 +68,15 @@ def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTur
 def describe_map(found: CompassMap) -> dict[str, Any]:
     """What ``training.json`` holds of a map: how well it is known, what is undecided, and what all segments share.
 
-    ``rms_m`` is the error that turns, encoders and loop closures allow, after alignment; ``undecided`` the share of the
-    observations that may lie elsewhere, and ``parts`` their first and last observations.
+    ``expected_rms_m`` is the error that turns, encoders and loop closures allow, after alignment; ``undecided`` the
+    share of the observations that may lie elsewhere, and ``parts`` their first and last observations.
     """
     edge = np.diff(np.concatenate([[0], found.undecided, [0]]).astype(int))
     parts = np.stack([np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1], axis=1)
     known = found.std[np.isfinite(found.std)]
     curvature, ahead, left = zip(found.shared.round(5).tolist(), found.shared_std.round(5).tolist(), strict=True)
     return {
-        "rms_m": round(float(np.sqrt(2.0 * (known**2).mean())), 5),
+        "expected_rms_m": round(float(np.sqrt(2.0 * (known**2).mean())), 5),
         "undecided": round(float(found.undecided.mean()), 4),
         "parts": parts.tolist(),
         "repeats_m": round(found.repeats_m, 2) if np.isfinite(found.repeats_m) else None,

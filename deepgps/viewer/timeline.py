@@ -1,6 +1,6 @@
 """The timelines of a run's recording, and rows along them.
 
-The timelines are ``drive_time`` [s], ``step`` of training, ``place``, which ends with the worst place, and
+The timelines are ``drive_time`` [s], ``step`` of training, ``making`` (rounds of the initial map by compass), ``place``, which ends with the worst place, and
 ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the training and the worst places at the same
 time, so that its slider changes every tab.
 """
@@ -12,7 +12,7 @@ import rerun as rr
 
 from sim.recording.format import Recording
 
-DRIVE_TIME, STEP, PLACE, PROGRESS = "drive_time", "step", "place", "progress"
+DRIVE_TIME, STEP, MAKING, PLACE, PROGRESS = "drive_time", "step", "making", "place", "progress"
 PROGRESS_END_S = 100.0
 """Seconds in which the viewer plays everything; a second is one per cent."""
 
@@ -40,6 +40,15 @@ def step_index(step: np.ndarray, last: int) -> list[rr.TimeColumn]:
     return [
         rr.TimeColumn(STEP, sequence=step),
         rr.TimeColumn(PROGRESS, duration=PROGRESS_END_S * np.asarray(step) / last),
+    ]
+
+
+def making_index(stage: int, last: int) -> list[rr.TimeColumn]:
+    """The row of one stage of a map's making, numbered from 0 to ``last``."""
+    share = stage / max(last, 1)
+    return [
+        rr.TimeColumn(MAKING, sequence=[stage]),
+        rr.TimeColumn(PROGRESS, duration=[PROGRESS_END_S * share]),
     ]
 
 

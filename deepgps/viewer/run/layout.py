@@ -8,6 +8,7 @@ from deepgps.methods.catalog import title_of
 from deepgps.viewer.distribution import distribution_view
 from deepgps.viewer.run.coverage import COVERAGE, DENSITY
 from deepgps.viewer.run.diagnosis import diagnosis_view
+from deepgps.viewer.run.making import MAKING, TEXT, name_expected
 from deepgps.viewer.run.pictures import LARGE
 from deepgps.viewer.run.place_drawing import PICTURES
 from deepgps.viewer.timeline import PROGRESS
@@ -24,7 +25,12 @@ Headings = Mapping[str, Sequence[str]]
 
 
 def make_blueprint(
-    space: FreeSpace, headings: Headings, trained: Sequence[str], pictures: Mapping[str, str], drive_s: float
+    space: FreeSpace,
+    headings: Headings,
+    trained: Sequence[str],
+    pictures: Mapping[str, str],
+    drive_s: float,
+    mapped: str | None = None,
 ) -> rrb.Blueprint:
     """The viewer's layout for a run, which opens with what matters most.
 
@@ -34,12 +40,14 @@ def make_blueprint(
         trained: Methods with a training history.
         pictures: Titles of the sensors' pictures, by name.
         drive_s: Duration of the drive [s].
+        mapped: Method whose initial map's making is shown; None: no method kept it.
     """
     return arrange(
         [
             _error_fields(space, headings),
             _worst_places(space, "polar" in pictures),
             _drive(space, pictures, drive_s),
+            *([_making(space, mapped)] if mapped else []),
             *([_training(space, trained)] if trained else []),
             _encoders(space, drive_s),
             _report(),
@@ -136,6 +144,37 @@ def camera_views(pictures: Mapping[str, str]) -> list[rrb.View | rrb.Container]:
     large = [views.pop(LARGE)] if LARGE in views else []
     shares = [1 if name == "fisheye" else 2 for name in views]
     return [*large, *([rrb.Horizontal(*views.values(), column_shares=shares)] if views else [])]
+
+
+def _making(space: FreeSpace, method: str) -> rrb.Horizontal:
+    """How the initial map is made, and the errors that it expects beside those of the trained method."""
+    eye = aim_eye(space, reach=1.0, before=0.0)
+    making = rrb.Spatial3DView(
+        name="The initial map in the making: choose the timeline `making`",
+        origin="world",
+        contents=["world/outline", f"{MAKING}/**"],
+        eye_controls=eye,
+        line_grid=False,
+        overrides=hold_still(),
+    )
+    fields = [
+        rrb.Spatial3DView(
+            name=name,
+            origin="world",
+            contents=["world/floor_plan", "world/scale/**", *contents],
+            eye_controls=aim_eye(space, reach=0.9),
+            line_grid=False,
+            overrides=hold_still(),
+        )
+        for name, contents in (
+            ("Error that the initial map expects of itself", [name_expected(method)]),
+            (f"Error field of {title_of(method)}", [f"world/error_field/{method}/worst/**"]),
+        )
+    ]
+    text = rrb.TextDocumentView(name="This stage", origin=TEXT)
+    return rrb.Horizontal(
+        making, rrb.Vertical(text, *fields, row_shares=[3, 4, 4]), column_shares=[5, 3], name="Initial map"
+    )
 
 
 def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:

@@ -1,7 +1,7 @@
 """A run's recording for the Rerun viewer, with a blueprint.
 
 Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (sensor data),
-``encoders`` (encoder errors), ``training`` (loss), ``place`` (pictures of the worst places) and ``report`` (text and
+``encoders`` (encoder errors), ``making`` (words on the initial map), ``training`` (loss), ``place`` (pictures of the worst places) and ``report`` (text and
 plots).
 """
 
@@ -24,6 +24,7 @@ from deepgps.viewer.run.diagnosis import log_diagnosis
 from deepgps.viewer.run.drive import find_pictures, log_drive
 from deepgps.viewer.run.encoders import log_encoders
 from deepgps.viewer.run.layout import make_blueprint
+from deepgps.viewer.run.making import find_map, list_expected, log_expected, log_making
 from deepgps.viewer.run.pictures import LARGE, PICTURES, log_pictures, read_pictures
 from deepgps.viewer.run.places import find_places, log_places
 from deepgps.viewer.run.training import log_training
@@ -41,7 +42,7 @@ HELP = (
     "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
     "The panel on the left (button at the top right) switches on and off: each heading, errors above or below 10 cm, "
     "predicted yaws (arrows of 7 cm; those off by more than 5 degrees in purple), "
-    "floor that is not covered by images, images per cell of 0.25 m.",
+    "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m.",
 )
 
 
@@ -56,13 +57,18 @@ def write_recording(run: Path) -> Path:
     recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     space, driven = truth.free_space, truth.pose[:, :2]
     pictures = read_pictures(run)
+    mapped, stored = find_map(run, fields)
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
     blueprint = make_blueprint(
         space,
-        {name: [*list_headings(name, field), *list_yaws(name, field)] for name, field in fields.items()},
+        {
+            name: [*list_headings(name, field), *list_yaws(name, field), *list_expected(name, field)]
+            for name, field in fields.items()
+        },
         list(histories),
         titles,
         float(recording.time[-1] - recording.time[0]),
+        mapped,
     )
 
     def log(stream: rr.RecordingStream) -> None:
@@ -72,11 +78,14 @@ def write_recording(run: Path) -> Path:
             log_field(stream, name, find_worst(field))
             log_headings(stream, name, field)
             log_yaws(stream, name, field)
+            log_expected(stream, name, field)
         log_coverage(stream, driven, space)
         log_places(stream, fields, find_places(fields), recording, truth)
         log_drive(stream, recording, truth)
         log_pictures(stream, pictures, recording)
         log_encoders(stream, recording, truth)
+        if stored is not None:
+            log_making(stream, stored, recording, driven)
         for name, history in histories.items():
             log_training(stream, name, history, driven)
         _log_report(stream, metrics)

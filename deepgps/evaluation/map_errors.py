@@ -1,0 +1,86 @@
+"""Errors of a map by compass before any training, beside those that its own covariance expects."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from deepgps.alignment import fit_alignment
+from deepgps.evaluation.error_field import ErrorField
+from deepgps.initial_map.stored_map import StoredMap, read_map
+
+UNDECIDED = 0.05
+"""A map is undecided if more than this share of the observations may lie elsewhere."""
+NEAREST = 8
+"""Training observations between which the expected error is interpolated."""
+ROUNDING_M = 1e-6
+
+
+def judge_map(stored: StoredMap, place: np.ndarray, training: dict[str, Any]) -> dict[str, Any]:
+    """Measure a map against the true places (N, 2) [m] of its observations, after an SE2 alignment of all known ones.
+
+    Args:
+        stored: The map.
+        place: True positions of the camera (N, 2) [m].
+        training: What the training said of the map, which is kept.
+
+    Returns:
+        ``undecided``, whether more than ``UNDECIDED`` of the map is, and ``map``: ``rms_m``, ``median_m``, ``max_m``,
+        and ``nees``, the normalised estimation error squared over its expectation of 2: 1 for a covariance that is
+        right (Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
+    """
+    known = stored.known
+    apart = _align(stored, place) - place[known]
+    error = np.linalg.norm(apart, axis=1)
+    measured = {
+        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "median_m": float(np.median(error)),
+        "max_m": float(error.max()),
+        "nees": measure_nees(_turn(stored, place), int(stored.samples), apart),
+    }
+    return {"undecided": training["undecided"] > UNDECIDED, "map": {**training, **measured}}
+
+
+def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> float:
+    """Mean over errors (n, 2) [m] of e^T C^-1 e / 2, with covariances (n, 2, 2) [m^2] of ``samples`` samples each.
+
+    The inverse of a covariance of s samples is too large by s / (s - 3) (Hartlap et al., A&A 464, 2007, for p = 2).
+    """
+    inverse = np.linalg.inv(covariance + ROUNDING_M**2 * np.eye(2))
+    squared = np.einsum("na,nab,nb->n", error, inverse, error)
+    return float(np.mean(squared)) / 2.0 * (samples - 3) / samples
+
+
+def add_expected(field: ErrorField, stored: StoredMap, place: np.ndarray) -> ErrorField:
+    """The error field with the error that the map expects at each test position, as RMS.
+
+    Args:
+        field: The error field of the method that began with the map.
+        stored: The map.
+        place: True positions of its observations (N, 2) [m].
+    """
+    away, nearest = KDTree(_align(stored, place)).query(field.truth, min(NEAREST, int(stored.known.sum())))
+    weight = 1.0 / np.maximum(away, ROUNDING_M) ** 2
+    variance = (weight * stored.expected[stored.known][nearest] ** 2).sum(axis=1) / weight.sum(axis=1)
+    return replace(field, expected=np.sqrt(variance))
+
+
+def read_known_map(folder: Path) -> StoredMap | None:
+    """The map in a method's folder, if it has one of at least two positions."""
+    stored = read_map(folder)
+    return stored if stored is not None and stored.known.sum() >= 2 else None
+
+
+def _align(stored: StoredMap, place: np.ndarray) -> np.ndarray:
+    """The known positions in the world's frame (n, 2) [m]."""
+    known = stored.known
+    return fit_alignment(stored.places[known], place[known], "SE2").apply(stored.places[known])
+
+
+def _turn(stored: StoredMap, place: np.ndarray) -> np.ndarray:
+    """The covariances of the known positions in the world's frame (n, 2, 2) [m^2]."""
+    known = stored.known
+    rotation = fit_alignment(stored.places[known], place[known], "SE2").rotation
+    return rotation @ stored.covariance[known] @ rotation.T

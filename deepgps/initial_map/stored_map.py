@@ -1,0 +1,110 @@
+"""A map by compass in a method's folder, ``map.npz``: what evaluation measures and the viewer shows of its making.
+
+It is no part of what positions an image: it is written before the training and never read by it.
+"""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.data.compass_turns import CompassTurns
+from deepgps.data.segments import Segments
+from deepgps.initial_map.compass_map import CompassMap
+from sim.files import damaged, read_arrays, write_arrays
+
+FILE = "map.npz"
+
+
+@dataclass(frozen=True)
+class StoredMap:
+    """A map by compass, with k stages of its making, n loop closures and L - 1 turns.
+
+    Attributes:
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown.
+        heading: Heading of the robot at each (N,) [rad].
+        covariance: Of each position's error, after alignment of the whole map (N, 2, 2) [m^2].
+        samples: Number of samples that each covariance is the mean of ().
+        undecided: Observations that may lie elsewhere (N,) bool.
+        closure: The two observations of each loop closure (n, 2).
+        closure_turn: Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open.
+        turn: Last observation before and first observation after each turn (L - 1, 2).
+        turn_angle: Turn to the left (L - 1,) [rad].
+        turn_std: Its standard deviation (L - 1,) [rad].
+        stage: Rounds before each stage (k,); 0: as laid out along the compass headings.
+        stage_places: Positions at each stage (k, N, 2) float32 [m].
+        stage_heading: Headings at each stage (k, N) float32 [rad].
+        stage_believed: Loop closures believed at each stage (k, n) bool.
+    """
+
+    places: np.ndarray
+    heading: np.ndarray
+    covariance: np.ndarray
+    samples: np.ndarray
+    undecided: np.ndarray
+    closure: np.ndarray
+    closure_turn: np.ndarray
+    turn: np.ndarray
+    turn_angle: np.ndarray
+    turn_std: np.ndarray
+    stage: np.ndarray
+    stage_places: np.ndarray
+    stage_heading: np.ndarray
+    stage_believed: np.ndarray
+
+    @property
+    def known(self) -> np.ndarray:
+        """Whether each observation has a position (N,) bool."""
+        return np.isfinite(self.places[:, 0])
+
+    @property
+    def expected(self) -> np.ndarray:
+        """Expected distance of each position from the truth, as RMS (N,) [m]: the root of the covariance's trace."""
+        return np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
+
+
+def write_map(folder: Path, found: CompassMap, segments: Segments, turns: CompassTurns) -> None:
+    """Write a map into a method's folder.
+
+    Args:
+        folder: The method's folder.
+        found: The map.
+        segments: The segments that it was made of.
+        turns: The turns between these.
+    """
+    samples = found.error.shape[2]
+    rows = np.arange(len(segments.count))
+    last = segments.index.numpy()[rows, segments.count.numpy() - 1]
+    stored = StoredMap(
+        places=found.places,
+        heading=found.heading,
+        covariance=np.einsum("nas,nbs->nab", found.error, found.error) / samples,
+        samples=np.array(samples),
+        undecided=found.undecided,
+        closure=np.stack([found.closures.first, found.closures.second], axis=1),
+        closure_turn=found.closures.turn,
+        turn=np.stack([last[:-1], segments.index.numpy()[1:, 0]], axis=1),
+        turn_angle=turns.angle,
+        turn_std=turns.angle_std,
+        stage=np.array([stage.number for stage in found.stages]),
+        stage_places=np.stack([stage.places for stage in found.stages]),
+        stage_heading=np.stack([stage.heading for stage in found.stages]),
+        stage_believed=np.stack([stage.believed for stage in found.stages]),
+    )
+    write_arrays(folder / FILE, vars(stored))
+
+
+def read_map(folder: Path) -> StoredMap | None:
+    """Read the map of a method's folder; None: it has none, as other methods and earlier versions.
+
+    Raises:
+        DamagedError: It is truncated or changed.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return None
+    arrays = read_arrays(path)
+    names = [field.name for field in fields(StoredMap)]
+    if missing := [name for name in names if name not in arrays]:
+        raise damaged(path, f"it has no {missing[0]}")
+    return StoredMap(**{name: arrays[name] for name in names})
