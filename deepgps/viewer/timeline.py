@@ -1,8 +1,8 @@
 """The timelines of a run's recording, and rows along them.
 
-The timelines are ``drive_time`` [s], ``step`` of training, ``making`` (rounds of the initial map by compass), ``place``, which ends with the worst place, and
-``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the training and the worst places at the same
-time, so that its slider changes every tab.
+The timelines are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map by compass), ``place``,
+which ends with the worst place, and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the map's
+making, the training and the worst places at the same time, so that its slider changes every tab.
 """
 
 from collections.abc import Iterable, Sequence

@@ -75,7 +75,7 @@ def log_expected(stream: rr.RecordingStream, name: str, field: ErrorField) -> No
     """Log the error that a method's initial map expects at each test position, in the colours of the error field."""
     if field.expected is None:
         return
-    apart = KDTree(field.truth).query(field.truth, [min(2, len(field.truth))])[0]
+    apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)[:, -1]
     said = rr.AnyValues(expected=pa.array([f"{100 * one:.2f} cm expected" for one in field.expected], pa.utf8()))
     tiles = make_tiles(field.truth, float(np.median(apart)), 2 * LAYER_M, colours_of(field.expected))
     for thing in (tiles, said):

@@ -1,8 +1,8 @@
 """A run's recording for the Rerun viewer, with a blueprint.
 
-Entities: ``world`` (room, robot, path, error fields, snapshots: all in the world's frame), ``drive`` (sensor data),
-``encoders`` (encoder errors), ``making`` (words on the initial map), ``training`` (loss), ``place`` (pictures of the worst places) and ``report`` (text and
-plots).
+Entities: ``world`` (room, robot, path, error fields, the initial map's making, snapshots: all in the world's frame),
+``drive`` (sensor data), ``encoders`` (encoder errors), ``making`` (words on the initial map), ``training`` (loss),
+``place`` (pictures of the worst places) and ``report`` (text and plots).
 """
 
 from collections.abc import Mapping
@@ -59,12 +59,10 @@ def write_recording(run: Path) -> Path:
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
+    lists = (list_headings, list_yaws, list_expected)
     blueprint = make_blueprint(
         space,
-        {
-            name: [*list_headings(name, field), *list_yaws(name, field), *list_expected(name, field)]
-            for name, field in fields.items()
-        },
+        {name: [path for paths in lists for path in paths(name, field)] for name, field in fields.items()},
         list(histories),
         titles,
         float(recording.time[-1] - recording.time[0]),
