@@ -1,7 +1,7 @@
 """The timelines of a run's recording, and rows along them.
 
-The timelines are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map by compass), ``place``,
-which ends with the worst place, and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the map's
+The timelines are ``drive_time`` [s], ``step`` of training, ``making`` (stages of the initial map), ``place``, which
+ends with the worst place, and ``progress``, which runs from 0 to ``PROGRESS_END_S`` through the drive, the map's
 making, the training and the worst places at the same time, so that its slider changes every tab.
 """
 

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.style import count_by_decades, draw_band
 from deepgps.methods.catalog import colour_of, title_of
-from deepgps.studies.reports.encoder import NEAR_M, PART, name_part
+from deepgps.studies.reports.encoder import EXPECTED, NEAR_M, PART, name_part
 from deepgps.studies.reports.encoder_sweeps import Sweep, find_sweeps
 from deepgps.studies.table import Row, find_methods, mean
 
@@ -51,6 +51,12 @@ def _draw_errors(axes: Axes, sweep: Sweep) -> None:
     ):
         values = [100 * mean(group, name) for group in groups.values()]
         axes.plot(range(len(groups)), values, style, markersize=5, label=label)
+    for method in find_methods(sweep.rows):
+        groups = sweep.by_value(method)
+        if all(row.get(EXPECTED) is not None for group in groups.values() for row in group):
+            values = [100 * mean(group, EXPECTED) for group in groups.values()]
+            label = f"{title_of(method)}: expected by its map"
+            axes.plot(range(len(groups)), values, ":", color=colour_of(method), label=label)
     axes.set_yscale("log")
     count_by_decades(axes.yaxis)
 

@@ -173,7 +173,7 @@ def _making(space: FreeSpace, method: str) -> rrb.Horizontal:
     ]
     text = rrb.TextDocumentView(name="This stage", origin=TEXT)
     return rrb.Horizontal(
-        making, rrb.Vertical(text, *fields, row_shares=[3, 4, 4]), column_shares=[5, 3], name="Initial map"
+        making, rrb.Vertical(text, *fields, row_shares=[4, 4, 4]), column_shares=[5, 3], name="Initial map"
     )
 
 

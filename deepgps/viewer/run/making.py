@@ -27,8 +27,8 @@ MAKING, TEXT = "world/making", "making"
 PATH, WARNING, TURN = (90, 160, 255), (255, 150, 40), (255, 230, 120)
 BELIEVED, REFUSED, OPEN = (63, 208, 165), (232, 37, 79), (120, 130, 150)
 ARC_M, ARC_POINTS = 0.06, 12
-ELLIPSES, ELLIPSE_POINTS, SIGMAS, SEEN_M = 150, 24, 2.0, 0.05
-"""Most ellipses, points of each, standard deviations, and the half axis from which they are not drawn larger [m]."""
+ELLIPSES, ELLIPSE_POINTS, SIGMAS, SEEN_M = 100, 24, 2.0, 0.06
+"""Most ellipses, points of each, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
 
 
 def find_map(run: Path, methods: Iterable[str]) -> tuple[str | None, StoredMap | None]:
@@ -156,9 +156,10 @@ def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignmen
 
 
 def enlarge(stored: StoredMap) -> float:
-    """The power of ten by which ellipses are drawn larger, so that the middle one can be seen."""
+    """How many times larger ellipses are drawn so that the middle one can be seen: 1, 2, 5, 10, 20, ..."""
     middle = SIGMAS * float(np.median(stored.expected[stored.known])) / np.sqrt(2.0)
-    return float(10.0 ** np.clip(np.ceil(np.log10(SEEN_M / max(middle, 1e-6))), 0, 4))
+    steps = np.outer(10.0 ** np.arange(4), [1.0, 2.0, 5.0]).ravel()
+    return float(steps[max(np.searchsorted(steps, SEEN_M / max(middle, 1e-9), "right") - 1, 0)])
 
 
 def outline_ellipses(covariance: np.ndarray, sigmas: float) -> np.ndarray:
@@ -172,15 +173,13 @@ def outline_ellipses(covariance: np.ndarray, sigmas: float) -> np.ndarray:
 
 def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
     number, believed = int(stored.stage[stage]), stored.stage_believed[stage]
-    title = "# Laid out along the compass headings" if number == 0 else f"# After round {number}"
-    words = [title, f"{int(believed.sum())} of {len(believed)} loop closures are believed."]
-    if off_m is not None:
-        words.append(f"RMS error: {100 * off_m:.1f} cm.")
+    title = "## Laid out along the compass headings" if number == 0 else f"## After round {number}"
+    error = "" if off_m is None else f" RMS error {100 * off_m:.1f} cm."
+    words = [title, f"{int(believed.sum())} of {len(believed)} loop closures are believed.{error}"]
     if stage == len(stored.stage) - 1:
-        expected = float(np.sqrt(np.mean(stored.expected[stored.known] ** 2)))
-        words.append(
-            f"Expected by the map itself: {100 * expected:.2f} cm; {stored.undecided.mean():.1%} is undecided."
-        )
+        expected = 100 * float(np.sqrt(np.mean(stored.expected[stored.known] ** 2)))
+        share = 100 * stored.undecided.mean()
+        words.append(f"The map itself expects an RMS error of {expected:.2f} cm; {share:.1f} % of it is undecided.")
     return words
 
 

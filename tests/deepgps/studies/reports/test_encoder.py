@@ -90,7 +90,7 @@ def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path
     np.savez(tmp_path / "error_field.npz", truth=truth, heading=np.zeros(2), deepgps=predicted)
     (tmp_path / "metrics.json").write_text('{"methods": {}, "distances": {"segment_rms_m": 0.1}}')
     columns = add_errors(tmp_path, {"method": "deepgps"})
-    assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "segment_rms_m": 0.1}
+    assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "map_expected_m": None, "segment_rms_m": 0.1}
 
 
 def test_every_fault_and_pair_has_a_table():

@@ -1,0 +1,74 @@
+"""Errors of an initial map beside its own covariance: laws of the measure, and theory that grows with the noise."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
+from deepgps.evaluation.map_errors import add_expected, judge_map, measure_nees
+from deepgps.initial_map.closures import Closures
+from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
+from tests.deepgps.initial_map.test_compass_map import NONE, drive, find_map
+
+SAID = {"undecided": 0.0, "expected_rms_m": 0.01, "parts": []}
+TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
+FIELD = ErrorField(np.array([[1.0, 1.0], [2.0, 1.5], [3.0, 2.0]]), np.zeros(1), np.zeros((3, 1, 2)))
+
+
+def find(folder: Path, noise: float, closures: Closures | None = None) -> tuple[StoredMap, np.ndarray]:
+    made = drive(120, noise=noise)
+    made = replace(made, turns=replace(made.turns, angle_std=noise * made.turns.angle_std))
+    write_map(folder, find_map(made, closures), made.segments, made.turns)
+    stored = read_map(folder)
+    assert stored is not None
+    return stored, made.place
+
+
+@pytest.mark.parametrize("samples", [8, 32, 1000])
+def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_of_one(samples: int):
+    rng = np.random.default_rng(0)
+    root = np.array([[0.03, 0.0], [0.02, 0.01]])
+    drawn = rng.standard_normal((20_000, samples, 2)) @ root.T
+    covariance = np.einsum("nsa,nsb->nab", drawn, drawn) / samples
+    wrong = rng.standard_normal((20_000, 2)) @ root.T
+    assert measure_nees(covariance, samples, wrong) == pytest.approx(1.0, rel=0.05)
+    assert measure_nees(covariance, samples, 2.0 * wrong) == pytest.approx(4.0, rel=0.05)
+
+
+def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
+    stored, place = find(tmp_path, 1.0)
+    one, other = (judge_map(stored, there, SAID)["map"] for there in (place, place @ TURN.T + [5.0, -3.0]))
+    for name in ("rms_m", "median_m", "max_m", "nees"):
+        assert one[name] == pytest.approx(other[name], rel=1e-6)
+    assert 0.1 < one["nees"] < 3.0 and one["median_m"] <= one["rms_m"] <= one["max_m"]
+    assert one["expected_rms_m"] == SAID["expected_rms_m"]
+
+
+def test_theory_grows_with_the_noise(tmp_path: Path):
+    found = []
+    for noise in (0.3, 1.0, 3.0):
+        stored, place = find(tmp_path, noise, NONE)  # with loop closures, these decide
+        expected = add_expected(FIELD, stored, place).expected
+        assert expected is not None
+        found.append(expected)
+    assert (found[1] > 1.5 * found[0]).all() and (found[2] > 1.5 * found[1]).all()
+
+
+def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(tmp_path: Path):
+    stored, place = find(tmp_path, 1.0)
+    field = add_expected(FIELD, stored, place)
+    known = stored.expected[stored.known]
+    assert field.expected is not None
+    assert (known.min() <= field.expected).all() and (field.expected <= known.max()).all()
+    write_fields(tmp_path / "error_field.npz", {"deepgps_compass": field, "posenet": FIELD})
+    again = read_all_headings(tmp_path)
+    np.testing.assert_array_equal(again["deepgps_compass"].expected, field.expected)
+    assert again["posenet"].expected is None
+
+
+@pytest.mark.parametrize(("share", "undecided"), [(0.0, False), (0.05, False), (0.06, True)])
+def test_more_than_a_twentieth_makes_a_map_undecided(tmp_path: Path, share: float, undecided: bool):
+    stored, place = find(tmp_path, 1.0)
+    assert judge_map(stored, place, {**SAID, "undecided": share})["undecided"] is undecided
