@@ -232,7 +232,7 @@ def _describe(bars: Bars, links: Links, fit: _Fit, closures: Closures, observati
     undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
     doubted = find_doubted(bars, links, belief)
     undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
-    stages = _thin_out(bars, links, fit, len(closures.first), observations)
+    stages = _thin_out(bars, links, fit, main, len(closures.first), observations)
     shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))
     return CompassMap(
         places,
@@ -250,12 +250,15 @@ def _describe(bars: Bars, links: Links, fit: _Fit, closures: Closures, observati
     )
 
 
-def _thin_out(bars: Bars, links: Links, fit: _Fit, closures: int, observations: int) -> tuple[Stage, ...]:
-    """At most ``STAGES`` of a fit's rounds, the first and the last among them."""
+def _thin_out(
+    bars: Bars, links: Links, fit: _Fit, main: np.ndarray, closures: int, observations: int
+) -> tuple[Stage, ...]:
+    """At most ``STAGES`` of a fit's rounds, the first and the last among them; readings of the ``main`` part first."""
     rounds = len(fit.rounds)
     chosen = np.unique(np.geomspace(1, rounds, min(STAGES, rounds)).round().astype(int)) - 1
-    seen, first = np.unique(bars.observation, return_index=True)
-    stages = []
+    order = np.argsort(~main, kind="stable")
+    seen, first = np.unique(bars.observation[order], return_index=True)
+    first, stages = order[first], []
     for number in chosen:
         camera, direction, believed = fit.rounds[number]
         places, heading = np.full((observations, 2), np.nan, np.float32), np.full(observations, np.nan, np.float32)

@@ -66,7 +66,8 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
         words = _describe(stored, stage, off_m)
         if stage == last:
             larger = _log_ellipses(stream, stored, world, at)
-            words += [f"Ellipses: {SIGMAS:g} standard deviations, drawn {larger:g} times as large."]
+            size = f"drawn {larger:g} times as large" if larger > 1.0 else "at their true size"
+            words += [f"Ellipses: {SIGMAS:g} standard deviations, {size}."]
         text = "\n\n".join([*words, LEGEND])
         put(stream, TEXT, rr.TextDocument(text, media_type="text/markdown"), at)
 

@@ -1,6 +1,5 @@
 """Errors of an initial map beside its own covariance: laws of the measure, and theory that grows with the noise."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,19 +7,17 @@ import pytest
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
 from deepgps.evaluation.map_errors import add_expected, judge_map, measure_nees
-from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
-from tests.deepgps.initial_map.test_compass_map import NONE, drive, find_map
+from tests.deepgps.initial_map.test_compass_map import drive, find_map
 
 SAID = {"undecided": 0.0, "expected_rms_m": 0.01, "parts": []}
 TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
 FIELD = ErrorField(np.array([[1.0, 1.0], [2.0, 1.5], [3.0, 2.0]]), np.zeros(1), np.zeros((3, 1, 2)))
 
 
-def find(folder: Path, noise: float, closures: Closures | None = None) -> tuple[StoredMap, np.ndarray]:
-    made = drive(120, noise=noise)
-    made = replace(made, turns=replace(made.turns, angle_std=noise * made.turns.angle_std))
-    write_map(folder, find_map(made, closures), made.segments, made.turns)
+def find(folder: Path, gaps: float) -> tuple[StoredMap, np.ndarray]:
+    made = drive(120, noise=0.5, gaps=gaps)
+    write_map(folder, find_map(made), made.segments, made.turns)
     stored = read_map(folder)
     assert stored is not None
     return stored, made.place
@@ -38,7 +35,7 @@ def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_
 
 
 def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
-    stored, place = find(tmp_path, 1.0)
+    stored, place = find(tmp_path, 0.1)
     one, other = (judge_map(stored, there, SAID)["map"] for there in (place, place @ TURN.T + [5.0, -3.0]))
     for name in ("rms_m", "median_m", "max_m", "nees"):
         assert one[name] == pytest.approx(other[name], rel=1e-6)
@@ -48,8 +45,8 @@ def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
 
 def test_theory_grows_with_the_noise(tmp_path: Path):
     found = []
-    for noise in (0.3, 1.0, 3.0):
-        stored, place = find(tmp_path, noise, NONE)  # with loop closures, these decide
+    for gaps in (0.05, 0.2, 0.6):
+        stored, place = find(tmp_path, gaps)
         expected = add_expected(FIELD, stored, place).expected
         assert expected is not None
         found.append(expected)
@@ -57,7 +54,7 @@ def test_theory_grows_with_the_noise(tmp_path: Path):
 
 
 def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(tmp_path: Path):
-    stored, place = find(tmp_path, 1.0)
+    stored, place = find(tmp_path, 0.1)
     field = add_expected(FIELD, stored, place)
     known = stored.expected[stored.known]
     assert field.expected is not None
@@ -70,5 +67,5 @@ def test_expected_errors_lie_between_those_of_the_observations_around_and_are_ke
 
 @pytest.mark.parametrize(("share", "undecided"), [(0.0, False), (0.05, False), (0.06, True)])
 def test_more_than_a_twentieth_makes_a_map_undecided(tmp_path: Path, share: float, undecided: bool):
-    stored, place = find(tmp_path, 1.0)
+    stored, place = find(tmp_path, 0.1)
     assert judge_map(stored, place, {**SAID, "undecided": share})["undecided"] is undecided

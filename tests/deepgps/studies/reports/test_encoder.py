@@ -132,6 +132,14 @@ def test_each_fault_is_a_panel_with_a_band_and_theory():
     assert to_png(picture).startswith(b"\x89PNG")
 
 
+def test_what_its_map_expects_is_drawn_for_a_method_that_knows_it():
+    rows = [{**row, "map_expected_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in ROWS]
+    lines = {str(line.get_label()): line for line in draw(rows, [], Path()).axes[0].lines}
+    expected, measured = (np.asarray(lines[f"DeepGPS{words}"].get_ydata()) for words in (": expected by its map", ""))
+    np.testing.assert_allclose(expected, measured / 2)
+    assert not any("noise-aware: expected" in label for label in lines)
+
+
 def test_the_part_of_the_room_that_stays_near_is_drawn_beside_what_is_good_enough():
     axes = draw_near(ROWS, [], Path()).axes[0]
     assert axes.get_ylim() == (0, 100)
