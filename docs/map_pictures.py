@@ -1,0 +1,163 @@
+"""Draw the pictures of the page "How a distance becomes a map" from two runs, by the maps that they kept.
+
+``.venv/bin/deepgps run quick --methods deepgps_compass --drive.samples 4000 --out runs/map``, then the run of a world
+that repeats, by the command on the page, then ``.venv/bin/python -m docs.map_pictures runs/map runs/repeats``.
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.figure import Figure
+
+from deepgps.alignment import fit_alignment
+from deepgps.figures.field_plot import draw_room
+from deepgps.figures.style import PAPER, to_png
+from deepgps.initial_map.stored_map import StoredMap, read_map
+from deepgps.viewer.run.making import SIGMAS, enlarge
+from docs.pictures import PICTURES, reduce
+from sim.files import write_bytes
+from sim.recording.format import Truth, open_recording, open_truth
+
+PATH, UNDECIDED, BELIEVED, REFUSED = "#5b7fb5", "#ff8c1a", "#1fa37c", "#e8254f"
+EARLY = 200
+"""Readings, from the start, in the picture of the turns."""
+ELLIPSES = 120
+
+
+class Drawn:
+    """A map with what it is drawn over.
+
+    Args:
+        run: The run's folder.
+    """
+
+    def __init__(self, run: Path) -> None:
+        found = read_map(run / "deepgps_compass")
+        assert found is not None, f"{run} has no map by compass"
+        self.map: StoredMap = found
+        self.truth: Truth = open_truth(run / "recording")
+        self.reading = open_recording(run / "recording").reading
+        self.known = found.known
+
+    def place(self, stage: int) -> tuple[np.ndarray, float]:
+        """Positions (N, 2) [m] at a stage in the world's frame, and their RMS error [m]."""
+        points, true = self.map.stage_places[stage].astype(float), self.truth.pose[:, :2]
+        points = fit_alignment(points[self.known], true[self.known], "SE2").apply(points)
+        return points, float(np.sqrt(((points - true)[self.known] ** 2).sum(axis=1).mean()))
+
+    def trace(self, axes: Axes, points: np.ndarray, readings: int | None = None) -> None:
+        """Draw the path, with undecided parts in orange."""
+        draw_room(axes, self.truth.free_space, PAPER)
+        reading = self.reading[:readings]
+        same = np.diff(reading[:, 0]) == 0
+        ends = np.stack([reading[:-1, 1], reading[1:, 1]], axis=1)[same]
+        pairs, undecided = points[ends], self.map.undecided[ends].all(axis=1)
+        colours = np.where(undecided, UNDECIDED, PATH).tolist()
+        axes.add_collection(LineCollection(list(pairs), colors=colours, linewidths=0.7))
+        axes.set(xlabel="", ylabel="", xticks=[], yticks=[])
+
+    def join(self, axes: Axes, points: np.ndarray, believed: np.ndarray, colour: str) -> None:
+        """Draw loop closures."""
+        pairs = points[self.map.closure[believed]]
+        axes.add_collection(LineCollection(list(pairs), colors=colour, linewidths=0.6, alpha=0.6))
+
+
+def draw_turns(drawn: Drawn) -> Figure:
+    """The beginning of the drive with the angles that the compass measured, and the whole drive laid out."""
+    figure = Figure(figsize=(11, 3.9), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    points, rms = drawn.place(0)
+    drawn.trace(left, points, EARLY)
+    seen = set(drawn.reading[:EARLY, 1].tolist())
+    for before, angle in zip(drawn.map.turn[:, 0], drawn.map.turn_angle, strict=True):
+        if before in seen and np.isfinite(points[before, 0]):
+            left.plot(*points[before], "o", color=REFUSED, ms=3)
+            left.annotate(f"{np.degrees(angle):+.1f}°", points[before], (3, 3), textcoords="offset points", fontsize=7)
+    left.set_title("1. turns by compass, lengths by encoder: the first segments", loc="left", fontsize=11)
+    drawn.trace(right, points)
+    right.set_title(f"2. the whole drive, laid end to end: {100 * rms:.1f} cm RMS", loc="left", fontsize=11)
+    return figure
+
+
+def draw_rounds(drawn: Drawn) -> Figure:
+    """The loop closures that are believed when about a third is, and at the last round."""
+    figure = Figure(figsize=(11, 3.9), layout="constrained")
+    early = int(np.abs(drawn.map.stage_believed[:-1].mean(axis=1) - 1 / 3).argmin())
+    for axes, stage in zip(figure.subplots(1, 2), (early, -1), strict=True):
+        points, rms = drawn.place(stage)
+        believed = drawn.map.stage_believed[stage]
+        drawn.trace(axes, points)
+        drawn.join(axes, points, believed, BELIEVED)
+        title = f"after round {drawn.map.stage[stage]}: {believed.sum():,} of {len(believed):,} believed, "
+        axes.set_title(f"{title}{100 * rms:.1f} cm RMS", loc="left", fontsize=11)
+    return figure
+
+
+def draw_ellipses(drawn: Drawn) -> Figure:
+    """The final map with its own covariance."""
+    figure = Figure(figsize=(11, 5.6), layout="constrained")
+    axes = figure.subplots()
+    points, rms = drawn.place(-1)
+    drawn.trace(axes, points)
+    known, larger = np.flatnonzero(drawn.known), enlarge(drawn.map)
+    some = known[np.linspace(0, len(known) - 1, ELLIPSES).astype(int)]
+    true = drawn.truth.pose[known, :2]
+    rotation = fit_alignment(drawn.map.places[known], true, "SE2").rotation
+    value, vector = np.linalg.eigh(rotation @ drawn.map.covariance[some] @ rotation.T)
+    size = 2.0 * SIGMAS * larger * np.sqrt(value)
+    angle = np.degrees(np.arctan2(vector[:, 1, 0], vector[:, 0, 0]))
+    axes.add_collection(
+        EllipseCollection(
+            size[:, 0],
+            size[:, 1],
+            angle,
+            units="xy",
+            offsets=points[some],
+            offset_transform=axes.transData,
+            facecolors="none",
+            edgecolors="#222222",
+            linewidths=0.8,
+        )
+    )
+    expected = np.sqrt(np.mean(drawn.map.expected[known] ** 2))
+    title = f"expected {100 * expected:.2f} cm RMS, true {100 * rms:.2f} cm; ellipses: {SIGMAS:g} standard deviations"
+    axes.set_title(f"{title}, {larger:g} times as large", loc="left", fontsize=11)
+    return figure
+
+
+def draw_undecided(drawn: Drawn) -> Figure:
+    """A world that repeats: the loop closures that were refused, and the parts of the path that stay undecided."""
+    figure = Figure(figsize=(11, 4.3), layout="constrained")
+    grid = figure.subplots(1, 2)
+    points, rms = drawn.place(-1)
+    believed = drawn.map.stage_believed[-1]
+    for axes, chosen, colour, word in (
+        (grid[0], believed, BELIEVED, "believed"),
+        (grid[1], ~believed, REFUSED, "refused"),
+    ):
+        drawn.trace(axes, points)
+        drawn.join(axes, points, chosen, colour)
+        axes.set_title(f"{chosen.sum():,} loop closures {word}", loc="left", fontsize=11)
+    share = 100 * drawn.map.undecided.mean()
+    figure.suptitle(f"{share:.0f} % undecided (orange); RMS error {100 * rms:.0f} cm", fontsize=11)
+    return figure
+
+
+def draw_all(run: Path, repeats: Path) -> None:
+    """Draw every picture of the page."""
+    drawn = Drawn(run)
+    figures = {
+        "map_turns": draw_turns(drawn),
+        "map_rounds": draw_rounds(drawn),
+        "map_ellipses": draw_ellipses(drawn),
+        "map_undecided": draw_undecided(Drawn(repeats)),
+    }
+    for name, figure in figures.items():
+        write_bytes(PICTURES / f"{name}.png", reduce(to_png(figure)))
+
+
+if __name__ == "__main__":
+    draw_all(Path(sys.argv[1]), Path(sys.argv[2]))
