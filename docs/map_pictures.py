@@ -1,7 +1,9 @@
 """Draw the pictures of the page "How a distance becomes a map" from two runs, by the maps that they kept.
 
-``.venv/bin/deepgps run quick --methods deepgps_compass --drive.samples 4000 --out runs/map``, then the run of a world
-that repeats, by the command on the page, then ``.venv/bin/python -m docs.map_pictures runs/map runs/repeats``.
+``.venv/bin/deepgps run quick --methods deepgps_compass --drive.samples 4000 --out runs/map``, then
+``.venv/bin/deepgps run labyrinth --methods deepgps_compass --drive.samples 3000 --encoder.step-noise 0.3
+--encoder.slip-per-m 0.3 --learn.features.principal 256 --learn.train.steps 200 --out runs/repeats``, then
+``.venv/bin/python -m docs.map_pictures runs/map runs/repeats``.
 """
 
 import sys

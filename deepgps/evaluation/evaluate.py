@@ -17,7 +17,7 @@ from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
-from deepgps.evaluation.map_errors import add_expected, judge_map, read_known_map
+from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, read_known_map
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
@@ -77,8 +77,9 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             **read_training(folder_of(run, method)),
         }
         if (stored := read_known_map(folder_of(run, method))) is not None:
-            fields[method] = add_expected(fields[method], stored, truth.pose[:, :2])
-            methods[method] |= judge_map(stored, truth.pose[:, :2], methods[method]["map"])
+            place = locate_camera(recording, truth)
+            fields[method] = add_expected(fields[method], stored, place)
+            methods[method] |= judge_map(stored, place, methods[method]["map"])
         if in_use is not None:
             errors = measure_in_use(positioner, alignment, in_use, folder_of(run, method))
             methods[method]["in_use"] = {**errors, **lean}

@@ -10,6 +10,8 @@ from scipy.spatial import KDTree
 from deepgps.alignment import fit_alignment
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.initial_map.stored_map import StoredMap, read_map
+from sim.recording.format import Recording, Truth
+from sim.settings import CameraMountSettings
 
 UNDECIDED = 0.05
 """A map is undecided if more than this share of the observations may lie elsewhere."""
@@ -71,6 +73,13 @@ def read_known_map(folder: Path) -> StoredMap | None:
     """The map in a method's folder, if it has one of at least two positions."""
     stored = read_map(folder)
     return stored if stored is not None and stored.known.sum() >= 2 else None
+
+
+def locate_camera(recording: Recording, truth: Truth) -> np.ndarray:
+    """True positions of the camera at the observations (N, 2) [m], which the map is of; poses are those of the axle."""
+    mount = CameraMountSettings.model_validate(recording.manifest.settings.get("camera_mount", {}))
+    ahead = np.stack([np.cos(truth.pose[:, 2]), np.sin(truth.pose[:, 2])], axis=1)
+    return truth.pose[:, :2] + mount.ahead_m * ahead + mount.left_m * ahead[:, ::-1] * [-1.0, 1.0]
 
 
 def _align(stored: StoredMap, place: np.ndarray) -> np.ndarray:

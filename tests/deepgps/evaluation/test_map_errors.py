@@ -1,13 +1,16 @@
 """Errors of an initial map beside its own covariance: laws of the measure, and theory that grows with the noise."""
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
-from deepgps.evaluation.map_errors import add_expected, judge_map, measure_nees
+from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, measure_nees
 from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
+from sim.recording.format import Recording, Truth
 from tests.deepgps.initial_map.test_compass_map import drive, find_map
 
 SAID = {"undecided": 0.0, "expected_rms_m": 0.01, "parts": []}
@@ -63,6 +66,16 @@ def test_expected_errors_lie_between_those_of_the_observations_around_and_are_ke
     again = read_all_headings(tmp_path)
     np.testing.assert_array_equal(again["deepgps_compass"].expected, field.expected)
     assert again["posenet"].expected is None
+
+
+def test_the_map_is_of_the_camera_and_not_of_the_axle():
+    yaw = np.array([0.0, np.pi / 2, np.pi, 1.0])
+    pose = np.column_stack([np.arange(4.0), np.zeros(4), yaw])
+    settings = {"camera_mount": {"ahead_m": 0.05, "left_m": -0.02}}
+    recording = SimpleNamespace(manifest=SimpleNamespace(settings=settings))
+    place = locate_camera(cast(Recording, recording), cast(Truth, SimpleNamespace(pose=pose)))
+    np.testing.assert_allclose(place[:3], [[0.05, -0.02], [1.02, 0.05], [1.95, 0.02]], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(place - pose[:, :2], axis=1), np.hypot(0.05, 0.02))
 
 
 @pytest.mark.parametrize(("share", "undecided"), [(0.0, False), (0.05, False), (0.06, True)])

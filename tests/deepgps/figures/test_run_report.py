@@ -128,3 +128,10 @@ def test_the_lean_of_the_camera_and_the_drive_in_use_are_reported(metrics: dict)
         "-0.10° forward in use.",
         "RMS (median) on the 40 images of the drive in use [cm]: mine 5.0 (2.0).",
     ]
+
+
+def test_an_initial_map_is_told_with_what_it_expects_of_itself(metrics: dict) -> None:
+    before = describe(metrics)
+    metrics["methods"]["deepgps"]["map"] = {"rms_m": 0.0028, "expected_rms_m": 0.0037}
+    (sentence,) = set(describe(metrics)) - set(before)
+    assert "RMS error of 0.28 cm" in sentence and "0.37 cm are expected" in sentence
