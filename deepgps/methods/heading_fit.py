@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.data.dead_reckoning import travel
 from deepgps.data.segments import find_runs
 from deepgps.methods.headings import HeadingTable, correlate, find_nearest, take_phases, wrap
 from sim.recording.format import Recording
@@ -94,25 +93,25 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
 
 
 def fit_lines(recording: Recording, positions: np.ndarray) -> Lines:
-    """Fit a straight line with the distances driven to the predictions (N, 2) [m] of each segment.
+    """Fit a straight line to the predictions (N, 2) [m] of each segment, along which images are evenly spaced.
 
-    Observations that belong to two segments are left out, since the robot has turned there.
+    No tick is read: methods that learn from none share their weights. Observations that belong to two segments are left
+    out, since the robot has turned there.
     """
-    travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
     uses = np.bincount(recording.reading[:, 1], minlength=len(positions))
     heading, std, residual = (np.full(len(positions), np.nan) for _ in range(3))
     for run in find_runs(recording):
         index = recording.reading[run, 1]
-        way, place = travelled[run] - travelled[run].mean(), positions[index] - positions[index].mean(axis=0)
-        if len(run) < 2 or not way.any():
+        number, place = index - index.mean(), positions[index] - positions[index].mean(axis=0)
+        x, y = number @ place
+        if len(run) < 2 or not np.hypot(x, y):
             continue
-        x, y = way @ place
-        direction = np.array([np.cos(np.arctan2(y, x)), np.sin(np.arctan2(y, x))])
-        missed = place - way[:, None] * direction
-        square = (missed**2).sum() / (2 * len(run) - 3)  # the line has three unknowns
+        left = np.array([-y, x]) / np.hypot(x, y)
+        square = ((place @ left) ** 2).sum() / max(len(run) - 2, 1)  # across, the line has two unknowns
+        length = np.hypot(x, y) / np.sqrt((number**2).sum())
         alone = index[uses[index] == 1]
         heading[alone] = np.arctan2(y, x)
-        std[alone] = np.sqrt((square + LEAST_M**2) / (way**2).sum())
+        std[alone] = np.sqrt(square + LEAST_M**2) / length
         residual[alone] = np.sqrt(square)
     return Lines(heading, std, residual)
 
