@@ -75,7 +75,7 @@ class CompassMap:
     """A map and how well it is known.
 
     Attributes:
-        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown or undecided.
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where nothing joins them to the rest.
         heading: Heading of the robot at each (N,) [rad].
         std: Standard deviation of each position along either axis, after alignment of the whole map (N,) [m].
         error: Samples of the positions' errors after alignment (N, 2, SAMPLES) [m].

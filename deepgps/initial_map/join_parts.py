@@ -4,6 +4,8 @@ A loop closure with its relative heading tells how one part is placed against th
 in place and heading, and no other group of them that agrees on something else.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from deepgps.initial_map.bars import Bars, turn, wrap
@@ -17,6 +19,24 @@ CLEAR = 2.0
 """So many times as many must agree on the best placement as on any other."""
 MOST = 200
 """Most loop closures of two parts that are tried as placements."""
+
+
+class Placement(NamedTuple):
+    """How a part is placed against another: turned by ``angle`` [rad] about ``middle`` (2,), which comes to ``place``.
+
+    Attributes:
+        stays: Number of the part that stays.
+        moves: Number of the part that is moved.
+        middle: A point of it (2,) [m].
+        place: Where this point belongs (2,) [m].
+        angle: To the left [rad].
+    """
+
+    stays: int
+    moves: int
+    middle: np.ndarray
+    place: np.ndarray
+    angle: float
 
 
 def join_parts(bars: Bars, part: np.ndarray, links: Links) -> np.ndarray:
@@ -38,16 +58,13 @@ def join_parts(bars: Bars, part: np.ndarray, links: Links) -> np.ndarray:
     marked = np.zeros(len(links.one), bool)
     if chosen is not None:
         marked[best] = True
-        _place(bars, part, *chosen)
+        _move(bars, part, chosen)
     return marked
 
 
-def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray):
-    """Those of the loop closures ``of`` that agree on one placement, if only one has enough of them, and it."""
-    numbers, size = (
-        np.unique(part[bars.row[np.concatenate([links.one[of], links.other[of]])]], return_counts=False),
-        np.bincount(part),
-    )
+def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray) -> tuple[np.ndarray, Placement | None]:
+    """Those of the loop closures ``of`` that agree on one placement, if no other has half as many, and it."""
+    numbers, size = np.unique(part[bars.row[np.concatenate([links.one[of], links.other[of]])]]), np.bincount(part)
     stays, moves = sorted(numbers, key=lambda number: -size[number])
     swapped = part[bars.row[links.one[of]]] == moves
     there = np.where(swapped, links.other[of], links.one[of])
@@ -71,15 +88,13 @@ def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray):
     inside = agrees[top]
     mean = np.angle(np.exp(1j * angle[inside]).mean())
     place = (camera[there[inside]] - turn(np.full(inside.sum(), mean), camera[here[inside]] - middle)).mean(axis=0)
-    return of[inside], (stays, moves, middle, place, mean)
+    return of[inside], Placement(stays, moves, middle, place, float(mean))
 
 
-def _place(
-    bars: Bars, part: np.ndarray, stays: int, moves: int, middle: np.ndarray, place: np.ndarray, angle: float
-) -> None:
-    """Turn the part ``moves`` by an angle about ``middle`` (2,), which comes to ``place`` (2,)."""
-    moved = part == moves
-    begin = bars.unknown[moved, :2]
-    bars.unknown[moved, :2] = place + turn(np.full(len(begin), angle), begin - middle)
-    bars.unknown[moved, 2] += angle
-    part[moved] = stays
+def _move(bars: Bars, part: np.ndarray, placement: Placement) -> None:
+    """Move a part, and give it the number of the part that stays."""
+    moved = part == placement.moves
+    away = bars.unknown[moved, :2] - placement.middle
+    bars.unknown[moved, :2] = placement.place + turn(np.full(len(away), placement.angle), away)
+    bars.unknown[moved, 2] += placement.angle
+    part[moved] = placement.stays
