@@ -139,10 +139,10 @@ def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(finished_ru
     )
     first, *_ = metrics["methods"].values()
     nested = {f"{key}.{inner}" for key in ("test", "coverage", "trajectory", "distances") for inner in metrics[key]}
-    fold = {f"fold.{inner}" for inner in first["fold"]}
+    signs = {f"{key}.{inner}" for key in ("fold", "turned") for inner in first[key]}
     named = {"schema", "sensors", "settings", "sha256", "odometry", "samples", "segments", "readings", "seed"}
-    wanted = {*metrics, *nested, *first, *fold, *manifest} - {"test", "coverage", "trajectory", "distances", "fold"}
-    wanted -= {"methods", "checksum"}
+    wanted = {*metrics, *nested, *first, *signs, *manifest} - {"test", "coverage", "trajectory", "distances"}
+    wanted -= {"methods", "checksum", "fold", "turned"}
     assert named <= wanted
     assert sorted(key for key in wanted if f"`{key}`" not in FORMATS) == []
 
