@@ -22,6 +22,8 @@ LEARNED_WITH = ("step_noise", "slip_per_m", "track_m")
 SCALE_STD, CURVE_STD, DRIFT_STD = 1.5e-4, 3e-4, 3e-5
 """What wheels do by themselves on a floor, where nothing is wrong: error of the scale of turns, of a curvature [1/m],
 and of the ratio of the readings. Measured in three rooms without faults."""
+FEWEST_READINGS = 3
+"""Readings that a diagnosis needs at least."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +109,7 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     lost = measure_loss(recording) if recording.turn_observation is not None else (0.0, 0.0, 1.0)
     recording = keep_plausible(recording)
     odometry = dict(check_odometry(recording.manifest.odometry))
-    if len(recording.reading) < 3:
+    if len(recording.reading) < FEWEST_READINGS:
         raise InputError(f"{recording.folder}: {len(recording.reading)} readings are too few for a diagnosis")
     gaps = read_gaps(recording)
     slip = fit_slip(gaps)

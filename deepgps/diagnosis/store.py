@@ -5,7 +5,15 @@ import json
 from pathlib import Path
 from typing import Any
 
-from deepgps.diagnosis.diagnosis import LEARNED_WITH, Diagnosis, Estimate, StuckStretch, apply_diagnosis, diagnose
+from deepgps.diagnosis.diagnosis import (
+    FEWEST_READINGS,
+    LEARNED_WITH,
+    Diagnosis,
+    Estimate,
+    StuckStretch,
+    apply_diagnosis,
+    diagnose,
+)
 from deepgps.diagnosis.findings import as_stored
 from deepgps.diagnosis.mend import mend_stuck
 from sim.errors import DamagedError
@@ -17,8 +25,11 @@ SCHEMA = 1
 
 
 def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
-    """The diagnosis of a run's recording, as stored in its folder or else made and stored; None without turns."""
-    if recording.turns is None or recording.kind != "polar_image":
+    """The diagnosis of a run's recording, as stored in its folder or made and stored.
+
+    None without turns, or with too few readings to tell anything.
+    """
+    if recording.turns is None or recording.kind != "polar_image" or len(recording.reading) < FEWEST_READINGS:
         return None
     if (stored := read_diagnosis(folder, recording)) is not None:
         return stored

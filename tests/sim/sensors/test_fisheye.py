@@ -184,7 +184,7 @@ def test_geoms_left_out_of_a_face_would_not_be_seen_in_it(
         monkeypatch.setattr(
             fisheye,
             "_find_seen",
-            lambda _, geoms, turn: np.ones((len(fisheye._faces), len(geoms)), bool) & ~fisheye._robot[geoms],
+            lambda _, geoms, *place: np.ones((len(fisheye._faces), len(geoms)), bool) & ~fisheye._robot[geoms],
         )
         assert np.array_equal(fisheye.polar(data), culled)
 
