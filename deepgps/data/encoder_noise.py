@@ -53,12 +53,6 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     return float((noise + expect_bias(encoder, way)).mean().sqrt())
 
 
-def expect_length_errors(segments: Segments) -> np.ndarray:
-    """Standard deviation of the logarithm of each complete segment's length (L,); they must have expected errors."""
-    way, noise = _measure_complete(segments)
-    return (noise.sqrt() / way.clamp_min(1e-3)).numpy()
-
-
 def keep_inliers(segments: Segments) -> Segments:
     """Return the segments without those whose weight is less than a half."""
     return segments if segments.weight is None else segments.take((segments.weight >= 0.5).nonzero()[:, 0])

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.recording.turns import KINDS, NO_IMAGE, Turns
+from sim.recording.turns import Turns, from_array
 from sim.sensors.compass import Hypotheses, find_turns
 from sim.sensors.compass_lean import compare_at_horizon, find_lean
 from sim.sensors.lens import make_lens
@@ -54,14 +55,12 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
     Raises:
         InputError: The recording has no turns or no polar images.
     """
-    if recording.turns is None or recording.turn_observation is None or recording.kind != "polar_image":
+    if (recorded := turns_with_images(recording)) is None:
         raise InputError(
             f"{recording.folder} has no images after turns (turns.npy), which a compass needs; deepgps learns without"
         )
-    turns = recording.turns if turns is None else turns
-    before = recording.observation[turns.before]
-    after, taken = recording.observation[recording.reading[turns.after, 1]], turns.image != NO_IMAGE
-    after[taken] = recording.turn_observation[turns.image[taken]]
+    turns = recorded if turns is None else turns
+    before, after = take_images(recording, turns)
     some = find_in_place(turns)
     some = some[:: -(-len(some) // MOST_TURNS) or 1]
     lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
@@ -89,11 +88,6 @@ def _pair(values: np.ndarray) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def find_in_place(turns: Turns) -> np.ndarray:
-    """Indices of the turns in place with an image after them."""
-    return np.flatnonzero((turns.kind == KINDS.index("in_place")) & (turns.image != NO_IMAGE))
-
-
 def ignore_small(upright: Upright) -> Upright:
     """The same, but images of a camera that leans by ``LEAST_RAD`` or less stay as they are."""
     return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= LEAST_RAD else upright
@@ -110,12 +104,10 @@ def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[fl
         That of training unless the lean has changed by more than ``LEAST_RAD``, and the lean in use (2,) [rad]; None
         where the drive has fewer than ``LAST_TURNS`` turns in place.
     """
-    if drive.turns is None or drive.turn_observation is None:
+    turns = turns_with_images(drive)
+    if turns is None or len(last := find_in_place(turns)[-LAST_TURNS:]) < LAST_TURNS:
         return trained, None
-    last = find_in_place(drive.turns)[-LAST_TURNS:]
-    if len(last) < LAST_TURNS:
-        return trained, None
-    found = compare_images(drive, Turns(*drive.turns.array[last].T), trained).upright
+    found = compare_images(drive, from_array(turns.array[last]), trained).upright
     changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > LEAST_RAD
     return (found if changed else trained), found.lean
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import fft
 
 from deepgps.data.segments import Segments
+from sim.geometry import wrap
 
 RINGS = 8
 WAVES = 24
@@ -106,4 +107,4 @@ def _compare(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray
     aside = (a - b) / (2.0 * (a - 2.0 * top + b))
     peaks[row, best] = -np.inf
     angle = 2.0 * np.pi / count * (best + aside)
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi, peaks.max(axis=1) < AMBIGUOUS * top
+    return wrap(angle), peaks.max(axis=1) < AMBIGUOUS * top

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from deepgps.data.turn_images import take_images, turns_with_images
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.recording.turns import NO_IMAGE
+from sim.recording.turns import NO_IMAGE, from_array
 from sim.sensors.compass import Hypotheses, find_turns
 from sim.sensors.lens import Lens, make_lens
 from sim.settings import SimSettings
@@ -45,20 +46,17 @@ def see_turns(recording: Recording, sight: Sight) -> Hypotheses:
     Raises:
         InputError: The recording has no turns or no polar images.
     """
-    if recording.turns is None or recording.turn_observation is None or recording.kind != "polar_image":
+    if (turns := turns_with_images(recording)) is None:
         raise InputError(
             f"{recording.folder} has no images after turns (turns.npy), with which the wheels are compared; record "
             "with drive.turn_images and an upward camera"
         )
-    turns = recording.turns
     other = np.where(turns.image == NO_IMAGE, -1 - recording.reading[turns.after, 1], turns.image)
     keys = list(zip(turns.before.tolist(), other.tolist(), strict=True))
-    if missing := [key for key in keys if key not in sight.turns]:
-        images = recording.observation, recording.turn_observation
-        after = np.stack([images[1][two] if two >= 0 else images[0][-1 - two] for _, two in missing])
-        found = find_turns(recording.observation[[one for one, _ in missing]], after, _lens(recording))
-        for key, *values in zip(missing, found.angle, found.std, found.weight, strict=True):
-            sight.turns[key] = (values[0], values[1], values[2])
+    if missing := [number for number, key in enumerate(keys) if key not in sight.turns]:
+        found = find_turns(*take_images(recording, from_array(turns.array[missing])), _lens(recording))
+        for number, *values in zip(missing, found.angle, found.std, found.weight, strict=True):
+            sight.turns[keys[number]] = (values[0], values[1], values[2])
     return _join([sight.turns[key] for key in keys])
 
 

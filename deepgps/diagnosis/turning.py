@@ -6,6 +6,7 @@ import numpy as np
 
 from deepgps.diagnosis.gaps import Gaps
 from deepgps.diagnosis.sight import Sight, see_pairs, see_turns
+from sim.geometry import wrap
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.compass import disambiguate
@@ -118,9 +119,9 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     one, two, angle = one[used], two[used], angles.angle[used, 0]
     std = np.sqrt(angles.std[used, 0] ** 2 + PLACE_RAD**2 + np.abs(variance[two] - variance[one]))
     missed, apart = angle - (turned[two] - turned[one]), way[two] - way[one]
-    z = _wrap(missed - CURVES[:, None] * apart) / std
+    z = wrap(missed - CURVES[:, None] * apart) / std
     best = float(CURVES[(1.0 / (1.0 + z**2 / 4.0)).sum(axis=1).argmax()])
-    left = _wrap(missed - best * apart)
+    left = wrap(missed - best * apart)
     near = np.abs(left) < 8.0 * std
     if near.sum() < FEWEST:
         return Slope(0.0, UNKNOWN), int(near.sum())
@@ -138,7 +139,3 @@ def _spread(x: np.ndarray, left: np.ndarray, std: np.ndarray, group: np.ndarray)
     _, number = np.unique(group, return_inverse=True)
     sums = np.bincount(number, x * np.clip(left, -HUBER * std, HUBER * std) / std**2)
     return float(np.sqrt((sums**2).sum()) / (x**2 / std**2).sum())
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi

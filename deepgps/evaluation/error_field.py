@@ -8,6 +8,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError
 from sim.files import damaged, read_arrays, write_arrays
+from sim.geometry import wrap
 from sim.renamed import name_methods
 
 OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected")
@@ -44,7 +45,7 @@ class ErrorField:
     @property
     def yaw_error(self) -> np.ndarray | None:
         """Predicted minus true heading (C, H) [rad], from -pi to pi; None where the method tells none."""
-        return None if self.yaw is None else (self.yaw - self.heading + np.pi) % (2.0 * np.pi) - np.pi
+        return None if self.yaw is None else wrap(self.yaw - self.heading)
 
     @property
     def worst(self) -> np.ndarray:

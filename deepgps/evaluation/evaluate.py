@@ -6,7 +6,7 @@ simulator (paper, Sec. IV-C).
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,14 +17,14 @@ from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
-from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, read_known_map
+from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, place_map, read_known_map
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
-from deepgps.methods.positioner import load_positioner, read_training
+from deepgps.methods.positioner import Positioner, load_positioner, read_training
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
 from sim.recording.format import (
@@ -37,6 +37,22 @@ from sim.recording.format import (
     open_recording,
     open_truth,
 )
+
+
+class Predictions(NamedTuple):
+    """What a trained method predicts of a recording, in the method's own frame.
+
+    Attributes:
+        training: Positions of the training images (N, 2) [m].
+        test: Positions of the test images (C, H, 2) [m].
+        positioner: The positioner of the camera in use, which took the test images.
+        lean: How that camera leans, for ``metrics.json``.
+    """
+
+    training: np.ndarray
+    test: np.ndarray
+    positioner: Positioner
+    lean: dict[str, float]
 
 
 def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
@@ -63,8 +79,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     for method in scenario.methods:
         maps = predict(folder_of(run, method), recording, in_use)
         field, alignment = measure_field(maps, method, truth)
-        positioner, lean = adapt(load_positioner(folder_of(run, method)), in_use)
-        fields[method] = add_yaws(field, positioner, recording, maps[1], alignment)
+        fields[method] = add_yaws(field, maps.positioner, recording, maps.test, alignment)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
@@ -73,16 +88,16 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             "scale": alignment.scale,
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,
-            **describe_parts(find_turned_parts(maps[0], recording)),
+            **describe_parts(find_turned_parts(maps.training, recording)),
             **read_training(folder_of(run, method)),
         }
         if (stored := read_known_map(folder_of(run, method))) is not None:
-            place = locate_camera(recording, truth)
-            fields[method] = add_expected(fields[method], stored, place)
-            methods[method] |= judge_map(stored, place, methods[method]["map"])
+            placed = place_map(stored, locate_camera(recording, truth))
+            fields[method] = add_expected(fields[method], placed)
+            methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
-            errors = measure_in_use(positioner, alignment, in_use, folder_of(run, method))
-            methods[method]["in_use"] = {**errors, **lean}
+            errors = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
+            methods[method]["in_use"] = {**errors, **maps.lean}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
             errors = summarise(label_fields[method].worst, side_m)
@@ -120,19 +135,16 @@ def align_methods(run: Path, scenario: Scenario) -> None:
             write_alignment(folder, alignment, METHODS[method].alignment)
 
 
-def predict(folder: Path, recording: Recording, in_use: Recording | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Positions that a trained method predicts for training (N, 2) and test (C, H, 2) images, in its own frame [m].
-
-    Test images are taken by the camera in use; a drive in use shows how it leans.
-    """
+def predict(folder: Path, recording: Recording, in_use: Recording | None = None) -> Predictions:
+    """What the method trained in a folder predicts; a drive in use shows how the camera leans that took the tests."""
     positioner = load_positioner(folder)
-    positioner_in_use, _ = adapt(positioner, in_use)
+    positioner_in_use, lean = adapt(positioner, in_use)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
     training, test = positioner(recording.observation), positioner_in_use(images)
     if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
         raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
-    return training, test.reshape(cells, headings, 2)
+    return Predictions(training, test.reshape(cells, headings, 2), positioner_in_use, lean)
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:
@@ -155,17 +167,14 @@ def _find_labels(folder: Path) -> Labels | None:
     return labels if np.isfinite(labels.test_pose).all(axis=(1, 2)).any() else None
 
 
-def measure_field(
-    maps: tuple[np.ndarray, np.ndarray], method: str, truth: Truth | Labels
-) -> tuple[ErrorField, Alignment]:
+def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tuple[ErrorField, Alignment]:
     """Error field of a method's predictions, and the alignment that was fitted to the training samples.
 
     When measured against labels, training and test samples without a label are left out.
     """
-    training, test = maps
     known = np.isfinite(truth.pose).all(axis=1)
-    alignment = fit_alignment(training[known], truth.pose[known, :2], METHODS[method].alignment)
-    predicted = alignment.apply(test.reshape(-1, 2)).reshape(test.shape)
+    alignment = fit_alignment(maps.training[known], truth.pose[known, :2], METHODS[method].alignment)
+    predicted = alignment.apply(maps.test.reshape(-1, 2)).reshape(maps.test.shape)
     known = np.isfinite(truth.test_pose).all(axis=(1, 2))
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]

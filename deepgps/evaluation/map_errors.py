@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -20,12 +20,42 @@ NEAREST = 8
 ROUNDING_M = 1e-6
 
 
-def judge_map(stored: StoredMap, place: np.ndarray, training: dict[str, Any]) -> dict[str, Any]:
-    """Measure a map against the true places (N, 2) [m] of its observations, after an SE2 alignment of all known ones.
+class PlacedMap(NamedTuple):
+    """The known positions (n) of a map in the world's frame, beside the truth.
+
+    Attributes:
+        position: Positions (n, 2) [m].
+        covariance: Their covariances (n, 2, 2) [m^2], estimated from ``samples`` samples.
+        expected: Their expected errors (n,) [m].
+        truth: True positions of the camera (n, 2) [m].
+        samples: Number of samples.
+    """
+
+    position: np.ndarray
+    covariance: np.ndarray
+    expected: np.ndarray
+    truth: np.ndarray
+    samples: int
+
+
+def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
+    """Align a map with the true positions of the camera at its observations (N, 2) [m] by a rigid motion (SE2)."""
+    known = stored.known
+    alignment = fit_alignment(stored.places[known], place[known], "SE2")
+    return PlacedMap(
+        alignment.apply(stored.places[known]),
+        alignment.rotation @ stored.covariance[known] @ alignment.rotation.T,
+        stored.expected[known],
+        place[known],
+        int(stored.samples),
+    )
+
+
+def judge_map(placed: PlacedMap, training: dict[str, Any]) -> dict[str, Any]:
+    """Measure a map against the truth.
 
     Args:
-        stored: The map.
-        place: True positions of the camera (N, 2) [m].
+        placed: The map.
         training: What the training said of the map, which is kept.
 
     Returns:
@@ -33,14 +63,13 @@ def judge_map(stored: StoredMap, place: np.ndarray, training: dict[str, Any]) ->
         and ``nees``, the normalised estimation error squared over its expectation of 2: 1 for a covariance that is
         right (Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
     """
-    known = stored.known
-    apart = _align(stored, place) - place[known]
+    apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
     measured = {
         "rms_m": float(np.sqrt(np.mean(error**2))),
         "median_m": float(np.median(error)),
         "max_m": float(error.max()),
-        "nees": measure_nees(_turn(stored, place), int(stored.samples), apart),
+        "nees": measure_nees(placed.covariance, placed.samples, apart),
     }
     return {"undecided": training["undecided"] > UNDECIDED, "map": {**training, **measured}}
 
@@ -55,17 +84,16 @@ def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> flo
     return float(np.mean(squared)) / 2.0 * (samples - 3) / samples
 
 
-def add_expected(field: ErrorField, stored: StoredMap, place: np.ndarray) -> ErrorField:
+def add_expected(field: ErrorField, placed: PlacedMap) -> ErrorField:
     """The error field with the error that the map expects at each test position, as RMS.
 
     Args:
         field: The error field of the method that began with the map.
-        stored: The map.
-        place: True positions of its observations (N, 2) [m].
+        placed: The map.
     """
-    away, nearest = KDTree(_align(stored, place)).query(field.truth, min(NEAREST, int(stored.known.sum())))
+    away, nearest = KDTree(placed.position).query(field.truth, min(NEAREST, len(placed.position)))
     weight = 1.0 / np.maximum(away, ROUNDING_M) ** 2
-    variance = (weight * stored.expected[stored.known][nearest] ** 2).sum(axis=1) / weight.sum(axis=1)
+    variance = (weight * placed.expected[nearest] ** 2).sum(axis=1) / weight.sum(axis=1)
     return replace(field, expected=np.sqrt(variance))
 
 
@@ -80,16 +108,3 @@ def locate_camera(recording: Recording, truth: Truth) -> np.ndarray:
     mount = CameraMountSettings.model_validate(recording.manifest.settings.get("camera_mount", {}))
     ahead = np.stack([np.cos(truth.pose[:, 2]), np.sin(truth.pose[:, 2])], axis=1)
     return truth.pose[:, :2] + mount.ahead_m * ahead + mount.left_m * ahead[:, ::-1] * [-1.0, 1.0]
-
-
-def _align(stored: StoredMap, place: np.ndarray) -> np.ndarray:
-    """The known positions in the world's frame (n, 2) [m]."""
-    known = stored.known
-    return fit_alignment(stored.places[known], place[known], "SE2").apply(stored.places[known])
-
-
-def _turn(stored: StoredMap, place: np.ndarray) -> np.ndarray:
-    """The covariances of the known positions in the world's frame (n, 2, 2) [m^2]."""
-    known = stored.known
-    rotation = fit_alignment(stored.places[known], place[known], "SE2").rotation
-    return rotation @ stored.covariance[known] @ rotation.T

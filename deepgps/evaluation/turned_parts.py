@@ -14,8 +14,10 @@ from scipy.spatial import KDTree
 
 from deepgps.data.relative_headings import compare_headings
 from deepgps.data.segments import find_runs
+from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
+from sim.geometry import wrap
 from sim.recording.format import Recording
-from sim.recording.turns import KINDS, NO_IMAGE
+from sim.recording.turns import Turns, from_array
 
 AGREE_RAD = 0.35
 """A turn of the map agrees with the compass within this angle [rad]."""
@@ -52,13 +54,13 @@ def find_turned_parts(positions: np.ndarray, recording: Recording) -> TurnedPart
     Returns:
         None without turn images.
     """
-    if recording.turns is None or recording.turn_observation is None or recording.kind != "polar_image":
+    if (turns := turns_with_images(recording)) is None:
         return None
     runs = [run for run in find_runs(recording) if len(run) >= 2]
     index = [recording.reading[run, 1] for run in runs]
     ends = np.array([positions[seen[-1]] - positions[seen[0]] for seen in index])
     length = np.linalg.norm(ends, axis=1)
-    before, angle = _measure(recording, runs)
+    before, angle = _measure(recording, turns, runs)
     usable = (length[before] > SHORTEST_M) & (length[before + 1] > SHORTEST_M)
     before, angle = before[usable], angle[usable]
     heading = np.arctan2(ends[:, 1], ends[:, 0])
@@ -88,26 +90,21 @@ def describe_parts(found: TurnedParts | None) -> dict[str, Any]:
     }
 
 
-def _measure(recording: Recording, runs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _measure(recording: Recording, turns: Turns, runs: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Segments (T,) after which the robot turned in place, and the angles that the images show (T,) [rad]."""
-    assert recording.turns is not None and recording.turn_observation is not None
     begins = {int(run[0]): number for number, run in enumerate(runs)}
-    found = [
-        (begins[after] - 1, before, image)
-        for before, image, after, kind in recording.turns.array.tolist()
-        if image != NO_IMAGE
-        and KINDS[kind] == "in_place"
-        and begins.get(after, 0) > 0
-        and recording.reading[runs[begins[after] - 1][-1], 1] == before
-    ]
-    segment, before, image = np.array(found, int).reshape(-1, 3).T
-    pairs = np.concatenate([recording.observation[before], recording.turn_observation[image]])
-    headings = compare_headings(pairs, np.arange(len(before)), len(before) + np.arange(len(before)))
-    return segment[headings.clear], headings.turn[headings.clear]
+    turns = from_array(turns.array[find_in_place(turns)])
+    begun = np.array([begins.get(after, 0) for after in turns.after.tolist()], int)
+    last = np.array([recording.reading[run[-1], 1] for run in runs])
+    joined = (begun > 0) & (last[begun - 1] == turns.before)
+    before, after = take_images(recording, from_array(turns.array[joined]))
+    number = np.arange(len(before))
+    headings = compare_headings(np.concatenate([before, after]), number, len(before) + number)
+    return begun[joined][headings.clear] - 1, headings.turn[headings.clear]
 
 
 def _agree(turned: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    return np.abs((turned - angle + np.pi) % (2.0 * np.pi) - np.pi) < AGREE_RAD
+    return np.abs(wrap(turned - angle)) < AGREE_RAD
 
 
 def _group(wrong: np.ndarray, index: list[np.ndarray], positions: np.ndarray) -> list[np.ndarray]:

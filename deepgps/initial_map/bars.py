@@ -181,8 +181,3 @@ def turn(angle: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Vectors (n, 2) turned by angles (n,) to the left."""
     cos, sin = np.cos(angle), np.sin(angle)
     return np.stack([cos * vector[:, 0] - sin * vector[:, 1], sin * vector[:, 0] + cos * vector[:, 1]], axis=1)
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    """Angles from -pi to pi [rad]."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -7,7 +7,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from deepgps.initial_map.bars import Bars, wrap
+from deepgps.initial_map.bars import Bars
+from sim.geometry import wrap
 
 GATE = 4.0
 """Standard deviations within which a loop closure is believed."""

@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgps.initial_map.bars import Bars, turn, wrap
+from deepgps.initial_map.bars import Bars, turn
 from deepgps.initial_map.closures import Links
+from sim.geometry import wrap
 
 AGREE_M, AGREE_RAD = 0.3, 0.2
 """How far loop closures that agree may place a part apart."""

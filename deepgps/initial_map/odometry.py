@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgps.data.compass_turns import CompassTurns
-from deepgps.initial_map.bars import CONTINUED_M, CONTINUED_RAD, OF_AXLE, OF_CAMERA, SHARED, Bars, expand, turn, wrap
+from deepgps.initial_map.bars import CONTINUED_M, CONTINUED_RAD, OF_AXLE, OF_CAMERA, SHARED, Bars, expand, turn
 from deepgps.initial_map.closures import Belief, Links
 from deepgps.initial_map.least_squares import Equations
+from sim.geometry import wrap
 
 FIXED = 1e-4
 """Standard deviation that holds a part's first bar in place: the map may move and turn freely [m], [rad]."""

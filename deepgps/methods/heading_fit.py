@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.data.segments import find_runs
-from deepgps.methods.headings import HeadingTable, correlate, find_nearest, take_phases, wrap
+from deepgps.methods.headings import HeadingTable, correlate, find_nearest, take_phases
+from sim.geometry import wrap
 from sim.recording.format import Recording
 
 CELL_M = 0.1

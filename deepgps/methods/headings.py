@@ -15,6 +15,7 @@ import numpy as np
 from scipy import fft
 from scipy.spatial import KDTree
 
+from sim.geometry import wrap
 from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
 from sim.sensors.compass_fit import CUTOFF, SMOOTH
 
@@ -206,11 +207,6 @@ def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarr
     count = min(count, tree.n)
     distance, index = tree.query(places, count)
     return np.reshape(distance, (-1, count)), np.reshape(index, (-1, count))
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    """Angles [rad] from -pi to pi."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
 def _find_mode(angle: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from sim.errors import WorkError
+from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (
     grid_file,
@@ -163,7 +164,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
         kinds.append(KINDS.index("relocated" if relocated else "in_place"))
         if segment and not relocated:
             turned.append(np.array([*place, heading]))
-        turn = (heading - yaw + np.pi) % (2 * np.pi) - np.pi
+        turn = wrap(heading - yaw)
         along = drive.spacing_m * np.arange(steps + 1)
         points = place + along[:, None] * [np.cos(heading), np.sin(heading)]
         angle = angle + np.array([-turn, turn]) * TRACK_M / 2 / WHEEL_RADIUS_M

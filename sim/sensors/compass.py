@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sim.errors import InputError
+from sim.geometry import wrap
 from sim.sensors.compass_fit import Grid, fit_rotation, make_grid, sample_spectra, take_spectra
 from sim.sensors.lens import Lens
 
@@ -162,7 +163,7 @@ def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray
     likely = score > _best(len(first), pair, score)[pair] + np.log(LEAST_WEIGHT)
     pair, angle, score = pair[likely], angle[likely], score[likely]
     fitted = fit_rotation(one[pair], two[pair], angle, grid)
-    return pair, np.column_stack([_wrap(fitted.angle), fitted.std, score, fitted.lean])
+    return pair, np.column_stack([wrap(fitted.angle), fitted.std, score, fitted.lean])
 
 
 def _sum(grid: Grid, one: np.ndarray, two: np.ndarray) -> np.ndarray:
@@ -199,7 +200,3 @@ def _pack(count: int, pair: np.ndarray, found: np.ndarray) -> Hypotheses:
     share[...] = 0.0
     share[pair, column] = weight
     return Hypotheses(angle, std, share, lean)
-
-
-def _wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi

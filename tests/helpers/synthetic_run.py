@@ -7,6 +7,7 @@ import trimesh
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from sim.files import write_arrays, write_json, write_text
+from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import write_recording
 
@@ -65,7 +66,7 @@ def make_drive(space: FreeSpace, samples: int, rng: np.random.Generator) -> tupl
     while len(pose) < samples:
         way, target_yaw = 0.0, rng.uniform(-np.pi, np.pi)
         direction = np.array([np.cos(target_yaw), np.sin(target_yaw)])
-        turn = (target_yaw - yaw + np.pi) % (2 * np.pi) - np.pi
+        turn = wrap(target_yaw - yaw)
         if not space.is_free(here + 0.4 * direction):
             continue
         wheel += np.array([-turn, turn]) * TRACK_M / 2 / WHEEL_RADIUS_M

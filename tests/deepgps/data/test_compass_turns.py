@@ -10,6 +10,7 @@ from deepgps.data.compass_turns import BACKED_OFF_M, measure_turns
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.segments import find_runs
 from sim.errors import InputError
+from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS
 
@@ -26,10 +27,6 @@ def turned(recording: Recording) -> np.ndarray:
     runs = [recording.reading[run, 1] for run in find_runs(recording) if len(run) >= 2]
     ahead = np.array([place[run[-1]] - place[run[0]] for run in runs])
     return np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def test_turns_are_the_true_ones(recording: Recording, turned: np.ndarray):

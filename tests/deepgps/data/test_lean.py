@@ -9,13 +9,15 @@ import pytest
 
 from deepgps.alignment import Alignment
 from deepgps.data.compass_turns import measure_turns
-from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small
+from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, ignore_small
+from deepgps.data.turn_images import find_in_place
 from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
 from deepgps.methods.fit import fit_method
 from deepgps.methods.positioner import NetworkPositioner, Positioner, read_training
 from deepgps.settings import LearnSettings
+from sim.geometry import wrap
 from sim.recording.collect import collect
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
@@ -78,7 +80,7 @@ def test_turns_of_a_leaning_camera_are_those_of_the_robot(leaning: Recording):
     some = find_in_place(turns)
     seen = compare_images(leaning).hypotheses.angle[some, 0]
     error = seen - (pose[leaning.reading[turns.after[some] + 1, 1], 2] - pose[turns.before[some], 2])
-    error = np.degrees((error + np.pi) % (2 * np.pi) - np.pi)
+    error = np.degrees(wrap(error))
     assert np.sqrt(np.mean(error**2)) < 0.5
 
 
@@ -123,7 +125,7 @@ def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_l
     adapted, lean = adapt(positioner, drive_in_use)
     assert lean["lean_roll_deg"] == pytest.approx(KNOCKED[0], abs=0.6)
     assert isinstance(adapted, NetworkPositioner) and adapted.upright != positioner.upright
-    _, knocked = predict(folder, leaning, drive_in_use)
+    knocked = predict(folder, leaning, drive_in_use).test
     cells, headings = leaning.test_observation.shape[:2]
     test = np.asarray(leaning.test_observation).reshape(cells * headings, *images.shape[1:])
     np.testing.assert_array_equal(knocked.reshape(-1, 2), adapted(test))

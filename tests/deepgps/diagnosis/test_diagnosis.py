@@ -12,6 +12,7 @@ from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
 from deepgps.figures.diagnosis_page import ALL_WELL, UNKNOWN, write_markdown
 from sim.errors import InputError
+from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import lose_turns
 from sim.rng import stream
@@ -106,7 +107,7 @@ def test_set_as_told_the_wheels_are_right(recording: Recording, sight: Sight):
     assert wrong.turns is not None
     after = wrong.turns.after[(wrong.turns.image >= 0) & (wrong.turns.after + 1 < len(yaw_true))]
     turned_too_far = (way[after + 1] - way[after - 1]) - (yaw_true[after + 1] - yaw_true[after - 1])
-    off = (turned_too_far + np.pi) % (2 * np.pi) - np.pi  # a turning place has one observation, of before the turn
+    off = wrap(turned_too_far)  # a turning place has one observation, of before the turn
     assert len(off) > 20
     assert np.abs(off).max() < np.radians(1.0)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
-from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, measure_nees
+from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, measure_nees, place_map
 from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
 from sim.recording.format import Recording, Truth
 from tests.deepgps.initial_map.test_compass_map import drive, find_map
@@ -39,7 +39,7 @@ def test_errors_of_the_covariance_that_samples_estimate_have_a_normalised_error_
 
 def test_a_map_is_measured_whatever_its_frame(tmp_path: Path):
     stored, place = find(tmp_path, 0.1)
-    one, other = (judge_map(stored, there, SAID)["map"] for there in (place, place @ TURN.T + [5.0, -3.0]))
+    one, other = (judge_map(place_map(stored, there), SAID)["map"] for there in (place, place @ TURN.T + [5.0, -3.0]))
     for name in ("rms_m", "median_m", "max_m", "nees"):
         assert one[name] == pytest.approx(other[name], rel=1e-6)
     assert 0.1 < one["nees"] < 3.0 and one["median_m"] <= one["rms_m"] <= one["max_m"]
@@ -50,7 +50,7 @@ def test_theory_grows_with_the_noise(tmp_path: Path):
     found = []
     for gaps in (0.05, 0.2, 0.6):
         stored, place = find(tmp_path, gaps)
-        expected = add_expected(FIELD, stored, place).expected
+        expected = add_expected(FIELD, place_map(stored, place)).expected
         assert expected is not None
         found.append(expected)
     assert (found[1] > 1.5 * found[0]).all() and (found[2] > 1.5 * found[1]).all()
@@ -58,7 +58,7 @@ def test_theory_grows_with_the_noise(tmp_path: Path):
 
 def test_expected_errors_lie_between_those_of_the_observations_around_and_are_kept(tmp_path: Path):
     stored, place = find(tmp_path, 0.1)
-    field = add_expected(FIELD, stored, place)
+    field = add_expected(FIELD, place_map(stored, place))
     known = stored.expected[stored.known]
     assert field.expected is not None
     assert (known.min() <= field.expected).all() and (field.expected <= known.max()).all()
@@ -81,4 +81,4 @@ def test_the_map_is_of_the_camera_and_not_of_the_axle():
 @pytest.mark.parametrize(("share", "undecided"), [(0.0, False), (0.05, False), (0.06, True)])
 def test_more_than_a_twentieth_makes_a_map_undecided(tmp_path: Path, share: float, undecided: bool):
     stored, place = find(tmp_path, 0.1)
-    assert judge_map(stored, place, {**SAID, "undecided": share})["undecided"] is undecided
+    assert judge_map(place_map(stored, place), {**SAID, "undecided": share})["undecided"] is undecided

@@ -8,7 +8,8 @@ import pytest
 
 from deepgps.alignment import fit_alignment
 from deepgps.methods.heading_fit import CELL_M, fit_lines, make_headings
-from deepgps.methods.headings import HeadingTable, Yaws, unpack, wrap
+from deepgps.methods.headings import HeadingTable, Yaws, unpack
+from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, write_recording
 from tests.helpers.synthetic_run import make_drive, make_free_space, make_images
 

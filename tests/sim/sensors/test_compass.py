@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError
+from sim.geometry import wrap
 from sim.robot.world import RoomWorld
 from sim.sensors.camera_faults import develop
 from sim.sensors.compass import Hypotheses, disambiguate, find_turns, follow
@@ -34,10 +35,6 @@ def turn(images: np.ndarray, angle: np.ndarray) -> np.ndarray:
     spectrum = np.fft.rfft(images, axis=2)
     phase = np.exp(1j * np.outer(angle, np.arange(spectrum.shape[2])))
     return np.fft.irfft(spectrum * phase[:, None, :, None], images.shape[2], axis=2)
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def test_the_angle_is_exact_for_a_rotated_image_at_every_angle() -> None:
