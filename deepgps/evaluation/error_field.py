@@ -23,8 +23,8 @@ class ErrorField:
         truth: Test positions (C, 2) [m].
         heading: Test headings [rad], shared by all positions (H,) or separate for each (C, H).
         predicted: Aligned predictions (C, H, 2) [m].
-        yaw: Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method tells none.
-        yaw_std: Its standard deviation, as the method tells it (C, H) [rad]; None like ``yaw``.
+        yaw: Aligned predictions of the heading (C, H) [rad]; NaN for an image without; None: the method gives none.
+        yaw_std: Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``.
         yaw_weight: Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``.
         expected: RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none.
     """
@@ -44,7 +44,7 @@ class ErrorField:
 
     @property
     def yaw_error(self) -> np.ndarray | None:
-        """Predicted minus true heading (C, H) [rad], from -pi to pi; None where the method tells none."""
+        """Predicted minus true heading (C, H) [rad], from -pi to pi; None where the method estimates none."""
         return None if self.yaw is None else wrap(self.yaw - self.heading)
 
     @property

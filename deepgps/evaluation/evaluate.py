@@ -16,6 +16,7 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
+from deepgps.evaluation.flipped import measure_flipped
 from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, place_map, read_known_map
 from deepgps.evaluation.segment_errors import judge_encoders
@@ -240,29 +241,6 @@ def measure_heading_spread(predicted: np.ndarray) -> float:
     """RMS distance [m] of predictions (C, H, 2) [m] from their mean over a position's headings; 0 for one heading."""
     away = predicted - predicted.mean(axis=1, keepdims=True)
     return float(np.sqrt(np.mean((away**2).sum(axis=-1))))
-
-
-def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
-    """Share of a map that is flipped, as by a fold: 0 for a correct map, at most a half.
-
-    Args:
-        truth: Test positions (C, 2) [m] on a grid.
-        predicted: One prediction for each (C, 2) [m]; the share is invariant to rigid motions and reflections of all.
-        spacing_m: Spacing of the grid [m].
-
-    Returns:
-        The share of neighbourhoods (a position, its right and its upper neighbour) with the rarer orientation.
-    """
-    cell = np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int)
-    number = np.full(cell.max(axis=0) + 2, -1)  # a margin of -1, so that the last cells have missing neighbours
-    number[tuple(cell.T)] = np.arange(len(cell))
-    right, up = number[cell[:, 0] + 1, cell[:, 1]], number[cell[:, 0], cell[:, 1] + 1]
-    whole = (right >= 0) & (up >= 0)
-    if not whole.any():
-        return 0.0
-    (right_x, right_y), (up_x, up_y) = (predicted[right] - predicted).T, (predicted[up] - predicted).T
-    area = (right_x * up_y - right_y * up_x)[whole]
-    return float(min((area > 0).mean(), (area < 0).mean()))
 
 
 def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:

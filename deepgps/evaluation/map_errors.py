@@ -9,6 +9,7 @@ from scipy.spatial import KDTree
 
 from deepgps.alignment import fit_alignment
 from deepgps.evaluation.error_field import ErrorField
+from deepgps.evaluation.flipped import measure_flipped_patch
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from sim.recording.format import Recording, Truth
 from sim.settings import CameraMountSettings
@@ -60,8 +61,9 @@ def judge_map(placed: PlacedMap, training: dict[str, Any]) -> dict[str, Any]:
 
     Returns:
         ``undecided``, whether more than ``UNDECIDED`` of the map is, and ``map``: ``rms_m``, ``median_m``, ``max_m``,
-        and ``nees``, the normalised estimation error squared over its expectation of 2: 1 for a covariance that is
-        right (Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
+        ``flipped_m2``, the area of the largest connected patch that the map turns over, and ``nees``, the normalised
+        estimation error squared over its expectation of 2: 1 for a covariance that is right (Bar-Shalom et al.,
+        "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
     """
     apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
@@ -69,6 +71,7 @@ def judge_map(placed: PlacedMap, training: dict[str, Any]) -> dict[str, Any]:
         "rms_m": float(np.sqrt(np.mean(error**2))),
         "median_m": float(np.median(error)),
         "max_m": float(error.max()),
+        "flipped_m2": measure_flipped_patch(placed.truth, placed.position),
         "nees": measure_nees(placed.covariance, placed.samples, apart),
     }
     return {"undecided": training["undecided"] > UNDECIDED, "map": {**training, **measured}}

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from deepgps.evaluation.evaluate import measure_flipped, measure_heading_spread
+from deepgps.evaluation.evaluate import measure_heading_spread
+from deepgps.evaluation.flipped import measure_flipped, measure_flipped_patch
 
 SPACING_M = 0.08
 X, Y = (axis.ravel() * SPACING_M - 0.4 for axis in np.meshgrid(np.arange(21), np.arange(11)))
@@ -38,6 +39,32 @@ def test_gaps_in_the_grid_are_left_out_and_order_does_not_matter():
 
 def test_positions_without_neighbours_have_no_fold():
     assert measure_flipped(TRUTH[:1], TRUTH[:1], SPACING_M) == 0.0
+
+
+SCATTERED = np.random.default_rng(1).uniform([0.0, 0.0], [4.0, 3.0], (8000, 2))
+
+
+@pytest.mark.parametrize("radius_m", [0.3, 0.5])
+def test_a_patch_that_is_turned_over_has_its_area(radius_m):
+    away = SCATTERED - [2.0, 1.5]
+    inside = np.linalg.norm(away, axis=1) < radius_m
+    positions = np.where(inside[:, None], [2.0, 1.5] + away * [-1.0, 1.0], SCATTERED)
+    found = measure_flipped_patch(SCATTERED, positions)
+    assert found == pytest.approx(np.pi * radius_m**2, abs=2 * np.pi * radius_m * 0.1), "a cell wide at its edge"
+
+
+def test_small_errors_turn_no_patch_over():
+    noise = np.random.default_rng(2).normal(0.0, 0.01, SCATTERED.shape)
+    assert measure_flipped_patch(SCATTERED, SCATTERED + noise) == 0.0
+    assert measure_flipped_patch(SCATTERED[:1], SCATTERED[:1]) == 0.0
+
+
+def test_the_largest_of_several_patches_counts_and_not_their_sum():
+    positions = SCATTERED.copy()
+    for centre, radius_m in (([1.0, 1.5], 0.4), ([3.0, 1.5], 0.4)):
+        away = SCATTERED - centre
+        positions = np.where(np.linalg.norm(away, axis=1)[:, None] < radius_m, centre + away * [1.0, -1.0], positions)
+    assert 0.3 < measure_flipped_patch(SCATTERED, positions) < 0.8
 
 
 def test_headings_that_agree_have_no_spread_whatever_the_map():
