@@ -22,6 +22,8 @@ FIGURES = (
     *("yaw_rms_deg", "yaw_median_deg", "yaw_p95_deg"),
     *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
 )
+# figures of a map by compass
+MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
 # the errors in the paper's tables
 PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 # the errors that every report shows, with their headings
@@ -131,4 +133,12 @@ def _figures(measured: Mapping[str, Any]) -> Row:
     # only methods whose map can fold have a fold detector
     fold = measured.get("fold", {})
     score = {name: fold.get(name) for name in ("length_error_fraction", "overlap_fraction")}
-    return {**{name: measured.get(name) for name in FIGURES}, "fold_found": fold.get("found"), **score}
+    found = {f"map_{name}": measured.get("map", {}).get(name) for name in MAP_FIGURES}
+    signs = {"undecided": measured.get("undecided"), "turned": measured.get("turned", {}).get("share")}
+    return {
+        **{name: measured.get(name) for name in FIGURES},
+        "fold_found": fold.get("found"),
+        **score,
+        **signs,
+        **found,
+    }

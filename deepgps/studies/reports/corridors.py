@@ -8,14 +8,15 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.alignment import fit_alignment
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import read_metrics
-from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure, write
-from deepgps.methods.catalog import METHODS, colour_of, folder_of, title_of
+from deepgps.methods.catalog import METHODS, folder_of, title_of
 from deepgps.methods.positioner import load_positioner
+from deepgps.studies.reports.rooms import draw_errors
 from deepgps.studies.table import Row, find_methods, split_by
 from sim.recording.format import open_recording, open_truth
 
+SIGNS = {"fold_found": "folded", "turned": "turned", "undecided": "undecided"}
+"""Columns that say that a map is wrong, and their words: the fold detector, parts turned by the compass, the map."""
 NOISE, LOOK_ALIKE, SIZE = "encoder.step_noise", "room.look_alike", ("room.width_m", "room.depth_m")
 FAR_M, FAR_SHARE = 0.5, 0.1
 """A map is wrong if more than this share of the training images is off by more than this distance [m]."""
@@ -78,15 +79,14 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_map(run: Path, row: Row) -> Row:
-    """Columns of a method that makes its own map: the share of training images that is far off, and its own verdict."""
-    verdict = {"undecided": read_metrics(run)["methods"][row["method"]].get("undecided"), "map_off": None}
+    """A column for methods that make a map of their own: the share of training images that is far off."""
     if row["fold_found"] is None:
-        return verdict
+        return {"map_off": None}
     recording, pose = open_recording(run / "recording"), open_truth(run / "recording").pose[:, :2]
     places = load_positioner(folder_of(run, row["method"]))(recording.observation)
     alignment = fit_alignment(places, pose, METHODS[row["method"]].alignment)
     off = np.linalg.norm(alignment.apply(places) - pose, axis=1) > FAR_M
-    return {**verdict, "map_off": float(off.mean())}
+    return {"map_off": float(off.mean())}
 
 
 def is_wrong(row: Row) -> bool:
@@ -95,49 +95,40 @@ def is_wrong(row: Row) -> bool:
 
 
 def is_flagged(row: Row) -> bool:
-    """Whether the method itself says that its map is folded or not decided."""
-    return bool(row["fold_found"] or row["undecided"])
+    """Whether it is said, without the truth, that the map is folded, turned in parts, or not decided."""
+    return bool(row["fold_found"] or row["turned"] or row["undecided"])
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw RMS (filled) and median (open) of every method in every world; a cross marks a wrong map."""
-    worlds = list(dict.fromkeys(_label(row, varied) for row in rows))
-    picture = Picture(figsize=(8, 1.6 + 0.34 * len(worlds)), layout="constrained")
-    axes = picture.add_subplot()
-    for method, group in split_by(rows, "method").items():
-        place = [worlds.index(_label(row, varied)) for row in group]
-        colour, title = colour_of(method), title_of(method)
-        for name, inside, word in (("rms_m", colour, "RMS"), ("median_m", "none", "median")):
-            values = [100 * row[name] for row in group]
-            axes.plot(values, place, "o", color=colour, mfc=inside, label=f"{title}, {word}")
-        wrong = [(100 * row["rms_m"], at) for row, at in zip(group, place, strict=True) if is_wrong(row)]
-        for x, at in wrong:
-            axes.plot(x, at, "x", color="black", ms=9, zorder=4)
-    axes.set_yticks(range(len(worlds)), worlds)
-    axes.set(xscale="log", ylim=(len(worlds) - 0.5, -0.5))
+    picture = draw_errors(rows, lambda row: _label(row, varied))
+    axes, worlds = picture.axes[0], list(dict.fromkeys(_label(row, varied) for row in rows))
+    for row in filter(is_wrong, rows):
+        axes.plot(100 * row["rms_m"], worlds.index(_label(row, varied)), "x", color="black", ms=9, zorder=4)
     axes.set_xlabel("error of the worst heading [cm]; crosses: wrong maps")
-    count_by_decades(axes.xaxis)
-    axes.grid(alpha=0.25, which="both")
-    picture.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=4)
     return picture
 
 
 def _count(rows: Sequence[Row]) -> str:
     """A line for each method that makes its own map, and each noise: how many maps are wrong, said to be, or both."""
-    headings = ["w", "method", "maps", "wrong", "said folded", "said undecided", "wrong, unsaid", "right, said wrong"]
+    said = (f"said {word}" for word in SIGNS.values())
+    headings = ["w", "method", "maps", "wrong", *said, "wrong, unsaid", "right, said wrong"]
     cells = []
     for noise, same in split_by([{NOISE: None, **row} for row in rows], NOISE).items():
         for method in find_methods(row for row in same if row["fold_found"] is not None):
             group = [row for row in same if row["method"] == method]
-            wrong, said = ([test(row) for row in group] for test in (is_wrong, is_flagged))
-            undecided = [row["undecided"] for row in group if row["undecided"] is not None]
-            unsaid = sum(one and not other for one, other in zip(wrong, said, strict=True))
-            alarms = sum(other and not one for one, other in zip(wrong, said, strict=True))
-            counts = [len(group), sum(wrong), sum(row["fold_found"] for row in group)]
-            told = str(sum(undecided)) if undecided else "-"
-            cells.append(["-" if noise is None else f"{noise:g}", title_of(method), *map(str, counts), told])
-            cells[-1] += [str(unsaid), str(alarms)]
+            wrong, flagged = ([test(row) for row in group] for test in (is_wrong, is_flagged))
+            unsaid = sum(one and not other for one, other in zip(wrong, flagged, strict=True))
+            alarms = sum(other and not one for one, other in zip(wrong, flagged, strict=True))
+            signs = [_count_sign([row[name] for row in group]) for name in SIGNS]
+            counts = [str(len(group)), str(sum(wrong)), *signs, str(unsaid), str(alarms)]
+            cells.append(["-" if noise is None else f"{noise:g}", title_of(method), *counts])
     return tabulate(headings, cells)
+
+
+def _count_sign(signs: Sequence[bool | float | None]) -> str:
+    """In how many maps a sign shows; a dash where the method does not look for it."""
+    return "-" if all(sign is None for sign in signs) else str(sum(bool(sign) for sign in signs))
 
 
 def _find(rows: Sequence[Row], method: str) -> Mapping[str, Row]:
@@ -164,5 +155,5 @@ def _said(row: Row) -> str:
     """What the method says of its map, in a word or two."""
     if row["fold_found"] is None:
         return "-"
-    words = ["folded"] * row["fold_found"] + ["undecided"] * bool(row["undecided"])
+    words = [word for name, word in SIGNS.items() if row[name]]
     return ", ".join(words) or "nothing"

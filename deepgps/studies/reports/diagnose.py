@@ -166,7 +166,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     return {
         "recall": Figure(f"found, of {len(must)} faults", _share(a in b for a, b in must), "%", at_least=True),
         "recall_all": Figure(
-            f"the same with those too small to be told, {len(every)}",
+            f"the same with those too small to be detected, {len(every)}",
             _share(a in b for a, b in every),
             "%",
             at_least=True,

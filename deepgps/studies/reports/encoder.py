@@ -24,7 +24,7 @@ from deepgps.studies.table import Row, find_methods, mean, split_by
 
 NEAR_M = (0.02, 0.05)
 """Errors that count as good enough, for two kinds of builders [m]."""
-EXPECTED = "map_expected_m"
+EXPECTED = "map_expected_rms_m"
 """Column for the RMS that an initial map expects of itself [m]; None: the method's map knows none."""
 PART = 0.8
 """The part of the test positions whose errors must be good enough."""
@@ -92,13 +92,10 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def add_errors(run: Path, row: Row) -> Row:
-    """Columns for the part of test positions with small errors, the RMS that the initial map expects of itself, errors
-    of complete segments, and doubted segments.
-    """
-    error, metrics = read_fields(run)[row["method"]].error, read_metrics(run)
-    found = metrics["methods"].get(row["method"], {}).get("map", {})
+    """Columns for the part of test positions with small errors, errors of complete segments, and doubted segments."""
+    error = read_fields(run)[row["method"]].error
     near = {name_part(near): float(np.mean(error <= near)) for near in NEAR_M}
-    return {**near, EXPECTED: found.get("expected_rms_m"), **metrics["distances"]}
+    return {**near, **read_metrics(run)["distances"]}
 
 
 def name_part(near_m: float) -> str:

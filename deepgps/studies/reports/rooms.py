@@ -1,6 +1,6 @@
 """The report of rooms: every room, the mean and the worst, and how often DeepGPS beats each rival."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -65,18 +65,22 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw RMS (filled) and median (open) of every method in every room."""
-    rooms = list(dict.fromkeys(_room(row, varied) for row in rows))
-    picture = Picture(figsize=(8, 1.4 + 0.4 * len(rooms)), layout="constrained")
+    return draw_errors(rows, lambda row: _room(row, varied))
+
+
+def draw_errors(rows: Sequence[Row], label: Callable[[Row], str]) -> Picture:
+    """Draw RMS (filled) and median (open) of every method, a line for each label of the rows."""
+    lines = list(dict.fromkeys(map(label, rows)))
+    picture = Picture(figsize=(8, 1.4 + 0.4 * len(lines)), layout="constrained")
     axes = picture.add_subplot()
     for method, group in split_by(rows, "method").items():
-        place = [rooms.index(_room(row, varied)) for row in group]
+        place = [lines.index(label(row)) for row in group]
         colour, title = colour_of(method), title_of(method)
-        axes.plot([100 * row["rms_m"] for row in group], place, "o", color=colour, label=f"{title}, RMS")
-        axes.plot(
-            [100 * row["median_m"] for row in group], place, "o", color=colour, mfc="none", label=f"{title}, median"
-        )
-    axes.set_yticks(range(len(rooms)), rooms)
-    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(rooms) - 0.5, -0.5))
+        for name, inside, word in (("rms_m", colour, "RMS"), ("median_m", "none", "median")):
+            values = [100 * row[name] for row in group]
+            axes.plot(values, place, "o", color=colour, mfc=inside, label=f"{title}, {word}")
+    axes.set_yticks(range(len(lines)), lines)
+    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(lines) - 0.5, -0.5))
     count_by_decades(axes.xaxis)
     axes.grid(alpha=0.25, which="both")
     picture.legend(frameon=False, fontsize=8, loc="outside upper center", ncols=4)

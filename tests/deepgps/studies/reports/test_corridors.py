@@ -20,7 +20,8 @@ VARIED = ["room.kind", "room.seed", "room.look_alike", "room.width_m", "encoder.
 
 def make_row(method: str, world: int, rms: float, noise: float = 0.0, **known: object) -> Row:
     settings = {"room.kind": "labyrinth", "room.seed": world, "room.look_alike": world == 1, "room.width_m": None}
-    errors = {"rms_m": rms, "median_m": rms / 10, "fold_found": None, "undecided": None, "map_off": None, "seen": 0.9}
+    signs = {"fold_found": None, "undecided": None, "turned": 0.0}
+    errors = {"rms_m": rms, "median_m": rms / 10, "map_off": None, "seen": 0.9, **signs}
     place = {"method": method, "recording": f"{world}-{noise}", "encoder.step_noise": noise}
     return {**settings, **place, **errors, **known}
 
@@ -37,7 +38,7 @@ ROWS = [
     make_row("deepgps_compass", 1, 2.0, 0.3, fold_found=False, map_off=0.6, undecided=False),
     make_row("posenet", 1, 0.2, 0.3),
     make_row("deepgps", 0, 2.0, fold_found=True, map_off=0.4),
-    make_row("deepgps", 1, 0.3, fold_found=True, map_off=0.0),
+    make_row("deepgps", 1, 0.3, fold_found=True, turned=0.1, map_off=0.0),
 ]
 
 
@@ -51,16 +52,16 @@ def test_each_world_has_a_line_for_each_method_with_ratios_and_what_the_method_s
         *("labyrinth 0", "0", "DeepGPS, compass", "30.0", "3.0", "1.50", "1.50", "2.0 %", "nothing", "90.0 %")
     ]
     assert table[4][0:7] == ["labyrinth 1, alike", "0", "PoseNet", "20.0", "2.0", "-", "-"]
-    assert [line[-2] for line in table[6:]] == ["undecided", "nothing", "-", "folded", "folded"]
+    assert [line[-2] for line in table[6:]] == ["undecided", "nothing", "-", "folded", "folded, turned"]
     assert table[6][5:8] == ["-", "-", "60.0 %"]  # no PoseNet to compare with
 
 
 def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
     table = lines(corridors.report(ROWS, VARIED)[-1])
     assert table == [
-        ["0", "DeepGPS, compass", "2", "0", "0", "-", "0", "0"],
-        ["0", "DeepGPS", "2", "1", "2", "-", "0", "1"],
-        ["0.3", "DeepGPS, compass", "2", "2", "0", "1", "1", "0"],
+        ["0", "DeepGPS, compass", "2", "0", "0", "0", "-", "0", "0"],
+        ["0", "DeepGPS", "2", "1", "2", "1", "-", "0", "1"],
+        ["0.3", "DeepGPS, compass", "2", "2", "0", "0", "1", "1", "0"],
     ]
 
 

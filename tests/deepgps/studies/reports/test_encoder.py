@@ -90,7 +90,7 @@ def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path
     np.savez(tmp_path / "error_field.npz", truth=truth, heading=np.zeros(2), deepgps=predicted)
     (tmp_path / "metrics.json").write_text('{"methods": {}, "distances": {"segment_rms_m": 0.1}}')
     columns = add_errors(tmp_path, {"method": "deepgps"})
-    assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "map_expected_m": None, "segment_rms_m": 0.1}
+    assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "segment_rms_m": 0.1}
 
 
 def test_every_fault_and_pair_has_a_table():
@@ -133,7 +133,7 @@ def test_each_fault_is_a_panel_with_a_band_and_theory():
 
 
 def test_what_its_map_expects_is_drawn_for_a_method_that_knows_it():
-    rows = [{**row, "map_expected_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in ROWS]
+    rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in ROWS]
     lines = {str(line.get_label()): line for line in draw(rows, [], Path()).axes[0].lines}
     expected, measured = (np.asarray(lines[f"DeepGPS{words}"].get_ydata()) for words in (": expected by its map", ""))
     np.testing.assert_allclose(expected, measured / 2)
