@@ -128,7 +128,7 @@ class Run:
 
         Returns:
             A table with the columns ``method``, ``x_m``, ``y_m`` and ``heading_rad`` (the truth), ``predicted_x_m``,
-            ``predicted_y_m``, ``error_m``, ``predicted_yaw_rad`` and ``yaw_error_rad`` (null where a method tells no
+            ``predicted_y_m``, ``error_m``, ``predicted_yaw_rad`` and ``yaw_error_rad`` (null where a method gives no
             yaw); ``to_pandas()`` turns it into a data frame.
 
         Raises:

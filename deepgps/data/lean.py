@@ -80,7 +80,7 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
 
 
 def _find_lean(hypotheses: Hypotheses) -> np.ndarray:
-    """Lean (2,) [rad]; zero where no turn tells it."""
+    """Lean (2,) [rad]; zero where no turn shows it."""
     return np.nan_to_num(find_lean(hypotheses))
 
 

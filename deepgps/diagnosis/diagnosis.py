@@ -65,7 +65,7 @@ class Diagnosis:
         stuck_fraction: Part of the gaps in which a wheel is stuck.
         stretches: Stretches in which a wheel is stuck.
         turns: Turns in place that were compared.
-        pairs: Pairs of images that told the curvature.
+        pairs: Pairs of images from which the curvature was found.
         odometry: The constants that the readings were converted with.
     """
 

@@ -13,7 +13,7 @@ SURE = 1.7
 """Half widths of a 95 % interval that a value must be away from what is right: 3.3 standard deviations, since eight
 quantities are looked at in every recording."""
 RATIO, TRACK, SLIP, STEP, TICK_M, LOST = 0.002, 0.003, 0.002, 0.005, 0.002, 0.005
-"""Smallest faults that are told, as parts, or in metres; smaller ones do not matter for a map."""
+"""Smallest faults that are reported, as parts, or in metres; smaller ones do not matter for a map."""
 SPACING_M = 0.08
 """Distance between two readings for which the noise of a gap is compared with other noise [m]."""
 
@@ -63,7 +63,7 @@ class Correction:
 
 
 def list_smallest(diagnosis: Diagnosis) -> dict[str, float]:
-    """Smallest size of each fault that is told in such a recording, given its ticks and its slip."""
+    """Smallest size of each fault that can be detected in such a recording, given its ticks and its slip."""
     slip, tick = diagnosis.slip_per_m.value, diagnosis.tick_m.value
     return {
         "radius": max(RATIO, _reach(diagnosis.reading_ratio)),
@@ -92,9 +92,9 @@ def correct(diagnosis: Diagnosis) -> Correction:
     for one, other in product(
         ("left", "right") if read_wrong else (None,), ("left", "right") if wheel_wrong else (None,)
     ):
-        told = _mean(reading.value, one) / _mean(wheel.value, other)
-        if abs(np.log(scale.value / told)) < best:
-            best, sides = abs(float(np.log(scale.value / told))), (one, other)
+        expected = _mean(reading.value, one) / _mean(wheel.value, other)
+        if abs(np.log(scale.value / expected)) < best:
+            best, sides = abs(float(np.log(scale.value / expected))), (one, other)
     exact = best <= least["track"] or not scale.known
     left, right = 1.0, 1.0
     if exact:
@@ -114,7 +114,7 @@ def find_faults(diagnosis: Diagnosis) -> list[Finding]:
 
 
 def as_stored(diagnosis: Diagnosis) -> dict[str, Any]:
-    """What ``diagnosis.json`` says beside the quantities: faults, what to set, and the smallest faults told."""
+    """What ``diagnosis.json`` says beside the quantities: faults, what to set, and the smallest detectable faults."""
     fix, odometry = correct(diagnosis), diagnosis.odometry
     return {
         "faults": [vars(finding) for finding in find_faults(diagnosis)],

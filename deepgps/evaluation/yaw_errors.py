@@ -1,4 +1,4 @@
-"""Errors of the yaw that a method tells from a single image."""
+"""Errors of the yaw that a method estimates from a single image."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from sim.recording.format import Recording
 def add_yaws(
     field: ErrorField, positioner: Positioner, recording: Recording, positions: np.ndarray, alignment: Alignment
 ) -> ErrorField:
-    """The error field with yaws, aligned as positions are; the same field where the method tells no yaw.
+    """The error field with yaws, aligned as positions are; the same field where the method estimates no yaw.
 
     Args:
         field: The field of a method's positions.

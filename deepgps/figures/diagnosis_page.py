@@ -13,12 +13,12 @@ from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_small
 from deepgps.figures.markdown import tabulate
 
 ALL_WELL = "Nothing is wrong with these wheels, as far as the robot's own sensors can tell."
-HEADINGS = ("quantity", "found", "95 % interval", "assumed", "smallest told")
+HEADINGS = ("quantity", "found", "95 % interval", "assumed", "detectable")
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """How an estimate is written: its title, unit, the unit's size, its decimals, and the fault that it tells."""
+    """How an estimate is written: its title, unit, the unit's size, its decimals, and the fault that it shows."""
 
     title: str
     unit: str
@@ -40,7 +40,7 @@ QUANTITIES = {
 
 
 def list_rows(diagnosis: Diagnosis) -> list[list[str]]:
-    """A row for each quantity: its title, value, interval, what is assumed, and the smallest fault that is told."""
+    """A row for each quantity: its title, value, interval, what is assumed, and the smallest detectable fault."""
     least, odometry = list_smallest(diagnosis), diagnosis.odometry
     tick_m = 2 * np.pi * odometry["wheel_radius_m"] / odometry["ticks_per_rev"]
     assumed = {"track_m": odometry["track_m"], "reading_ratio": 1.0, "wheel_ratio": 1.0, "tick_m": tick_m}
@@ -92,7 +92,7 @@ def _say_how(diagnosis: Diagnosis) -> str:
         return f"Only {diagnosis.turns} turns and {diagnosis.pairs} pairs of images could be used: drive longer."
     return (
         f"By {diagnosis.turns} turns in place, {diagnosis.pairs} pairs of images of about one place, and the readings; "
-        "the noise of a gap is told from the times of readings, so it includes what the robot's speed wavers."
+        "the noise of a gap is found from the times of readings, so changes of the robot's speed add to it."
     )
 
 

@@ -58,7 +58,7 @@ def describe_undecided(found: Mapping[str, Any]) -> str | None:
     pieces = (
         f"images {first} to {last}" if len(parts) == 1 else f"{len(parts)} parts; longest: images {first} to {last}"
     )
-    because = f"; the world looks alike every {repeats_m:.1f} m" if repeats_m else ""
+    because = f"; the world repeats every {repeats_m:.1f} m" if repeats_m else ""
     return f"{max(100 * share, 0.1):.1f} % of its initial map is undecided ({pieces}){because}."
 
 

@@ -1,4 +1,4 @@
-"""Which loop closures of a map are believed, and what those say that are not."""
+"""Which loop closures of a map are believed, and what the rejected ones say about the map."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -13,23 +13,25 @@ from sim.geometry import wrap
 GATE = 4.0
 """Standard deviations within which a loop closure is believed."""
 SURE_M, FAR_M, FURTHEST_M = 0.3, 0.5, 2.0
-"""Where the gate is narrower than the first, look-alikes further apart than the second are false; no gate is wider than
-the third [m]."""
+"""A gate below ``SURE_M`` means that the distance of the two observations is known; above ``FAR_M`` they only look
+alike. No gate is wider than ``FURTHEST_M`` [m]."""
 REPEATS, ENOUGH = 0.02, 20
-"""The world repeats at the distance within which such a part of the sure look-alikes is false, if there are enough."""
+"""The world repeats after a distance d if at least ``ENOUGH`` closures have a known distance, and ``REPEATS`` of these
+only look alike and are no more than d apart."""
 LOOK, LOOK_PER_M = 0.22, 0.62
 """Standard deviation of a loop closure: in one place, in steps between readings, and per metre between its ends."""
 WIDTH = 3.0
 """Standard deviations at which a loop closure has lost three quarters of its weight."""
 TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
-"""Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends; further
-from the map's heading than the last, it is false."""
+"""Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends. A closure
+whose heading differs from the map's by more than ``ASIDE_RAD`` is false."""
 SHORTEST_M = 0.001
 """Shortest step between readings, where most encoders stick [m]."""
 FEW, HALF = 4, 0.5
-"""A segment is doubted where it has so many loop closures and a smaller part of them is believed."""
+"""A segment is doubted if it has at least ``FEW`` loop closures and less than ``HALF`` of these are believed."""
 CROSSING, CONTRADICTED = 10, 0.1
-"""A turn is wrong if, of so many look-alikes across it or more, no larger part is believed."""
+"""A turn is wrong if at least ``CROSSING`` loop closures connect what was driven before and after it, and no more than
+``CONTRADICTED`` of these are believed."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +78,7 @@ class Belief(NamedTuple):
         believed: Whether each is believed (m,) bool.
         place: Weight of its position (m,).
         turn: Weight of its relative heading (m,).
-        repeats_m: Distance after which the world looks alike [m]; infinite: it does not; 0: unknown.
+        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
     """
 
     believed: np.ndarray
@@ -133,7 +135,7 @@ def limit_gate(repeats_m: float) -> float:
 
 
 def _measure_twins(error: np.ndarray, point: np.ndarray, links: Links) -> np.ndarray:
-    """Distances (k,) [m] between two readings that look like the same third, where they are known well."""
+    """Distances (k,) [m] between two readings that both look like a third, where these distances are known well."""
     of, end = np.concatenate([links.one, links.other]), np.concatenate([links.other, links.one])
     order = np.argsort(of, kind="stable")
     same = np.diff(of[order]) == 0
@@ -144,7 +146,7 @@ def _measure_twins(error: np.ndarray, point: np.ndarray, links: Links) -> np.nda
 
 
 def _find_repeat(apart: np.ndarray) -> float:
-    """Distance [m] after which the world looks alike, from the distances (k,) between sure look-alikes; 0: unknown."""
+    """Distance [m] after which the world repeats, from well-known distances (k,) between look-alikes; 0: unknown."""
     if len(apart) < ENOUGH:
         return 0.0
     far = np.sort(apart[apart > FAR_M])
@@ -176,7 +178,7 @@ def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief
 
 
 def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
-    """Segments (L,) bool at a place that most of their loop closures contradict."""
+    """Segments (L,) bool whose place most of their loop closures contradict."""
     ends = bars.segment[bars.row[np.concatenate([links.one, links.other])]]
     segments = bars.segment[-1] + 1
     count = np.bincount(ends, minlength=segments)

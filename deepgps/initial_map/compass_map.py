@@ -81,10 +81,11 @@ class CompassMap:
         error: Samples of the positions' errors after alignment (N, 2, SAMPLES) [m].
         believed: Which loop closures are believed (n,) bool.
         undecided: Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool.
-        repeats_m: Distance after which the world looks alike [m]; infinite: it does not; 0: unknown.
+        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
         shared: Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to
             its left [m] (3,).
         shared_std: Their standard deviations (3,).
+        scale: How many times larger the errors of turns and lengths were than expected.
         closures: The loop closures that were tried.
         stages: How the map was made, its last stage last.
     """

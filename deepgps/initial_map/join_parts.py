@@ -1,6 +1,6 @@
 """Parts of a drive, between which the robot was carried or its turn is unknown, are joined by what they both saw.
 
-A loop closure with its relative heading tells how one part is placed against the other. A join needs several that agree
+A loop closure with its relative heading shows how one part is placed against the other. A join needs several that agree
 in place and heading, and no other group of them that agrees on something else.
 """
 

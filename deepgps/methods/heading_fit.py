@@ -45,7 +45,7 @@ class Lines:
 
 
 def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable | None:
-    """Make the table of headings; None where observations are no polar images or no segment tells a heading.
+    """Make the table of headings; None where observations are no polar images or no segment shows a heading.
 
     Args:
         recording: The recording that the method has learned from.
@@ -139,7 +139,7 @@ def _refine(
     Least squares with Cauchy weights: off = correction + parallax . away, near a correction and a parallax of zero.
 
     Args:
-        off: Heading that an image around tells minus the entry's own (E, M) [rad].
+        off: Heading by an image around it minus the entry's own (E, M) [rad].
         away: Its place against the entry's (E, M, 2) [m].
         std: Standard deviation of the heading of the image around (E, M) [rad].
         own_std: That of the entry (E,) [rad].

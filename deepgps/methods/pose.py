@@ -19,7 +19,7 @@ class Poses:
         position: Positions x, y (B, 2) [m].
         position_std: Standard deviation along each axis (B,) [m]: how far the training images near by are from the
             straight lines driven. It knows nothing of places that look alike. None: unknown.
-        yaw: Counter-clockwise from x (B,) [rad]; None: the method tells no yaw.
+        yaw: Counter-clockwise from x (B,) [rad]; None: the method gives no yaw.
         yaw_std: Its standard deviation if the hypothesis is right (B,) [rad]; None like ``yaw``.
         yaw_weight: Share of the stored images near by and of those most alike that agree on the yaw (B,); low where a
             place is new or looks like another. None like ``yaw``.

@@ -50,7 +50,7 @@ class NetworkPositioner:
         centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
         upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
-        headings: Table from which yaw is found; none: it tells positions alone.
+        headings: Table from which yaw is found; none: it gives positions alone.
     """
 
     shape: tuple[int, ...]
@@ -90,7 +90,7 @@ class NeighbourPositioner:
         known: Features of the training observations (N, components).
         places: Their positions (N, 2) float64 [m].
         neighbours: Number of neighbours that are averaged.
-        headings: Table from which yaw is found; none: it tells positions alone.
+        headings: Table from which yaw is found; none: it gives positions alone.
     """
 
     features: Features
@@ -157,7 +157,7 @@ class Fitted(NamedTuple):
 
 
 def headings_of(positioner: Positioner) -> HeadingTable | None:
-    """The table from which a positioner tells yaw; None: it tells positions alone."""
+    """The table from which a positioner finds yaw; None: it gives positions alone."""
     return positioner.headings if isinstance(positioner, NetworkPositioner | NeighbourPositioner) else None
 
 
