@@ -25,6 +25,7 @@ from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
+from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, load_positioner, read_training
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
@@ -46,12 +47,14 @@ class Predictions(NamedTuple):
     Attributes:
         training: Positions of the training images (N, 2) [m].
         test: Positions of the test images (C, H, 2) [m].
+        poses: The same test images' poses (C * H).
         positioner: The positioner of the camera in use, which took the test images.
         lean: How that camera leans, for ``metrics.json``.
     """
 
     training: np.ndarray
     test: np.ndarray
+    poses: Poses
     positioner: Positioner
     lean: dict[str, float]
 
@@ -80,7 +83,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     for method in scenario.methods:
         maps = predict(folder_of(run, method), recording, in_use)
         field, alignment = measure_field(maps, method, truth)
-        fields[method] = add_yaws(field, maps.positioner, recording, maps.test, alignment)
+        fields[method] = add_yaws(field, maps.poses, alignment)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
             **summarise(fields[method].worst, side_m),
@@ -142,10 +145,11 @@ def predict(folder: Path, recording: Recording, in_use: Recording | None = None)
     positioner_in_use, lean = adapt(positioner, in_use)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])
-    training, test = positioner(recording.observation), positioner_in_use(images)
+    training, poses = positioner(recording.observation), find_poses(positioner_in_use, images)
+    test = poses.position
     if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
         raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
-    return Predictions(training, test.reshape(cells, headings, 2), positioner_in_use, lean)
+    return Predictions(training, test.reshape(cells, headings, 2), poses, positioner_in_use, lean)
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:

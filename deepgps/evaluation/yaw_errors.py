@@ -6,30 +6,22 @@ import numpy as np
 
 from deepgps.alignment import Alignment
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.methods.pose import set_upright
-from deepgps.methods.positioner import Positioner, headings_of
-from sim.recording.format import Recording
+from deepgps.methods.pose import Poses
 
 
-def add_yaws(
-    field: ErrorField, positioner: Positioner, recording: Recording, positions: np.ndarray, alignment: Alignment
-) -> ErrorField:
+def add_yaws(field: ErrorField, poses: Poses, alignment: Alignment) -> ErrorField:
     """The error field with yaws, aligned as positions are; the same field where the method estimates no yaw.
 
     Args:
         field: The field of a method's positions.
-        positioner: The positioner in use.
-        recording: With the test images.
-        positions: Predicted positions of these (C, H, 2) [m], in the method's frame.
+        poses: Its poses of the test images (C * H), in the method's frame.
         alignment: From the method's frame to the world's.
     """
-    headings = headings_of(positioner)
-    if headings is None:
+    if poses.yaw is None or poses.yaw_std is None or poses.yaw_weight is None:
         return field
-    images, shape = recording.test_observation, positions.shape[:2]
-    images = set_upright(positioner, images.reshape(-1, *images.shape[2:]))
-    found = headings.find(images, positions.reshape(-1, 2))
-    yaw, std, weight = (part[:, 0].reshape(shape) for part in (found.yaw, found.std, found.weight))
+    yaw, std, weight = (
+        part.reshape(field.predicted.shape[:2]) for part in (poses.yaw, poses.yaw_std, poses.yaw_weight)
+    )
     return replace(field, yaw=alignment.turn(yaw), yaw_std=std, yaw_weight=weight)
 
 

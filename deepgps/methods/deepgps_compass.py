@@ -1,5 +1,6 @@
 """DeepGPS that also uses the images after turns in place: by compass, its map is never folded or mirrored."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,14 @@ from deepgps.initial_map.stored_map import write_map
 from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
-from deepgps.methods.positioner import Fitted
+from deepgps.methods.positioner import Fitted, NetworkPositioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings, Start
 from sim.recording.format import Recording
 from sim.rng import stream
+
+LEAST_MOUNT_M, SURE = 0.005, 3.0
+"""A camera that is nearer to the axle than this [m], or than so many standard deviations, is taken to be on it."""
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -50,6 +54,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     variant = Variant(make_initial_map=start_from_compass, orient=orient, curvature=float(found.shared[0]))
     fitted = fit_data(data, variant, settings, seed, folder, progress)
+    assert isinstance(fitted.positioner, NetworkPositioner)
+    fitted = fitted._replace(positioner=replace(fitted.positioner, mount=find_mount(found)))
     return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **told})
 
 
@@ -63,6 +69,14 @@ def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTur
     segments, rng = expect_errors(recording, data.segments), stream(seed, "compass map")
     curvature = measure_curvature(recording.observation, data.segments)
     return find_compass_map(segments, turns, closures, len(data.features), rng, curvature)
+
+
+def find_mount(found: CompassMap) -> tuple[float, float]:
+    """Camera ahead of the axle and to its left [m]; zero if the map does not tell it from a camera on the axle."""
+    mount, std = found.shared[1:], float(np.hypot(*found.shared_std[1:]))
+    if np.hypot(*mount) < max(LEAST_MOUNT_M, SURE * std):
+        return 0.0, 0.0
+    return float(mount[0]), float(mount[1])
 
 
 def describe_map(found: CompassMap) -> dict[str, Any]:

@@ -70,7 +70,7 @@ def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     """The positioner with a table of headings from its own map, if it takes polar images."""
     if recording.kind != "polar_image" or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
         return positioner
-    positions = positioner(recording.observation)
+    positions = positioner(recording.observation)  # the camera's, since there is no yaw yet
     if isinstance(positioner, NetworkPositioner) and positioner.upright is not None:
         recording = replace(recording, observation=positioner.upright.copy(recording.observation, folder))
     headings = make_headings(recording, positions)

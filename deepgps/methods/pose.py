@@ -47,22 +47,22 @@ class Poses:
 
 def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
-    position, headings = positioner(observations), headings_of(positioner)
+    headings = headings_of(positioner)
     if headings is None:
-        return Poses(position)
-    found = headings.find(set_upright(positioner, observations), position)
+        return Poses(positioner(observations))
+    if isinstance(positioner, NetworkPositioner):
+        camera = positioner.locate_camera(observations)
+        found = positioner.find_yaws(observations, camera)
+        position = positioner.leave_camera(camera, found.yaw[:, 0])
+    else:
+        camera = position = positioner(observations)
+        found = headings.find(observations, camera)
     return Poses(
         position,
-        headings.find_position_std(position),
+        headings.find_position_std(camera),
         found.yaw[:, 0],
         found.std[:, 0],
         found.weight[:, 0],
         found.yaw[:, 1],
         found.weight[:, 1],
     )
-
-
-def set_upright(positioner: Positioner, images: np.ndarray) -> np.ndarray:
-    """Images as an upright camera sees them, if the positioner corrects the lean of its camera."""
-    upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
-    return images if upright is None else upright(np.asarray(images))

@@ -19,7 +19,7 @@ from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
 from deepgps.methods.catalog import find_method
-from deepgps.methods.headings import HeadingTable, unpack
+from deepgps.methods.headings import HeadingTable, Yaws, unpack
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
 from deepgps.settings import LearnSettings, NetworkSettings
@@ -51,6 +51,8 @@ class NetworkPositioner:
         axes: Axes of the plane (D, 2).
         upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
         headings: Table from which yaw is found; none: it gives positions alone.
+        mount: Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not
+            zero, else the camera's.
     """
 
     shape: tuple[int, ...]
@@ -61,10 +63,34 @@ class NetworkPositioner:
     axes: torch.Tensor
     upright: Upright | None = None
     headings: HeadingTable | None = None
+    mount: tuple[float, float] = (0.0, 0.0)
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
+        camera = self.locate_camera(observations)
+        if self.headings is None or not any(self.mount):
+            return camera
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(camera), CHUNK)]
+        yaws = [self.find_yaws(observations[chunk], camera[chunk]).yaw[:, 0] for chunk in chunks]
+        return self.leave_camera(camera, np.concatenate([np.empty(0), *yaws]))
+
+    def locate_camera(self, observations: np.ndarray) -> np.ndarray:
+        """Positions of the camera (B, 2) float64 [m]."""
         return self.embed(observations) @ self.axes.double().numpy()
+
+    def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
+        """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
+        assert self.headings is not None
+        images = np.asarray(observations)
+        return self.headings.find(images if self.upright is None else self.upright(images), camera)
+
+    def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+        """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""
+        assert self.headings is not None
+        ahead, left = self.mount
+        left *= self.headings.chirality
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        return camera - np.nan_to_num(np.stack([cos * ahead - sin * left, sin * ahead + cos * left], axis=1))
 
     def embed(self, observations: np.ndarray) -> np.ndarray:
         """Outputs of the network (B, D) float64 [m], relative to ``centre``, before projection onto the plane."""
@@ -259,6 +285,8 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
         kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
         if positioner.upright is not None:
             kind["upright"] = asdict(positioner.upright)
+        if any(positioner.mount):
+            kind["mount_m"] = list(positioner.mount)
     return tensors, {**kind, "frequencies": frequencies}
 
 
@@ -284,7 +312,11 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     own = {name.removeprefix("network."): t for name, t in tensors.items() if name.startswith("network.")}
     network.load_state_dict(own)
     upright = _read_upright(description.get("upright"))
-    return NetworkPositioner(shape, features, settings, network.eval(), tensors["centre"], tensors["axes"], upright)
+    ahead, left = description.get("mount_m", (0.0, 0.0))
+    centre, axes = tensors["centre"], tensors["axes"]
+    return NetworkPositioner(
+        shape, features, settings, network.eval(), centre, axes, upright, mount=(float(ahead), float(left))
+    )
 
 
 def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
