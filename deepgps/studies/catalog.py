@@ -101,7 +101,10 @@ REPORTS: dict[str, Report] = {
         "camera:report",
         {"camera": "camera:draw"},
         "camera:measure",
-        ("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
+        (
+            *("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
+            *(f"compass_{name}_{lean}_ratio" for name in ("tilted", "knocked") for lean in (2, 8)),
+        ),
     ),
     "corridors": Report(
         "corridors:report",

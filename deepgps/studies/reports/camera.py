@@ -33,6 +33,7 @@ TITLES = {
     "deployment.camera_mount.roll_deg": "knocked {:g}° to the right",
     "deployment.camera_mount.centre_px": "knocked, optical centre off by {:g} of 480 px",
 }
+LEANS = {"camera_mount.roll_deg": "tilted", "deployment.camera_mount.roll_deg": "knocked"}
 WHEN = {True: "deployment only", False: "training and deployment"}
 NOTE = (
     "Means over seeds; in brackets, the ratio to the mean without faults. Errors in centimetres on the test grid, for "
@@ -66,12 +67,13 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS's error without faults, and by what factor the worst fault increases it."""
+    """DeepGPS's error without faults, by what factor the worst fault increases it, and what a leaning camera costs."""
     names = [name for name in TITLES if name in rows[0]]
     faults = group_faults([row for row in rows if row["method"] == "deepgps"], names)
     clean = faults.get(Fault(CLEAN, False), ())
+    leans = _measure_lean([row for row in rows if row["method"] == "deepgps_compass"], names)
     if not clean:
-        return {}
+        return leans
     figures = {"clean_rms_m": Figure("RMS without faults", mean(clean, "rms_m"), "cm")}
     for in_use, key in ((False, "both"), (True, "deployment")):
         for name, title in (("rms_m", "RMS"), ("median_m", "median")):
@@ -83,7 +85,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
             if ratios:
                 words = f"{title} / without faults, worst fault in {WHEN[in_use]}"
                 figures[f"{key}_{name.removesuffix('_m')}_ratio"] = Figure(words, max(ratios), "")
-    return figures
+    return figures | leans
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
@@ -141,6 +143,18 @@ def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, S
         in_use = bool(faults) and all(name.startswith("deployment.") for name in faults)
         groups.setdefault(Fault(title, in_use), []).append(row)
     return dict(sorted(groups.items(), key=lambda item: item[0].in_use))
+
+
+def _measure_lean(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, Figure]:
+    """By what factor a camera that leans increases the median of the compass, which sets its images upright."""
+    figures, clean = {}, group_faults(rows, varied).get(Fault(CLEAN, False), ())
+    for setting, name in LEANS.items() if clean else ():
+        for lean in sorted({row[setting] for row in rows if row.get(setting)}):
+            group = [row for row in rows if row[setting] == lean]
+            words = f"{title_of('deepgps_compass')}: median / without faults, {TITLES[setting].format(lean)}"
+            ratio = mean(group, "median_m") / mean(clean, "median_m")
+            figures[f"compass_{name}_{lean:g}_ratio"] = Figure(words, ratio, "")
+    return figures
 
 
 def _write(name: str, rows: Sequence[Row], clean: Sequence[Row]) -> str:
