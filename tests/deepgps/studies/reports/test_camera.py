@@ -69,8 +69,8 @@ def test_the_worst_fault_of_each_kind_is_a_figure():
 
 def test_a_leaning_camera_is_compared_with_a_level_one():
     leans = [("camera_mount", 2.0), ("camera_mount", 8.0), ("deployment.camera_mount", 2.0)]
-    none = {"camera_mount.roll_deg": 0.0, "deployment.camera_mount.roll_deg": 0.0}
-    level = {**make_row("deepgps_compass", 0.01, 0), **none}
+    upright = {"camera_mount.roll_deg": 0.0, "deployment.camera_mount.roll_deg": None}
+    level = {**make_row("deepgps_compass", 0.01, 0), **upright}
     rows = [
         level,
         *({**level, f"{where}.roll_deg": lean, "median_m": lean * level["median_m"]} for where, lean in leans),
