@@ -93,8 +93,12 @@ REPORTS: dict[str, Report] = {
     "encoder": Report(
         "encoder:report",
         {"encoder": "encoder_plots:draw", "near": "encoder_plots:draw_near"},
-        "encoder:measure",
-        tuple(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
+        "encoder_targets:measure",
+        (
+            *(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
+            *("compass_w", "compass_radius", "compass_slip", "compass_stuck_rms_m", "compass_stuck_folded"),
+            *("compass_curves_1", "compass_curves_3"),
+        ),
         "encoder:add_errors",
     ),
     "camera": Report(

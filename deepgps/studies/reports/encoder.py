@@ -8,11 +8,9 @@ import numpy as np
 from deepgps.evaluation.error_field import read_fields
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import read_metrics
-from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import title_of
 from deepgps.studies.reports.encoder_sweeps import (
     FEWER_IS_WORSE,
-    PERFECT,
     TITLES,
     Names,
     Sweep,
@@ -73,24 +71,6 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     return [*blocks, "## What theory says", NOTE, "\n".join(f"- {sentence}" for sentence in EXPLAIN)]
 
 
-def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """RMS at w = 0.10, and RMS at 16 and 4 ticks relative to a perfect encoder, for both variants of DeepGPS."""
-    figures = {}
-    for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
-        title = title_of(method)
-        for sweep in find_sweeps(rows):
-            found = sweep.by_value(method)
-            if sweep.names == ("step_noise",) and 0.1 in found:
-                group = found[0.1]
-                worst = max(row["rms_m"] for row in group)
-                figures[f"{prefix}rms_w"] = Figure(f"RMS at w = 0.10, {title}", mean(group, "rms_m"), "cm", worst=worst)
-            for ticks in (16, 4) if sweep.names == (FEWER_IS_WORSE,) else ():
-                if ticks in found and PERFECT.ticks_per_rev in found:
-                    ratio = mean(found[ticks], "rms_m") / mean(found[PERFECT.ticks_per_rev], "rms_m")
-                    figures[f"{prefix}ticks_{ticks}"] = Figure(f"RMS at {ticks} ticks / perfect, {title}", ratio, "")
-    return figures
-
-
 def add_errors(run: Path, row: Row) -> Row:
     """Columns for the part of test positions with small errors, errors of complete segments, and doubted segments."""
     error = read_fields(run)[row["method"]].error
@@ -124,7 +104,7 @@ def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], lis
         lines.append([f"{value:g}", *segment, *errors, f"{mean(group, 'scale'):.4f}", doubted])
     heads = [f"{title_of(method)} (of seeds), near" for method in methods]
     scale = f"scale of {title_of(methods[0])}"
-    return [sweep.names[0], "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
+    return [_last(sweep.names[0]), "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
 
 
 def _write_errors(rows: Sequence[Row]) -> str:
@@ -139,7 +119,7 @@ def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[li
     for values, group in split_by_values(rows, pair).items():
         found = split_by(group, "method")
         lines.append([*(f"{value:g}" for value in values), *(_write_errors(found[method]) for method in methods)])
-    return [*pair, *(f"{title_of(method)} (of seeds), near" for method in methods)], lines
+    return [*map(_last, pair), *(f"{title_of(method)} (of seeds), near" for method in methods)], lines
 
 
 def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> str:
@@ -157,3 +137,8 @@ def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> s
 
 def _capital(title: str) -> str:
     return title[0].upper() + title[1:]
+
+
+def _last(setting: str) -> str:
+    """A setting's own name, which heads its column."""
+    return setting.rpartition(".")[2]

@@ -5,23 +5,29 @@ from typing import NamedTuple
 
 from deepgps.studies.table import Row, split_by, varied_in
 from sim.sensors.encoder_faults import FAULTS
-from sim.settings import EncoderSettings
+from sim.settings import EncoderSettings, RobotSettings
 
-PERFECT = EncoderSettings()
 Names = tuple[str, ...]
-TITLES: dict[Names, str] = {
-    ("ticks_per_rev",): "ticks per revolution",
-    ("radius_error_left",): "error of one wheel's radius",
-    **{fault.settings: fault.title for fault in FAULTS},
+UNEQUAL_WHEELS = "robot.wheel_radius_error"
+PERFECT = {
+    **{f"encoder.{name}": value for name, value in EncoderSettings().model_dump().items()},
+    UNEQUAL_WHEELS: RobotSettings().wheel_radius_error,
 }
-FEWER_IS_WORSE = "ticks_per_rev"
+"""Settings of encoders and wheels, and their values without faults."""
+FEWER_IS_WORSE = "encoder.ticks_per_rev"
+TITLES: dict[Names, str] = {
+    (FEWER_IS_WORSE,): "ticks per revolution",
+    ("encoder.radius_error_left",): "error of one wheel's radius",
+    **{tuple(f"encoder.{name}" for name in fault.settings): fault.title for fault in FAULTS},
+    (UNEQUAL_WHEELS,): "left wheel larger by this part: the robot curves",
+}
 
 
 class Sweep(NamedTuple):
     """Rows in which one fault grows from zero.
 
     Attributes:
-        names: Settings of the encoder that grow together.
+        names: Settings that grow together.
         rows: Measured rows of all methods and seeds, at each value.
     """
 
@@ -35,7 +41,7 @@ class Sweep(NamedTuple):
 
     def by_value(self, method: str) -> dict[float, list[Row]]:
         """Rows of a method by the value of the fault, the smallest fault first."""
-        rows = split_by([row for row in self.rows if row["method"] == method], f"encoder.{self.names[0]}")
+        rows = split_by([row for row in self.rows if row["method"] == method], self.names[0])
         sign = -1 if self.names[0] == FEWER_IS_WORSE else 1
         return dict(sorted(rows.items(), key=lambda one: sign * abs(one[0])))
 
@@ -63,7 +69,7 @@ def find_pairs(rows: Sequence[Row]) -> list[Names]:
 def split_by_values(rows: Sequence[Row], names: Names) -> dict[tuple[float, ...], list[Row]]:
     """Rows of a pair of faults by their values: both faults set, each of these values alone, and no fault."""
     both = [_values(row, names) for row in rows if _changed(row) == names]
-    asked = [{getattr(PERFECT, name), *(values[place] for values in both)} for place, name in enumerate(names)]
+    asked = [{PERFECT[name], *(values[place] for values in both)} for place, name in enumerate(names)]
     groups: dict[tuple[float, ...], list[Row]] = {}
     for row in rows:
         values = _values(row, names)
@@ -73,10 +79,9 @@ def split_by_values(rows: Sequence[Row], names: Names) -> dict[tuple[float, ...]
 
 
 def _values(row: Row, names: Names) -> tuple[float, ...]:
-    return tuple(row[f"encoder.{name}"] for name in names)
+    return tuple(row[name] for name in names)
 
 
 def _changed(row: Row) -> Names:
-    """Settings of the encoder that differ from their defaults."""
-    names = [name.removeprefix("encoder.") for name in varied_in(row) if name.startswith("encoder.")]
-    return tuple(sorted(name for name in names if row[f"encoder.{name}"] != getattr(PERFECT, name)))
+    """Settings of encoders and wheels that differ from their defaults."""
+    return tuple(sorted(name for name in varied_in(row) if name in PERFECT and row[name] != PERFECT[name]))

@@ -11,28 +11,35 @@ from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.shared_recordings import find_drives
-from deepgps.studies.reports.encoder import add_errors, choose_encoders, measure, report
+from deepgps.studies.reports.encoder import add_errors, choose_encoders, report
 from deepgps.studies.reports.encoder_plots import draw, draw_near
-from deepgps.studies.reports.encoder_sweeps import find_pairs, find_sweeps
+from deepgps.studies.reports.encoder_sweeps import PERFECT, find_pairs, find_sweeps
+from deepgps.studies.reports.encoder_targets import measure
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from sim.settings import EncoderSettings
 from tests.helpers.small_study import run_all_here
 
-NAMES = ("ticks_per_rev", "step_noise", "radius_error_left", "radius_error_right")
-PERFECT = EncoderSettings()
+NAMES = (
+    *("encoder.ticks_per_rev", "encoder.step_noise", "encoder.radius_error_left", "encoder.radius_error_right"),
+    *("encoder.slip_per_m", "encoder.stuck_fraction", "robot.wheel_radius_error"),
+)
+SHARES = (("deepgps", 1.0), ("deepgps_noise_aware", 0.5))
 
 
-def make_rows(rms: dict[tuple[tuple[str, float], ...], float]) -> list[Row]:
-    """Two seeds of two methods for each set of faults; the noise-aware one is half as wrong."""
+def make_rows(
+    rms: dict[tuple[tuple[str, float], ...], float], shares: tuple[tuple[str, float], ...] = SHARES
+) -> list[Row]:
+    """Two seeds of the methods for each set of faults; each method has its share of the error."""
     rows = []
     for faults, error in rms.items():
-        settings = {f"encoder.{name}": dict(faults).get(name, getattr(PERFECT, name)) for name in NAMES}
-        for method, share in (("deepgps", 1.0), ("deepgps_noise_aware", 0.5)):
+        settings = {name: dict(faults).get(name, PERFECT[name]) for name in NAMES}
+        for method, share in shares:
             for seed in (0, 1):
                 row = {"run": "r", "seed": seed, **settings, "samples": 100, "method": method, "scale": 1.0}
-                row |= {"rms_m": share * error * (1 + 0.1 * seed), "failure": None}
+                row |= {"rms_m": share * error * (1 + 0.1 * seed), "median_m": share * error / 10, "failure": None}
+                row |= {"flipped": 0.3 if error > 0.2 else 0.01}
                 row |= {"within_2_cm": 1.0 - 10 * share * error, "within_5_cm": 1.0 - 3 * share * error}
                 row |= {"segment_rms_m": error, "segment_expected_m": error, "wrong_doubted": 3, "segments_wrong": 4}
                 rows.append(row)
@@ -42,13 +49,13 @@ def make_rows(rms: dict[tuple[tuple[str, float], ...], float]) -> list[Row]:
 ROWS = make_rows(
     {
         (): 0.01,
-        (("ticks_per_rev", 64),): 0.0105,
-        (("ticks_per_rev", 16),): 0.011,
-        (("ticks_per_rev", 4),): 0.03,
-        (("step_noise", 0.1),): 0.025,
-        (("radius_error_left", 0.02), ("radius_error_right", 0.02)): 0.04,
-        (("radius_error_left", 0.02),): 0.02,
-        (("step_noise", 0.1), ("ticks_per_rev", 4)): 0.05,
+        (("encoder.ticks_per_rev", 64),): 0.0105,
+        (("encoder.ticks_per_rev", 16),): 0.011,
+        (("encoder.ticks_per_rev", 4),): 0.03,
+        (("encoder.step_noise", 0.1),): 0.025,
+        (("encoder.radius_error_left", 0.02), ("encoder.radius_error_right", 0.02)): 0.04,
+        (("encoder.radius_error_left", 0.02),): 0.02,
+        (("encoder.step_noise", 0.1), ("encoder.ticks_per_rev", 4)): 0.05,
     }
 )
 
@@ -56,16 +63,16 @@ ROWS = make_rows(
 def test_faults_are_told_apart_from_pairs_of_them():
     found = {sweep.names: list(sweep.by_value("deepgps")) for sweep in find_sweeps(ROWS)}
     assert found == {
-        ("ticks_per_rev",): [4096, 64, 16, 4],
-        ("step_noise",): [0.0, 0.1],
-        ("radius_error_left",): [0.0, 0.02],
-        ("radius_error_left", "radius_error_right"): [0.0, 0.02],
+        ("encoder.ticks_per_rev",): [4096, 64, 16, 4],
+        ("encoder.step_noise",): [0.0, 0.1],
+        ("encoder.radius_error_left",): [0.0, 0.02],
+        ("encoder.radius_error_left", "encoder.radius_error_right"): [0.0, 0.02],
     }
-    assert find_pairs(ROWS) == [("step_noise", "ticks_per_rev")]
+    assert find_pairs(ROWS) == [("encoder.step_noise", "encoder.ticks_per_rev")]
 
 
 def test_faults_of_either_sign_grow_from_none():
-    sweep = find_sweeps(make_rows({(("radius_error_left", error),): 0.01 for error in (-0.1, 0.0, 0.02)}))[0]
+    sweep = find_sweeps(make_rows({(("encoder.radius_error_left", error),): 0.01 for error in (-0.1, 0.0, 0.02)}))[0]
     assert list(sweep.by_value("deepgps")) == [0.0, 0.02, -0.1]
 
 
@@ -116,11 +123,30 @@ def read_cells(table: str, names: int = 1) -> dict[str, list[str]]:
 
 def test_targets_are_ratios_to_a_perfect_encoder():
     figures = measure(ROWS)
-    assert set(figures) == set(REPORTS["encoder"].targets)
+    assert set(figures) == {name for name in REPORTS["encoder"].targets if not name.startswith("compass")}
     assert figures["rms_w"].value == pytest.approx(0.025 * 1.05)
     assert figures["aware_rms_w"].worst == pytest.approx(0.0125 * 1.1)
     assert figures["ticks_16"].value == pytest.approx(1.1)
     assert figures["ticks_4"].value == figures["aware_ticks_4"].value == pytest.approx(3.0)
+
+
+def test_the_compass_is_judged_beside_distances_alone_when_stuck_and_on_curves():
+    faults = {
+        **{(): 0.01, (("encoder.step_noise", 0.3),): 0.1, (("encoder.radius_error_left", 0.01),): 0.1},
+        **{(("encoder.slip_per_m", 0.1),): 0.1, (("encoder.stuck_fraction", 0.5),): 0.3},
+        **{(("robot.wheel_radius_error", 0.01),): 0.011, (("robot.wheel_radius_error", 0.03),): 0.012},
+    }
+    figures = measure(make_rows(faults, (("deepgps_compass", 0.5), ("deepgps", 1.0))))
+    found = {name.removeprefix("compass_"): figure for name, figure in figures.items() if name.startswith("compass")}
+    assert {f"compass_{name}" for name in found} <= set(REPORTS["encoder"].targets)
+    values = {name: figure.value for name, figure in found.items()}
+    assert values == pytest.approx(
+        {
+            **{"w": 0.5, "radius": 0.5, "slip": 0.5, "stuck_rms_m": 0.15 * 1.05, "stuck_folded": 2},
+            **{"curves_1": 1.1, "curves_3": 1.2},
+        }
+    )
+    assert found["stuck_rms_m"].worst == pytest.approx(0.15 * 1.1)
 
 
 def test_each_fault_is_a_panel_with_a_band_and_theory():
@@ -148,14 +174,19 @@ def test_the_part_of_the_room_that_stays_near_is_drawn_beside_what_is_good_enoug
     assert lines["good enough"] == [80, 80]
 
 
-def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives():
+def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives_of_each_robot():
     plans = plan_runs(load_study("encoder", tiny=False))
     asked = {name for plan in plans for name in EncoderSettings.model_fields if name in str(dict(plan.varied))}
     assert asked == set(EncoderSettings.model_fields) - {"rounding", "plugins"}
     assert len({plan.scenario.seed for plan in plans}) == 5
-    assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5
+    robots = {plan.scenario.robot.wheel_radius_error for plan in plans}
+    assert len(robots) == 3
+    assert len({drive.model_dump_json() for drive in find_drives(plans).values()}) == 5 * len(robots)
     assert {tuple(plan.scenario.methods) for plan in plans} == {
-        ("deepgps", "deepgps_noise_aware", "deepgps_with_turns", "dead_reckoned_labels", "posenet")
+        (
+            *("deepgps_compass", "deepgps", "deepgps_noise_aware"),
+            *("deepgps_with_turns", "dead_reckoned_labels", "posenet"),
+        )
     }
 
 
