@@ -197,7 +197,7 @@ def test_the_study_runs_small(tmp_path: Path):
     assert carry_out(study, plans, tmp_path / "study", run_all=run_all_here, progress=ignore) == {}
     report_study(study, plans, {}, tmp_path / "study")
     rows = pq.read_table(tmp_path / "study" / "table.parquet").to_pylist()
-    assert len(rows) == 5 * 3 and not any(row["failure"] for row in rows)
+    assert len(rows) == 5 * 4 and not any(row["failure"] for row in rows)
     noisy = [row for row in rows if row["encoder.step_noise"] == 0.1]
     assert all(row["segment_rms_m"] > 10 * rows[0]["segment_rms_m"] for row in noisy)
     recordings = {row["recording"] for row in rows}
