@@ -25,6 +25,12 @@ class Poses:
             place is new or looks like another. None like ``yaw``.
         other_yaw: Second hypothesis of the yaw (B,) [rad]; None like ``yaw``.
         other_weight: Its share (B,), 0 where there is none; None like ``yaw``.
+        novelty: How unlike all training images each image is (B,), by the distance to the nearest of them in feature
+            space; None: the method does not say.
+        radius_68: Radius of the circle that holds the true position with a probability of 68 % (B,) [m]; None: unknown.
+        radius_95: The same for 95 % (B,) [m]; None: unknown.
+        accepted: Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not
+            be used. None: the method accepts all.
     """
 
     position: np.ndarray
@@ -34,6 +40,10 @@ class Poses:
     yaw_weight: np.ndarray | None = None
     other_yaw: np.ndarray | None = None
     other_weight: np.ndarray | None = None
+    novelty: np.ndarray | None = None
+    radius_68: np.ndarray | None = None
+    radius_95: np.ndarray | None = None
+    accepted: np.ndarray | None = None
 
     def align(self, alignment: Alignment) -> "Poses":
         """The same poses in the frame that an alignment leads to."""
