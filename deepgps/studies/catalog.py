@@ -117,6 +117,7 @@ REPORTS: dict[str, Report] = {
         ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
         "corridors:add_map",
     ),
+    "maps": Report("maps:report", {"maps": "maps:draw"}, "maps:measure", ("mirrored",)),
     "diagnose": Report(
         "diagnose:report",
         {"diagnose": "diagnose_plots:draw"},

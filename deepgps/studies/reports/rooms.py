@@ -13,6 +13,8 @@ from deepgps.figures.targets import Figure, write
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_errors
 
+OURS = ("deepgps_compass", "deepgps")
+"""Methods whose wins are counted, each over those that are not before it."""
 SHARES = ("relative_rms", "seen", "flipped")
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
@@ -23,14 +25,14 @@ SIGN_TEST = "p is from a two-sided sign test: above 0.05, these rooms do not sho
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
-    """A table of all rooms and methods, their means and worst values; a note on it; and how often DeepGPS wins."""
+    """A table of all rooms and methods, their means and worst values; a note on it; and how often our methods win."""
     headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
     rival = _rival(rows)
     cells = []
     for row in rows:
         known = row["method"] != "posenet" and row["recording"] in rival
         ratio = row["rms_m"] / rival[row["recording"]] if known else None
-        cells.append([_room(row, varied), title_of(row["method"]), *_write(row), write(ratio, "")])
+        cells.append([name_room(row, varied), title_of(row["method"]), *_write(row), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
         for method, group in split_by(rows, "method").items():
             columns = {name: [row[name] for row in group] for name in (*ERRORS, *SHARES, "train_s")}
@@ -65,7 +67,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw RMS (filled) and median (open) of every method in every room."""
-    return draw_errors(rows, lambda row: _room(row, varied))
+    return draw_errors(rows, lambda row: name_room(row, varied))
 
 
 def draw_errors(rows: Sequence[Row], label: Callable[[Row], str]) -> Picture:
@@ -96,18 +98,19 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
 
 
 def _count_wins(rows: Sequence[Row]) -> list[str]:
-    """A sentence for each rival that says in how many common rooms DeepGPS has the lower error."""
-    methods = split_by(rows, "method")
-    ours = {row["recording"]: row for row in methods.pop("deepgps", [])}
-    sentences = []
-    for method, group in methods.items():
-        pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
-        wins = [
-            _count(word, [mine[name] - other[name] for mine, other in pairs]) for name, word in PAPERS_ERRORS.items()
-        ]
-        sentences.append(
-            f"Of {len(pairs)} rooms, DeepGPS has lower errors than {title_of(method)} in {', '.join(wins)}."
-        )
+    """A sentence for each of our methods and each rival: in how many common rooms ours has the lower error."""
+    rivals, sentences = split_by(rows, "method"), []
+    for own in OURS:
+        ours = {row["recording"]: row for row in rivals.pop(own, [])}
+        for method, group in rivals.items() if ours else ():
+            pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
+            wins = [
+                _count(word, [mine[name] - other[name] for mine, other in pairs])
+                for name, word in PAPERS_ERRORS.items()
+            ]
+            sentences.append(
+                f"Of {len(pairs)} rooms, {title_of(own)} has lower errors than {title_of(method)} in {', '.join(wins)}."
+            )
     return [*sentences, SIGN_TEST] if sentences else []
 
 
@@ -122,7 +125,8 @@ def _rival(rows: Sequence[Row]) -> dict[str, float]:
     return {row["recording"]: row["rms_m"] for row in rows if row["method"] == "posenet"}
 
 
-def _room(row: Row, varied: Sequence[str]) -> str:
+def name_room(row: Row, varied: Sequence[str]) -> str:
+    """A room by the settings that vary, such as ``bedroom l 31``."""
     return " ".join(str(row[name]) for name in varied)
 
 
