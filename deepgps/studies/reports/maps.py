@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
+from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure
 from deepgps.studies.reports.rooms import name_room
 from deepgps.studies.table import Row, split_by
@@ -65,6 +66,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     ends = [max(limits.min(), 0.05), limits.max()]
     axes.plot(ends, ends, color="0.6", lw=1, zorder=0, label="as expected")
     axes.set(xscale="log", yscale="log", xlabel="expected RMS error [cm]", ylabel="RMS error [cm]")
+    for axis in (axes.xaxis, axes.yaxis):
+        count_by_decades(axis)
     axes.grid(alpha=0.25, which="both")
     axes.legend(frameon=False)
     return picture
