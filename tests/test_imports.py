@@ -33,6 +33,7 @@ ORDER = (
     ("deepgps.initial_map",),
     ("deepgps.learning",),
     ("deepgps.methods",),
+    ("deepgps.tracking",),
     ("deepgps.evaluation",),
     ("deepgps.figures",),
     ("deepgps.stages",),

@@ -1,0 +1,192 @@
+"""The filter: a few hypotheses of the robot's pose, each with a Kalman filter of its own.
+
+Every image moves the hypotheses, and begins new ones where none is near it. Evidence decides between them: the
+likelihood of the images under each, against that of a robot whose pose is unknown. So a robot that was carried is found
+again, and places that look alike are told apart while it drives on. Images close together share their errors, so an
+image counts only as far as the robot has moved since the last one.
+
+Several hypotheses: Cox and Leonard, "Modeling a dynamic environment using a Bayesian multiple hypothesis approach",
+Artificial Intelligence 66(2), 1994.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepgps.tracking.fix import Fix
+from deepgps.tracking.motion import SCALE_STD, Motion, move
+from deepgps.tracking.noise import Trail, add_image, begin_trail, break_off, extend, find_factor
+from deepgps.tracking.update import update
+from sim.geometry import wrap
+
+MOST = 12
+"""Most hypotheses that are kept."""
+MOST_EVIDENCE = 4.0
+"""Largest evidence of one image: more would trust the model of its errors too far."""
+LEAD = 30.0
+"""Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time."""
+SHARED_M, SHARED_RAD = 0.1, 0.2
+"""Images of places or headings that are closer share their errors of position and yaw [m], [rad]."""
+EVIDENCE_M = 0.25
+"""Way after which an image is as much evidence as one of a place far away [m]."""
+NEAR_M, NEAR_RAD = 0.3, 0.35
+"""No hypothesis begins so near to another one [m], [rad]."""
+ALIKE_M, ALIKE_RAD = 0.05, 0.1
+"""Of two hypotheses that have come so near to each other the likelier one is kept [m], [rad]."""
+FAN = 8
+"""Headings at which hypotheses begin where an image tells no yaw."""
+CERTAIN = 0.99
+"""Probability from which an estimate is accepted."""
+
+
+@dataclass(frozen=True)
+class State:
+    """What the filter knows.
+
+    Attributes:
+        mean: Hypotheses of the pose x, y [m], yaw [rad], and of the error of the odometry's scale (K, 4).
+        covariance: Their covariances (K, 4, 4).
+        evidence: Log-likelihood of the images under each, against a robot whose pose is unknown (K,).
+        trail: The last images along the path by odometry, which tell how large the errors of images are.
+        moved_m: Way since the last image that was used [m].
+        turned_rad: Turns since then [rad].
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    evidence: np.ndarray
+    trail: Trail
+    moved_m: float = np.inf
+    turned_rad: float = np.inf
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The likeliest pose.
+
+    Attributes:
+        position: Position (2,) [m]; NaN before the first image.
+        position_std: Its standard deviation along each axis [m].
+        yaw: Yaw [rad].
+        yaw_std: Its standard deviation [rad].
+        probability: Of this hypothesis, among all of them and a pose that is none of these.
+        accepted: Whether it is certain enough to be used.
+    """
+
+    position: np.ndarray
+    position_std: float
+    yaw: float
+    yaw_std: float
+    probability: float
+    accepted: bool
+
+
+def begin() -> State:
+    """The state of a robot whose pose is unknown."""
+    return State(np.empty((0, 4)), np.empty((0, 4, 4)), np.empty(0), begin_trail())
+
+
+def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
+    """The state after a motion and an image.
+
+    Args:
+        state: The state before.
+        motion: How the robot moved since; None: nothing is known of it, as before the first image.
+        fix: What the image says; None: there is none.
+    """
+    state = replace(begin(), trail=break_off(state.trail)) if motion is None else predict(state, motion)
+    return state if fix is None or not fix.accepted else see(state, fix)
+
+
+def predict(state: State, motion: Motion) -> State:
+    """The state after a motion."""
+    mean, covariance = move(state.mean, state.covariance, motion)
+    scale = float(mean[state.evidence.argmax(), 3]) if len(mean) else 0.0
+    return replace(
+        state,
+        mean=mean,
+        covariance=covariance,
+        trail=extend(state.trail, motion, 1.0 + scale),
+        moved_m=state.moved_m + motion.expected_m,
+        turned_rad=state.turned_rad + motion.expected_rad,
+    )
+
+
+def see(state: State, fix: Fix) -> State:
+    """The state after an image."""
+    trail = add_image(state.trail, fix)
+    fix = replace(fix, position_std=fix.position_std * find_factor(trail))
+    moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
+    updated = update(state.mean, state.covariance, _weaken(fix, moved, moved + state.turned_rad / SHARED_RAD))
+    evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)
+    state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
+    return _keep_best(_add_new(state, fix))
+
+
+def estimate(state: State) -> Estimate:
+    """The likeliest hypothesis of a state."""
+    if not len(state.mean):
+        return Estimate(np.full(2, np.nan), np.inf, np.nan, np.inf, 0.0, False)
+    best, probability = int(state.evidence.argmax()), weigh(state)
+    mean, variance = state.mean[best], np.diagonal(state.covariance[best])
+    return Estimate(
+        mean[:2],
+        float(np.sqrt(variance[:2].mean())),
+        float(wrap(mean[2])),
+        float(np.sqrt(variance[2])),
+        float(probability[best]),
+        bool(probability[best] >= CERTAIN),
+    )
+
+
+def weigh(state: State) -> np.ndarray:
+    """Probability of each hypothesis (K,), among all of them and a pose that is none of these."""
+    highest = max(0.0, float(state.evidence.max(initial=0.0)))
+    likelihood = np.exp(state.evidence - highest)
+    return likelihood / (likelihood.sum() + np.exp(-highest))
+
+
+def _weaken(fix: Fix, moved: float, turned: float) -> Fix:
+    """The image with larger errors where it shares them with the last one, by parts of its own."""
+    place, yaw = (np.sqrt(np.clip(part, 1e-6, 1.0)) for part in (moved, turned))
+    return replace(fix, position_std=fix.position_std / place, yaw_std=fix.yaw_std / yaw)
+
+
+def _add_new(state: State, fix: Fix) -> State:
+    """The state with hypotheses at the image's own pose, where none is near."""
+    yaw, std, weight = fix.yaw, fix.yaw_std, fix.yaw_weight
+    if not len(yaw):
+        yaw, std, weight = np.arange(FAN) * 2.0 * np.pi / FAN, np.full(FAN, np.pi / FAN), np.full(FAN, 1.0 / FAN)
+    one = np.ones(len(yaw))
+    mean = np.column_stack([np.outer(one, fix.position), wrap(yaw), 0.0 * one])
+    new = ~_find_near(mean, state.mean, NEAR_M, NEAR_RAD).any(axis=1)
+    spread = np.column_stack([one * fix.position_std, one * fix.position_std, std, one * SCALE_STD])
+    return replace(
+        state,
+        mean=np.concatenate([state.mean, mean[new]]),
+        covariance=np.concatenate([state.covariance, (np.eye(4) * spread[:, None] ** 2)[new]]),
+        evidence=np.concatenate([state.evidence, np.log(weight[new])]),
+    )
+
+
+def _keep_best(state: State) -> State:
+    """The likeliest hypotheses, without doubles and without those that are less likely than an unknown pose."""
+    order = np.argsort(-state.evidence, kind="stable")
+    mean, evidence = state.mean[order], state.evidence[order]
+    double = np.tril(_find_near(mean, mean, ALIKE_M, ALIKE_RAD), -1).any(axis=1)
+    hopeless = evidence < -MOST_EVIDENCE
+    hopeless[0] = False
+    kept = order[~double & ~hopeless][:MOST]
+    evidence = state.evidence[kept]
+    return replace(
+        state,
+        mean=state.mean[kept],
+        covariance=state.covariance[kept],
+        evidence=evidence - max(float(evidence[0]) - LEAD, 0.0),
+    )
+
+
+def _find_near(one: np.ndarray, other: np.ndarray, near_m: float, near_rad: float) -> np.ndarray:
+    """Which of hypotheses (K, 4) and (J, 4) are near to each other (K, J) bool."""
+    away = one[:, None] - other
+    return (np.hypot(away[..., 0], away[..., 1]) < near_m) & (np.abs(wrap(away[..., 2])) < near_rad)
