@@ -16,6 +16,8 @@ MOST_FITTED = 16_000
 """Most observations that features, initial map and fold detector use: all pairs are compared, so memory and time grow
 with the square."""
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
+HELD_OUT, LEAST_SEGMENTS = 0.04, 50
+"""Share of the segments that no network learns from, since they show its errors; of few segments it learns from all."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Segments:
         weight: Robust weight of each segment (L,), from 0 to 1; None: all are equal.
         variance: Part of each distance's expected squared error that grows with it (L, longest) [m^2]; None: unknown.
         rounding_m2: Constant part of the expected squared error of a distance between two readings [m^2].
+        held_out: Segments that no network learns from (L,) bool; None: none.
     """
 
     index: torch.Tensor
@@ -39,6 +42,12 @@ class Segments:
     weight: torch.Tensor | None = None
     variance: torch.Tensor | None = None
     rounding_m2: float = 0.0
+    held_out: torch.Tensor | None = None
+
+    @property
+    def learned(self) -> "Segments":
+        """The segments that networks learn from."""
+        return self if self.held_out is None else self.take((~self.held_out).nonzero()[:, 0])
 
     @property
     def valid(self) -> torch.Tensor:
@@ -82,7 +91,29 @@ def read_segments(recording: Recording) -> Segments:
         distance=torch.from_numpy(distance.astype(np.float32)),
         count=torch.tensor([len(run) for run in kept]),
         skipped=len(runs) - len(kept),
+        held_out=choose_held_out(len(kept)),
     )
+
+
+def choose_held_out(count: int) -> torch.Tensor | None:
+    """Mask (count,) bool of the segments held out, spread evenly over the drive; None: there are too few."""
+    return spread_evenly(count) < HELD_OUT if count >= LEAST_SEGMENTS else None
+
+
+def spread_evenly(count: int) -> torch.Tensor:
+    """Numbers (count,) from 0 to 1: those in any interval belong to segments spread evenly over the drive.
+
+    Multiples of the golden section, modulo 1, fill it evenly.
+    """
+    return torch.arange(count, dtype=torch.float64) * GOLDEN % 1.0
+
+
+def find_held_out(segments: Segments, observations: int) -> torch.Tensor:
+    """Mask (N,) bool of the observations that are only on segments held out; nothing is learned from these."""
+    if segments.held_out is None:
+        return torch.zeros(observations, dtype=torch.bool)
+    first, last = find_owners(segments, observations)
+    return (first >= 0) & segments.held_out[first] & segments.held_out[last]
 
 
 def find_runs(recording: Recording) -> list[np.ndarray]:
@@ -104,9 +135,7 @@ def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) ->
     """
     if observations <= most:
         return segments, torch.arange(observations)
-    # Multiples of the golden section, modulo 1, fill it evenly: so do the segments whose multiple is small.
-    key = torch.arange(len(segments.count), dtype=torch.float64) * GOLDEN % 1.0
-    order = key.argsort()
+    order = spread_evenly(len(segments.count)).argsort()
     rows = order[segments.count[order].cumsum(0) <= most].sort().values
     kept = segments.take(rows)
     chosen = kept.index[kept.valid].unique()

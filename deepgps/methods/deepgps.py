@@ -125,7 +125,7 @@ def train_attempt(
     """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
     # 1. The input: segments of known length, and features that change slowly along them (ours).
     sample = take_sample(data)
-    draw = sample_from(data.segments.to(data.device), settings.train)
+    draw = sample_from(data.segments.learned.to(data.device), settings.train)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
     start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
@@ -139,7 +139,7 @@ def train_attempt(
         known = torch.full((len(data.features), 2), torch.nan)
         known[sample.chosen] = places.float()
         loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
-        sample_mapped = sample_from(sample.segments.to(data.device), settings.train)
+        sample_mapped = sample_from(sample.segments.learned.to(data.device), settings.train)
         draw = sample_mapped_first(draw, sample_mapped, sample.chosen.to(data.device))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)

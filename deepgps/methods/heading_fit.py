@@ -64,7 +64,7 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
     if len(able) < 2:
         return None
     place, heading, std = positions[able], lines.heading[able], lines.std[able]
-    entry = _thin(place)
+    entry = thin_out(place, CELL_M)
     largest = np.maximum(np.abs(phases[entry].real), np.abs(phases[entry].imag)).max(axis=(1, 2), keepdims=True)
     parts = np.stack([phases[entry].real, phases[entry].imag], axis=-1)
     spectrum = np.rint(parts / largest[..., None] * 127.0).astype(np.int8)
@@ -117,10 +117,10 @@ def fit_lines(recording: Recording, positions: np.ndarray) -> Lines:
     return Lines(heading, std, residual)
 
 
-def _thin(place: np.ndarray) -> np.ndarray:
-    """Of places (n, 2) [m] the one nearest to the middle of each cell, as indices (E,)."""
-    cell = np.floor(place / CELL_M)
-    away = ((place / CELL_M - cell - 0.5) ** 2).sum(axis=1)
+def thin_out(place: np.ndarray, cell_m: float) -> np.ndarray:
+    """Of places (n, 2) [m] the one nearest to the middle of each square with sides ``cell_m``, as indices (E,)."""
+    cell = np.floor(place / cell_m)
+    away = ((place / cell_m - cell - 0.5) ** 2).sum(axis=1)
     order = np.lexsort((away, cell[:, 1], cell[:, 0]))
     new = np.diff(cell[order], axis=0, prepend=np.nan).any(axis=1)
     return order[new]

@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 from deepgps.data.labels import read_places
+from deepgps.data.segments import find_held_out
 from deepgps.learning.training_data import prepare
 from deepgps.methods.positioner import Fitted, NeighbourPositioner
 from deepgps.progress import Report
@@ -15,11 +16,12 @@ NEIGHBOURS = 4
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
-    """Store features and positions of all labelled observations."""
+    """Store features and positions of the labelled observations, without those on segments held out."""
     start = time.perf_counter()
     data = prepare(recording, settings, seed, folder.parent)
     index, places = read_places(recording)
-    features = data.features[index]
+    learned = ~find_held_out(data.segments, len(data.features))[index]
+    features, places = data.features[index[learned]], places[learned]
     positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
     stored = features.numel() + places.numel()
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}

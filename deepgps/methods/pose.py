@@ -5,7 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.alignment import Alignment
-from deepgps.methods.positioner import NetworkPositioner, Positioner, headings_of
+from deepgps.methods.positioner import (
+    NeighbourPositioner,
+    NetworkPositioner,
+    Positioner,
+    confidence_of,
+    headings_of,
+)
 
 
 @dataclass(frozen=True)
@@ -57,16 +63,37 @@ class Poses:
 
 def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
+    table = confidence_of(positioner)
+    if table is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+        return _add_yaw(positioner, observations, _locate(positioner, observations))
+    features = positioner.take_features(observations)
+    camera = positioner.locate_features(features)
+    trust = table.find(features.numpy(), camera)
+    known = np.isfinite(trust.radius).all()
+    return replace(
+        _add_yaw(positioner, observations, camera),
+        novelty=trust.novelty,
+        accepted=trust.accepted,
+        radius_68=trust.radius[:, 0] if known else None,
+        radius_95=trust.radius[:, 1] if known else None,
+    )
+
+
+def _locate(positioner: Positioner, observations: np.ndarray) -> np.ndarray:
+    network = isinstance(positioner, NetworkPositioner)
+    return positioner.locate_camera(observations) if network else positioner(observations)
+
+
+def _add_yaw(positioner: Positioner, observations: np.ndarray, camera: np.ndarray) -> Poses:
+    """Poses of observations taken where the camera is at (B, 2) [m]."""
     headings = headings_of(positioner)
     if headings is None:
-        return Poses(positioner(observations))
+        return Poses(camera)
     if isinstance(positioner, NetworkPositioner):
-        camera = positioner.locate_camera(observations)
         found = positioner.find_yaws(observations, camera)
         position = positioner.leave_camera(camera, found.yaw[:, 0])
     else:
-        camera = position = positioner(observations)
-        found = headings.find(observations, camera)
+        position, found = camera, headings.find(observations, camera)
     return Poses(
         position,
         headings.find_position_std(camera),

@@ -18,7 +18,9 @@ from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.training_data import TrainingData
+from deepgps.methods import confidence
 from deepgps.methods.catalog import find_method
+from deepgps.methods.confidence import Confidence
 from deepgps.methods.headings import HeadingTable, Yaws, unpack
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
@@ -32,8 +34,8 @@ from sim.sensors.upright import Upright
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 CHUNK = 500
-HEADINGS = "headings."
-"""Prefix of the heading table's arrays among the weights."""
+HEADINGS, CONFIDENCE = "headings.", "confidence."
+"""Prefixes of the arrays of these tables among the weights."""
 LARGEST_TABLE = 16_000_000
 """Maximum number of distances between observations and stored neighbours that are in memory at once."""
 
@@ -53,6 +55,7 @@ class NetworkPositioner:
         headings: Table from which yaw is found; none: it gives positions alone.
         mount: Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not
             zero, else the camera's.
+        confidence: Table from which novelty and radii are found; none: positions are given without.
     """
 
     shape: tuple[int, ...]
@@ -64,6 +67,7 @@ class NetworkPositioner:
     upright: Upright | None = None
     headings: HeadingTable | None = None
     mount: tuple[float, float] = (0.0, 0.0)
+    confidence: Confidence | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
@@ -78,11 +82,24 @@ class NetworkPositioner:
         """Positions of the camera (B, 2) float64 [m]."""
         return self.embed(observations) @ self.axes.double().numpy()
 
+    def take_features(self, observations: np.ndarray) -> torch.Tensor:
+        """Features (B, components) of observations (B, ...); only of a network that takes features."""
+        check_shape(observations, self.shape)
+        assert self.features is not None
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(observations), CHUNK)]
+        found = [self.features.apply(self._set_upright(observations[chunk])) for chunk in chunks]
+        return torch.cat([torch.empty((0, self.features.basis.shape[1])), *found])
+
+    def locate_features(self, features: torch.Tensor) -> np.ndarray:
+        """Positions of the camera (B, 2) float64 [m] where images have these features (B, components)."""
+        with torch.inference_mode():
+            found = [(self.network(part) - self.centre).numpy() for part in features.split(CHUNK)]
+        return np.concatenate([np.empty((0, len(self.centre))), *found]) @ self.axes.double().numpy()
+
     def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
         """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
         assert self.headings is not None
-        images = np.asarray(observations)
-        return self.headings.find(images if self.upright is None else self.upright(images), camera)
+        return self.headings.find(self._set_upright(observations), camera)
 
     def leave_camera(self, camera: np.ndarray, yaw: np.ndarray) -> np.ndarray:
         """Positions of the axle (B, 2) [m] by those of the camera and the yaw (B,) [rad]; where it is NaN, the same."""
@@ -101,8 +118,12 @@ class NetworkPositioner:
                 found[start : start + CHUNK] = self._embed(np.asarray(observations[start : start + CHUNK])).numpy()
         return found
 
+    def _set_upright(self, observations: np.ndarray) -> np.ndarray:
+        images = np.asarray(observations)
+        return images if self.upright is None else self.upright(images)
+
     def _embed(self, observations: np.ndarray) -> torch.Tensor:
-        observations = observations if self.upright is None else self.upright(observations)
+        observations = self._set_upright(observations)
         table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
         return self.network(Inputs(table).take(slice(None))) - self.centre
 
@@ -117,6 +138,7 @@ class NeighbourPositioner:
         places: Their positions (N, 2) float64 [m].
         neighbours: Number of neighbours that are averaged.
         headings: Table from which yaw is found; none: it gives positions alone.
+        confidence: Table from which novelty and radii are found; none: positions are given without.
     """
 
     features: Features
@@ -124,11 +146,20 @@ class NeighbourPositioner:
     places: torch.Tensor
     neighbours: int
     headings: HeadingTable | None = None
+    confidence: Confidence | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m] of observations (B, ...)."""
+        return self.locate_features(self.features.apply(observations))
+
+    def take_features(self, observations: np.ndarray) -> torch.Tensor:
+        """Features (B, components) of observations (B, ...)."""
+        return self.features.apply(observations)
+
+    def locate_features(self, features: torch.Tensor) -> np.ndarray:
+        """Positions (B, 2) float64 [m] of observations with these features (B, components)."""
         chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
-        found = [self._position(part) for part in self.features.apply(observations).split(chunk)]
+        found = [self._position(part) for part in features.split(chunk)]
         return np.concatenate([np.zeros((0, 2)), *found])
 
     def _position(self, features: torch.Tensor) -> np.ndarray:
@@ -193,6 +224,17 @@ def add_headings(positioner: Positioner, headings: HeadingTable) -> Positioner:
     return replace(positioner, headings=headings) if able else positioner
 
 
+def confidence_of(positioner: Positioner) -> Confidence | None:
+    """The table from which a positioner finds novelty and radii; None: it gives positions without."""
+    return positioner.confidence if isinstance(positioner, NetworkPositioner | NeighbourPositioner) else None
+
+
+def add_confidence(positioner: Positioner, table: Confidence) -> Positioner:
+    """The positioner with a table of confidence; the kinds without features are returned as they are."""
+    able = isinstance(positioner, NetworkPositioner | NeighbourPositioner)
+    return replace(positioner, confidence=table) if able else positioner
+
+
 def is_finished(folder: Path) -> bool:
     """Whether a method's folder holds a complete positioner."""
     return (folder / INDEX).is_file()
@@ -213,6 +255,9 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
     if (headings := headings_of(positioner)) is not None:
         arrays, description["yaw"] = headings.pack()
         tensors |= {f"{HEADINGS}{name}": torch.from_numpy(array) for name, array in arrays.items()}
+    if (table := confidence_of(positioner)) is not None:
+        arrays, description["confidence"] = table.pack()
+        tensors |= {f"{CONFIDENCE}{name}": torch.from_numpy(array) for name, array in arrays.items()}
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
@@ -230,10 +275,13 @@ def load_positioner(folder: Path) -> Positioner:
             raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
         tensors = load_file(folder / WEIGHTS)
         positioner = _put_together(description, tensors)
-        if description.get("yaw") is None:  # as in earlier versions and in methods that tell no yaw
-            return positioner
-        own = {n.removeprefix(HEADINGS): t.numpy() for n, t in tensors.items() if n.startswith(HEADINGS)}
-        return add_headings(positioner, unpack(own, description["yaw"]))
+        # earlier versions have none of these tables, nor have all methods
+        if description.get("yaw") is not None:
+            positioner = add_headings(positioner, unpack(_take(tensors, HEADINGS), description["yaw"]))
+        if description.get("confidence") is not None:
+            table = confidence.unpack(_take(tensors, CONFIDENCE), description["confidence"])
+            positioner = add_confidence(positioner, table)
+        return positioner
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None
     except InputError:
@@ -242,6 +290,10 @@ def load_positioner(folder: Path) -> Positioner:
         raise damaged(path, one_line(error)) from None
     except (SafetensorError, OSError, RuntimeError) as error:
         raise damaged(folder / WEIGHTS, one_line(error)) from None
+
+
+def _take(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): t.numpy() for name, t in tensors.items() if name.startswith(prefix)}
 
 
 def check_positioner(folder: Path) -> dict[str, Any]:

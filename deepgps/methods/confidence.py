@@ -1,0 +1,121 @@
+"""How far to trust one position: how unlike all training images an image is, and a radius that follows from that.
+
+A table holds the features of training images at places that cover the map evenly. The novelty of an image is its
+distance in features to the nearest of those entries that are near its predicted position. So an image of an unknown
+place is novel, and so is one that the network puts in the wrong place, where the entries show something else. The
+search takes as long in a large map as in a small one. ``confidence_fit`` makes the table and calibrates threshold and
+radii, without the truth.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+NEAREST = 16
+"""Entries around a predicted position with which an image is compared."""
+LEVELS = (0.68, 0.95)
+"""Probabilities with which the radii hold the true position."""
+GROWTH = 3
+"""Power of the novelty with which radii grow where images are novel; measured, and alike in all rooms."""
+CHUNK = 4096
+
+
+@dataclass(frozen=True)
+class Trust:
+    """What is known of the positions of B images.
+
+    Attributes:
+        novelty: Distance of each image's features to the nearest training features near its position (B,).
+        accepted: Whether the novelty is one that images of the drive have (B,) bool.
+        radius: Radii that hold the true position with the probabilities ``LEVELS`` (B, 2) [m]; NaN: unknown.
+    """
+
+    novelty: np.ndarray
+    accepted: np.ndarray
+    radius: np.ndarray
+
+
+@dataclass(frozen=True)
+class Confidence:
+    """Features of E training images that cover the map evenly, and what a novelty says about the error.
+
+    A radius is ``sqrt((a + b novelty^GROWTH)^2 + (q s)^2)``, at most ``reach_m``: a, b by quantile regression, s the
+    map's own standard deviation, q the quantile of the length of a standard normal vector in the plane.
+
+    Attributes:
+        features: The first components of their features, divided by ``scale`` (E, K) int8.
+        scale: Size of one step of each component (K,) float32.
+        place: Predicted positions (E, 2) float32 [m].
+        map_std: Standard deviation of the map there, along one axis (E,) float32 [m]; 0 where none is known.
+        threshold: Largest novelty that is accepted.
+        slope: a [m], b [m] for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know.
+        reach_m: Largest distance between two places of the map.
+    """
+
+    features: np.ndarray
+    scale: np.ndarray
+    place: np.ndarray
+    map_std: np.ndarray
+    threshold: float
+    slope: np.ndarray
+    reach_m: float
+
+    def find(self, features: np.ndarray, positions: np.ndarray) -> Trust:
+        """How far to trust positions (B, 2) [m] of images with these features (B, at least K)."""
+        novelty, entry = self.measure(features, positions)
+        return Trust(novelty, novelty <= self.threshold, self._find_radius(novelty, self.map_std[entry]))
+
+    def measure(self, features: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Novelty (B,) of images, and the entry (B,) nearest to each position; arguments as for ``find``."""
+        count = min(NEAREST, len(self.place))
+        rows = np.reshape(self._tree.query(positions, count)[1], (len(positions), count))
+        known = features[:, : len(self.scale)]
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(rows), CHUNK)]
+        novelty = [self._measure(known[chunk], rows[chunk]) for chunk in chunks]
+        return np.concatenate([np.empty(0), *novelty]), rows[:, 0]
+
+    def _measure(self, features: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        away = self.features[rows] * self.scale - features[:, None]
+        return np.sqrt(np.einsum("nek,nek->ne", away, away).min(axis=1)).astype(float)
+
+    def _find_radius(self, novelty: np.ndarray, map_std: np.ndarray) -> np.ndarray:
+        flat = self.slope[:, 0] + novelty[:, None] ** GROWTH * self.slope[:, 1]
+        radius = np.hypot(flat, map_std[:, None] * find_normal_radius(np.array(LEVELS)))
+        return np.minimum(np.maximum.accumulate(radius, axis=1), self.reach_m)
+
+    def pack(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """The table as arrays and as what JSON holds, from which ``unpack`` makes it again."""
+        known = np.isfinite(self.slope).all()
+        numbers = {
+            "threshold": self.threshold,
+            "slope_m": self.slope.tolist() if known else None,
+            "reach_m": self.reach_m,
+        }
+        return {name: getattr(self, name) for name in ARRAYS}, numbers
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.place)
+
+
+ARRAYS = ("features", "scale", "place", "map_std")
+
+
+def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Confidence:
+    """The table that was packed; raises KeyError where a part is missing."""
+    slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
+    return Confidence(
+        **{name: np.asarray(arrays[name]) for name in ARRAYS},
+        threshold=float(numbers["threshold"]),
+        slope=slope,
+        reach_m=float(numbers["reach_m"]),
+    )
+
+
+def find_normal_radius(probability: np.ndarray) -> np.ndarray:
+    """Radius within which a vector in the plane lies with a probability, in standard deviations along one axis."""
+    return np.sqrt(-2.0 * np.log1p(-probability))

@@ -1,0 +1,141 @@
+"""Laws of novelty, refusal and radii, on a made-up drive whose predictions have errors of a known size."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deepgps.data.segments import HELD_OUT, LEAST_SEGMENTS, Segments, choose_held_out, find_held_out
+from deepgps.methods.confidence import GROWTH, LEVELS, Confidence, find_normal_radius, unpack
+from deepgps.methods.confidence_fit import REFUSED, fit_quantile, make_confidence, measure_bars
+
+SIDE_M, READINGS, SPACING_M = 4.0, 12, 0.08
+
+
+def lift(place: np.ndarray) -> np.ndarray:
+    """Features (B, 96) of places (B, 2) [m]: waves over the room; what is far away looks different."""
+    rng = np.random.default_rng(7)
+    wave, phase = rng.normal(0.0, 1.5, (2, 96)), rng.uniform(0.0, 2.0 * np.pi, 96)
+    return np.cos(place @ wave + phase).astype(np.float32)
+
+
+def drive(count: int, seed: int = 0) -> tuple[Segments, np.ndarray]:
+    """Straight segments anywhere in the room, and the true place of each of their images (N, 2) [m]."""
+    rng = np.random.default_rng(seed)
+    start, angle = rng.uniform(0.0, SIDE_M - 1.0, (count, 2)), rng.uniform(0.0, np.pi / 2.0, count)
+    way = SPACING_M * np.arange(READINGS)
+    place = start[:, None] + way[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
+    index = torch.arange(count * READINGS).reshape(count, READINGS)
+    distance = torch.from_numpy(np.tile(way, (count, 1))).float()
+    number = torch.full((count,), READINGS)
+    return Segments(index, distance, number, 0, held_out=choose_held_out(count)), place.reshape(-1, 2)
+
+
+def err(place: np.ndarray, std: np.ndarray | float, seed: int) -> np.ndarray:
+    """Predictions of places (N, 2) [m] with normal errors of a standard deviation (N,) along each axis."""
+    return place + np.random.default_rng(seed).normal(size=place.shape) * np.reshape(std, (-1, 1))
+
+
+@pytest.fixture(scope="module")
+def table() -> Confidence:
+    segments, place = drive(600)
+    return make_confidence(segments, lift(place), err(place, 0.01, 1))
+
+
+def test_the_radii_hold_the_true_place_as_often_as_they_say(table: Confidence) -> None:
+    _, place = drive(400, seed=2)
+    found = table.find(lift(place), err(place, 0.01, 3))
+    error = np.linalg.norm(err(place, 0.01, 3) - place, axis=1)
+    for radius, level in zip(found.radius.T, LEVELS, strict=True):
+        assert abs((error <= radius).mean() - level) < 0.05
+
+
+def test_the_share_refused_of_a_fresh_drive_is_as_chosen(table: Confidence) -> None:
+    _, place = drive(400, seed=4)
+    assert 0.3 * REFUSED < (~table.find(lift(place), place).accepted).mean() < 2.0 * REFUSED
+
+
+def test_unknown_and_misplaced_images_are_refused_with_large_radii(table: Confidence) -> None:
+    _, place = drive(50, seed=5)
+    known = table.find(lift(place), place)
+    elsewhere, misplaced = table.find(lift(place + 50.0), place), table.find(lift(place), place[::-1] + [0.0, 1.5])
+    for found in (elsewhere, misplaced):
+        assert (~found.accepted).mean() > 0.9
+        assert np.median(found.radius[:, 0]) > 5.0 * np.median(known.radius[:, 0])
+    assert elsewhere.radius.max() <= table.reach_m
+
+
+def test_radii_grow_with_novelty_and_with_probability(table: Confidence) -> None:
+    novelty = np.linspace(0.0, 30.0, 200)
+    radius = table._find_radius(novelty, np.full(200, 0.003))
+    assert (np.diff(radius, axis=0) >= 0.0).all()
+    assert (radius[:, 1] >= radius[:, 0]).all()
+
+
+def test_the_variance_of_the_map_is_added(table: Confidence) -> None:
+    _, place = drive(50, seed=5)
+    shaky = replace(table, map_std=np.full_like(table.map_std, 0.02))
+    before, after = (one.find(lift(place), place).radius for one in (table, shaky))
+    assert np.allclose(after**2 - before**2, (0.02 * find_normal_radius(np.array(LEVELS))) ** 2, rtol=1e-4)
+
+
+def test_a_rigid_motion_of_the_map_changes_nothing(table: Confidence) -> None:
+    _, place = drive(50, seed=5)
+    motion = np.array([[0.6, 0.8], [0.8, -0.6]])
+    moved = replace(table, place=(table.place @ motion.T + [3.0, -2.0]).astype(np.float32))
+    here, there = table.find(lift(place), place), moved.find(lift(place), place @ motion.T + [3.0, -2.0])
+    assert np.allclose(here.novelty, there.novelty)
+    assert np.allclose(here.radius, there.radius)
+
+
+def test_packing_keeps_every_bit(table: Confidence) -> None:
+    _, place = drive(50, seed=5)
+    same = unpack(*table.pack())
+    before, after = table.find(lift(place), place), same.find(lift(place), place)
+    assert np.array_equal(before.novelty, after.novelty)
+    assert np.array_equal(before.radius, after.radius)
+
+
+def test_without_segments_held_out_radii_are_unknown_and_images_are_refused_all_the_same() -> None:
+    segments, place = drive(LEAST_SEGMENTS - 1)
+    table = unpack(*make_confidence(segments, lift(place), place).pack())
+    found = table.find(lift(place + 50.0), place)
+    assert not found.accepted.any()
+    assert np.isnan(found.radius).all()
+
+
+def test_one_image_at_a_time_gives_the_same(table: Confidence) -> None:
+    _, place = drive(2, seed=6)
+    together = table.find(lift(place), place)
+    alone = [table.find(lift(one[None]), one[None]) for one in place]
+    assert np.allclose(together.novelty, np.concatenate([one.novelty for one in alone]))
+    assert table.find(lift(place[:0]), place[:0]).radius.shape == (0, 2)
+
+
+def test_the_table_grows_with_the_area_and_not_with_the_images() -> None:
+    small, large = (len(make_confidence(s, lift(p), p).place) for s, p in (drive(600), drive(2400)))
+    assert large < 1.6 * small
+
+
+def test_bars_measure_the_error_whatever_their_place_heading_and_length() -> None:
+    segments, place = drive(2000)
+    held = find_held_out(segments, len(place)).numpy()
+    assert abs(held.mean() - HELD_OUT) < 0.005
+    error = measure_bars(segments, 1.01 * err(place, 0.01, 1), held)
+    assert np.array_equal(np.isfinite(error), held)
+    assert np.nanmean(error**2) == pytest.approx(2.0 * 0.0101**2, rel=0.1)
+    assert np.nanmax(measure_bars(segments, 1.02 * place @ [[0.0, 1.0], [-1.0, 0.0]] + 5.0, held)) < 1e-6
+
+
+def test_quantiles_are_found_where_errors_grow_with_novelty() -> None:
+    rng = np.random.default_rng(0)
+    novelty = rng.uniform(1.0, 4.0, 3000)
+    std = 0.004 + 0.001 * novelty**GROWTH
+    error = np.linalg.norm(rng.normal(size=(3000, 2)), axis=1) * std
+    for level in LEVELS:
+        a, b = fit_quantile(novelty, error, level)
+        expected = find_normal_radius(np.array(level))
+        assert a / expected == pytest.approx(0.004, abs=0.0015)
+        assert b / expected == pytest.approx(0.001, rel=0.1)
+        assert (error <= a + b * novelty**GROWTH).mean() == pytest.approx(level, abs=0.002)
