@@ -1,15 +1,16 @@
 """Settings of learning: frozen groups, each checked once when it is created."""
 
 from collections.abc import Collection
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
 from pydantic_core import PydanticCustomError
 
 from sim.settings import Group
 
 Architecture = Literal["spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"]
 PairLoss = Literal["absolute", "normalised"]
+PixelValues = Literal["pixels", "ranks"]
 Start = Literal["auto", "paths", "ends", "lifting", "random"]
 
 
@@ -32,6 +33,9 @@ class FeatureSettings(Group):
 
     frequencies: int = Field(default=16, ge=1, le=512)
     """Highest frequency kept around the circle."""
+    values: PixelValues = "pixels"
+    """What of an image's pixels is described. pixels: their values; ranks: their ranks within the image, for each
+    colour, which no monotone change of the light alters."""
     rings: int = Field(default=16, ge=1, le=256)
     """Rings that a lidar scan is converted to, each filled equally often."""
     principal: int = Field(default=512, ge=2, le=4096)
@@ -40,6 +44,10 @@ class FeatureSettings(Group):
     """Slow features kept."""
     noise: float = Field(default=0.15, ge=0.0, le=10.0)
     """Standard deviation of the noise added to features in training; the features' own root mean square is 1."""
+
+    @model_serializer(mode="wrap")
+    def _write_values_only_if_ranks(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        return {name: value for name, value in write(self).items() if name != "values" or value != "pixels"}
 
 
 class NetworkSettings(Group):

@@ -24,8 +24,9 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
+from deepgps.data.ranks import rank_values
 from deepgps.data.segments import Segments, subsample
-from deepgps.settings import FeatureSettings
+from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
 from sim.files import check_sha256, read_json, write_bytes, write_json
 
@@ -48,6 +49,7 @@ class Features:
         mean: Mean of the descriptions (K,).
         basis: Projection (K, components).
         edges: Edges of the rings of a scan (rings + 1,) [m]; None if observations are not scans.
+        values: What of an image's pixels is described; unused for scans and vectors.
     """
 
     shape: tuple[int, ...]
@@ -55,6 +57,7 @@ class Features:
     mean: torch.Tensor
     basis: torch.Tensor
     edges: torch.Tensor | None = None
+    values: PixelValues = "pixels"
 
     def apply(self, observation: np.ndarray, heading: int = 0) -> torch.Tensor:
         """Features (N, components) float32 of observations.
@@ -66,7 +69,8 @@ class Features:
         check_shape(observation, self.shape)
         found = torch.empty((len(observation), self.basis.shape[1]))
         for start in range(0, len(observation), CHUNK):
-            described = describe(observation[start : start + CHUNK], self.frequencies, self.edges, heading)
+            some = observation[start : start + CHUNK]
+            described = describe(some, self.frequencies, self.edges, heading, self.values)
             torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
         return found
 
@@ -95,7 +99,11 @@ def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
 
 
 def describe(
-    observation: np.ndarray, frequencies: int, edges: torch.Tensor | None = None, heading: int = 0
+    observation: np.ndarray,
+    frequencies: int,
+    edges: torch.Tensor | None = None,
+    heading: int = 0,
+    values: PixelValues = "pixels",
 ) -> torch.Tensor:
     """Heading-invariant description of each observation; vectors are returned unchanged.
 
@@ -104,6 +112,7 @@ def describe(
         frequencies: Highest frequency kept.
         edges: Edges of the rings that scans are drawn as (rings + 1,) [m].
         heading: Index of the scans' heading to use.
+        values: ranks: each pixel counts by its rank within its image, and not by its value.
 
     Returns:
         float32 (N, K).
@@ -117,7 +126,8 @@ def describe(
     if array.ndim == 3 and edges is not None:
         image = draw_rings(torch.from_numpy(np.ascontiguousarray(array[:, heading])), edges)[:, :, None]
     elif array.ndim == 4:
-        image = torch.from_numpy(np.ascontiguousarray(array.transpose(0, 1, 3, 2))).float()
+        image = torch.from_numpy(np.ascontiguousarray(array.transpose(0, 1, 3, 2)))
+        image = rank_values(image) if values == "ranks" else image.float()
     else:
         raise InputError(
             f"observations must be (N, rings, sectors, colours), (N, headings, rays) or (N, M), not {array.shape}"
@@ -170,7 +180,7 @@ def fit_features(
     """
     sample, chosen = subsample(segments, len(observation))
     edges = find_edges(observation, settings.rings)
-    described = _describe_all(observation, chosen.numpy(), settings.frequencies, edges)
+    described = _describe_all(observation, chosen.numpy(), settings, edges)
     mean = described.mean(dim=0)
     described -= mean
     _check_variety(described, mean)
@@ -178,7 +188,8 @@ def fit_features(
     basis = basis @ _slow_axes(described @ basis, sample, settings.components)
     projected = described @ basis
     size = projected.square().mean().sqrt().clamp_min(1e-12)
-    fitted = Features(tuple(observation.shape[1:]), settings.frequencies, mean, basis / size, edges)
+    shape = tuple(observation.shape[1:])
+    fitted = Features(shape, settings.frequencies, mean, basis / size, edges, settings.values)
     return fitted, projected / size if len(chosen) == len(observation) else fitted.apply(observation)
 
 
@@ -219,7 +230,8 @@ def cached_features(
         write_bytes(folder / TABLE, table)
         write_json(folder / KEY, {"key": key, "sha256": hashlib.sha256(table).hexdigest()})
     shape = tuple(observation.shape[1:])
-    fitted = Features(shape, settings.frequencies, found["mean"], found["basis"], found.get("edges"))
+    mean, basis = found["mean"], found["basis"]
+    fitted = Features(shape, settings.frequencies, mean, basis, found.get("edges"), settings.values)
     return fitted, found["features"]
 
 
@@ -247,13 +259,14 @@ def has_features(folder: Path) -> bool:
 
 
 def _describe_all(
-    observation: np.ndarray, chosen: np.ndarray, frequencies: int, edges: torch.Tensor | None
+    observation: np.ndarray, chosen: np.ndarray, settings: FeatureSettings, edges: torch.Tensor | None
 ) -> torch.Tensor:
+    frequencies, values = settings.frequencies, settings.values
     size = describe(observation[:1], frequencies, edges).shape[1]
     described = torch.empty((len(chosen), size))
     for start in range(0, len(chosen), CHUNK):
         part = chosen[start : start + CHUNK]
-        described[start : start + CHUNK] = describe(observation[part], frequencies, edges)
+        described[start : start + CHUNK] = describe(observation[part], frequencies, edges, values=values)
     return described
 
 

@@ -24,7 +24,7 @@ from deepgps.methods.confidence import Confidence
 from deepgps.methods.headings import HeadingTable, Yaws, unpack
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
-from deepgps.settings import LearnSettings, NetworkSettings
+from deepgps.settings import FeatureSettings, LearnSettings, NetworkSettings
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
 from sim.plugins import calling
@@ -325,6 +325,7 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
     tensors = {} if features is None else {"features.mean": features.mean, "features.basis": features.basis}
     if features is not None and features.edges is not None:
         tensors["features.edges"] = features.edges
+    values = {} if features is None else {"values": features.values}
     frequencies = None if features is None else features.frequencies
     if isinstance(positioner, NeighbourPositioner):
         assert features is not None
@@ -339,7 +340,7 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
             kind["upright"] = asdict(positioner.upright)
         if any(positioner.mount):
             kind["mount_m"] = list(positioner.mount)
-    return tensors, {**kind, "frequencies": frequencies}
+    return tensors, {**kind, "frequencies": frequencies, **values}
 
 
 def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> Positioner:
@@ -355,7 +356,9 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     features = None
     if description["frequencies"] is not None:
         mean, basis = tensors["features.mean"], tensors["features.basis"]
-        features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"))
+        # earlier versions knew nothing but pixels
+        values = FeatureSettings(values=description.get("values", "pixels")).values
+        features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"), values)
     if description["kind"] == "neighbours" and features is not None:
         return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])
     settings = NetworkSettings.model_validate(description["network"])

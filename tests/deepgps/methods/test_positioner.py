@@ -15,23 +15,26 @@ from deepgps.methods.positioner import (
     read_training,
     save_positioner,
 )
-from deepgps.settings import NetworkSettings
+from deepgps.settings import NetworkSettings, PixelValues
 from sim.errors import DamagedError, InputError
 from sim.files import read_json, write_json
 
 SHAPE = (4, 16, 3)
 
 
-def spectral() -> NetworkPositioner:
+def spectral(values: PixelValues = "pixels") -> NetworkPositioner:
     generator = torch.Generator().manual_seed(0)
     numbers = 4 * 3 * 6 + 3 * 3 * 5 * 2
-    features = Features(
-        SHAPE, 5, torch.rand(numbers, generator=generator), torch.rand((numbers, 7), generator=generator)
-    )
+    mean, basis = torch.rand(numbers, generator=generator), torch.rand((numbers, 7), generator=generator)
+    features = Features(SHAPE, 5, mean, basis, values=values)
     settings = NetworkSettings(width=16, layers=2)
     network = make_network(settings, 7, 3, generator).eval()
     axes = torch.linalg.qr(torch.randn((3, 2), generator=generator))[0]
     return NetworkPositioner(SHAPE, features, settings, network, torch.ones(3), axes)
+
+
+def ranked() -> NetworkPositioner:
+    return spectral("ranks")
 
 
 def resnet() -> NetworkPositioner:
@@ -51,7 +54,7 @@ def images(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).integers(0, 256, (count, *SHAPE), dtype=np.uint8)
 
 
-@pytest.mark.parametrize("make", [spectral, resnet, neighbour])
+@pytest.mark.parametrize("make", [spectral, ranked, resnet, neighbour])
 def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
     positioner: Positioner = make()
     assert not is_finished(tmp_path)
@@ -69,6 +72,24 @@ def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
 def test_heading_does_not_matter(make):
     positioner: Positioner = make()
     assert np.allclose(positioner(images(3, 1)), positioner(np.roll(images(3, 1), 5, axis=2)), atol=1e-3)
+
+
+def test_only_ranks_place_a_lighter_image_exactly_where_the_image_is():
+    bright = images(3, 1) // 2
+    light = bright + 100
+    assert np.array_equal(ranked()(bright), ranked()(light))
+    assert not np.allclose(spectral()(bright), spectral()(light), atol=1e-3)
+
+
+def test_a_positioner_of_an_earlier_version_takes_pixels(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    stored = read_json(tmp_path / "positioner.json")
+    assert stored.pop("values") == "pixels"
+    write_json(tmp_path / "positioner.json", stored)
+    assert np.array_equal(load_positioner(tmp_path)(images(9, 1)), spectral()(images(9, 1)))
+    write_json(tmp_path / "positioner.json", {**stored, "values": "colours"})
+    with pytest.raises(DamagedError, match="values"):
+        load_positioner(tmp_path)
 
 
 def test_same_positioner_same_bytes(tmp_path: Path):
