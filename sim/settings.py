@@ -1,7 +1,7 @@
 """Settings of world, robot, sensors and driving: frozen groups, each checked once when it is created."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     BaseModel,
@@ -35,6 +35,21 @@ class Group(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
 
 
+class WithLater(Group):
+    """A group whose later settings are not written while they have their defaults: recordings keep their hash.
+
+    Attributes:
+        later: Names of the settings that are younger than the group.
+    """
+
+    later: ClassVar[frozenset[str]] = frozenset()
+
+    @model_serializer(mode="wrap")
+    def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        usual = {name: type(self).model_fields[name].default for name in self.later}
+        return {name: value for name, value in write(self).items() if name not in usual or value != usual[name]}
+
+
 class WithPlugins(Group):
     """A group with a dictionary ``plugins``: an empty one is not written, so a run without plugins keeps its hash."""
 
@@ -49,8 +64,10 @@ class WithPlugins(Group):
         return values
 
 
-class RoomSettings(Group):
+class RoomSettings(WithLater):
     """The room to build, or the MJCF file to use instead."""
+
+    later = frozenset({"look_alike"})
 
     kind: RoomKind = "living_room"
     """Purpose of the room, which determines its furniture."""
@@ -68,10 +85,6 @@ class RoomSettings(Group):
     texture in place of two to four."""
     mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
     """Your own room: path of an MJCF file, used instead of kind, shape, seed, size and look_alike."""
-
-    @model_serializer(mode="wrap")
-    def _write_look_alike_only_if_set(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if name != "look_alike" or value}
 
     @model_validator(mode="after")
     def _walls_inside_have_room(self) -> "RoomSettings":
@@ -244,8 +257,10 @@ def _is_mapping(value: Any) -> bool:
     return isinstance(value, Mapping)
 
 
-class DriveSettings(Group):
+class DriveSettings(WithLater):
     """How the robot drives and when it looks."""
+
+    later = frozenset({"mixed_light"})
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""
@@ -271,6 +286,8 @@ class DriveSettings(Group):
     """Probability of turning into an opening that the robot passes."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
+    mixed_light: bool = False
+    """Whether the light changes every 256 images of the training drive: as usual, little daylight, lamps off, night."""
 
 
 class GridSettings(Group):
@@ -302,13 +319,10 @@ class ImageFaultSettings(Group):
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 
 
-class MountSettings(Group):
-    """A mounting whose later settings are not written while they have their defaults: recordings keep their hash."""
+class MountSettings(WithLater):
+    """A mounting of the camera."""
 
-    @model_serializer(mode="wrap")
-    def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        later = {name: type(self).model_fields[name].default for name in ("ahead_m", "left_m", "centre_px")}
-        return {name: value for name, value in write(self).items() if name not in later or value != later[name]}
+    later = frozenset({"ahead_m", "left_m", "centre_px"})
 
 
 class CameraMountSettings(MountSettings):
@@ -346,9 +360,11 @@ class DeploymentMountSettings(MountSettings):
     """The optical centre is this far ahead of where it is assumed [px]; None: by camera_mount.centre_px."""
 
 
-class DeploymentSettings(Group):
+class DeploymentSettings(WithLater):
     """Changes between training and deployment: the test grid and the drive in use are made with them, the training
     drive is not."""
+
+    later = frozenset({"daylight", "lamp_on", "exposure", "person"})
 
     drive_samples: int = Field(default=0, ge=0, le=100_000)
     """Images of a drive in use, a second drive of the same robot after training, in the changed room; 0: none,
@@ -357,11 +373,25 @@ class DeploymentSettings(Group):
     """All light, including that of windows, as a fraction of that in training; linear light, not pixel values."""
     lamps: float = Field(default=1.0, ge=0.0, le=1.0)
     """Light of the lamps alone, both what they emit and their own glow, as a fraction; ambient light stays."""
+    daylight: float | None = Field(default=None, ge=0.0, le=4.0)
+    """Light of the windows as a fraction of that in training. If set, the light of windows and of lamps is drawn apart,
+    strongest near each, and mixed, the lamps' with the fraction lamps. None: windows are as in training."""
+    lamp_on: bool = False
+    """A lamp that was off in training hangs 2 m above a random free place and shines."""
+    exposure: Literal["fixed", "auto"] = "fixed"
+    """auto: the camera has automatic exposure and white balance, for each image by itself."""
+    person: bool = False
+    """In each image, a person stands at another random free place; physics does not know of it."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
     """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
     seed: int = Field(default=0, ge=0)
-    """Seed of these directions."""
+    """Seed of these directions, of the person's places and of the place of the lamp that is on."""
     camera_mount: DeploymentMountSettings = DeploymentMountSettings()
+
+    @property
+    def draws_sources_apart(self) -> bool:
+        """Whether each kind of source is drawn apart and their light is mixed."""
+        return self.daylight is not None or self.lamp_on
 
     @field_validator("drive_samples")
     @classmethod
@@ -425,6 +455,8 @@ class SimSettings(Group):
 
     @model_validator(mode="after")
     def _only_a_camera_has_its_faults(self) -> "SimSettings":
+        if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
+            raise ValueError("drive.mixed_light needs world room and sensor fisheye")
         changes = self.deployment.model_copy(update={"drive_samples": 0})  # any sensor can be driven with
         faulty = self.model_copy(update={"deployment": changes})
         faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]

@@ -35,6 +35,7 @@ from sim.recording.format import COLLECTING, OWN, PART, RECORDING, chunk_files, 
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import name_sensors
+from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
 from sim.rng import stream
@@ -228,10 +229,11 @@ def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Drive:
         drive.chunks.append(chunk)
         drive.images.append(images)
         leans = draw_leans(settings.camera_mount, len(chunk["state"]), chance.lean)
-        give(Part(settings, chunk["state"], images, leans))
+        lit = light_part(settings, len(drive.chunks) - 1)
+        give(Part(lit, chunk["state"], images, leans))
         if settings.drive.turn_images and len(turned := chunk["turn_state"]):
             drive.turns.append(turns)
-            give(Part(settings, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
+            give(Part(lit, turned, turns, draw_leans(settings.camera_mount, len(turned), chance.turn_lean)))
         driven = int(chunk["observations"])
         progress("drive", min(driven, wanted), wanted)
     return drive

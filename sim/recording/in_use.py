@@ -27,8 +27,9 @@ def set_in_use(settings: SimSettings) -> SimSettings:
 
 
 def choose_drive_in_use(settings: SimSettings) -> SimSettings:
-    """Settings of the recording of the drive in use, which is driven in the room as its ``deployment`` changes it."""
-    drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples})
+    """Settings of the recording of the drive in use, which is driven in the room as its ``deployment`` changes it, in
+    the light of use."""
+    drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples, "mixed_light": False})
     grid = GridSettings(**settings.grid.model_dump(exclude={"held_out"}))
     return set_in_use(settings).model_copy(update={"drive": drive, "grid": grid})
 

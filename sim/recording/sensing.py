@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from sim.files import write_arrays
+from sim.recording.mixed_light import STATES
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld
 from sim.sensors.catalog import SENSORS, Opened, list_carried, load
@@ -79,9 +80,12 @@ def _draw_again(name: str, part: Part, path: Path, images: np.ndarray, beat: Bea
         raise UnsteadyError(f"{path}: image {again} of {count} was drawn twice and came out different")
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=len(STATES))
 def open_sensors(settings: SimSettings) -> dict[str, Opened]:
-    """The sensors that the robot carries, opened once per worker process, since a context belongs to its process."""
+    """The sensors that the robot carries, opened once per worker process, since a context belongs to its process.
+
+    Those of a drive in changing light stay open for each state of the light.
+    """
     os.environ.setdefault("LP_NUM_THREADS", "0")  # no extra threads: the worker processes already share the cores
 
     @cache

@@ -12,9 +12,9 @@ from sim.robot.model import BASE, BUMPER, CONTROL_PERIOD_S, RADIUS_M, TIMESTEP_S
 from sim.robot.range_finder import REACH_M, RangeFinder
 from sim.robot.scene import compile_scene
 from sim.rooms.build import build_room
-from sim.rooms.deployment import move_furniture
+from sim.rooms.deployment import change_room
 from sim.rooms.free_space import find_free_space
-from sim.rooms.spec import PREFIX, bare, empty_room, freeze
+from sim.rooms.spec import PREFIX, bare, empty_room
 from sim.settings import SimSettings
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -38,9 +38,7 @@ class RoomWorld:
             room: A room to use instead of the settings' own.
             drawn: Whether ``model`` includes geoms that nothing can touch; physics is a third faster without them.
         """
-        still = freeze(build_room(settings.room) if room is None else room)
-        if settings.deployment.moved_m:
-            still = move_furniture(still, settings.deployment.moved_m, settings.deployment.seed)
+        still = change_room(build_room(settings.room) if room is None else room, settings.deployment)
         self.settings = settings
         self.model = compile_scene(still if drawn else bare(still), settings)
         self.data = mujoco.MjData(self.model)

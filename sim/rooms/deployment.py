@@ -5,6 +5,7 @@ import numpy as np
 
 from sim.errors import InputError
 from sim.rooms.free_space import collides
+from sim.rooms.spec import freeze
 from sim.settings import DeploymentSettings
 
 MOVABLE = ("armchair", "barrel", "chair", "coat_stand", "coffee_table", "crates", "floor_lamp", "office_chair")
@@ -15,6 +16,12 @@ STEP_M = 0.05
 TRIES = 24
 GAMMA = 2.2
 """Colours in the simulator are gamma-encoded: about the 2.2th root of light (IEC 61966-2-1)."""
+
+
+def change_room(room: mujoco.MjSpec, deployment: DeploymentSettings) -> mujoco.MjSpec:
+    """A copy of a room without anything that moves, with its furniture as it is in deployment."""
+    still = freeze(room)
+    return move_furniture(still, deployment.moved_m, deployment.seed) if deployment.moved_m else still
 
 
 def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjSpec:
@@ -50,10 +57,12 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
 
 
 def dim(room: mujoco.MjSpec, deployment: DeploymentSettings) -> None:
-    """Dim a scene's light.
+    """Dim a scene's light, unless its sources are drawn apart and mixed later.
 
     A glowing material of one colour belongs to a lamp; one with a picture belongs to a window or a screen.
     """
+    if deployment.draws_sources_apart:
+        return
     windows, lamps = deployment.light ** (1.0 / GAMMA), (deployment.light * deployment.lamps) ** (1.0 / GAMMA)
     headlight = room.visual.headlight
     headlight.ambient = np.multiply(headlight.ambient, windows)

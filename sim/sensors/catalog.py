@@ -83,7 +83,7 @@ SENSORS: dict[str, Sensor] = {
         "polar_image",
         carried=lambda settings: settings.world == "room" and settings.sensor == "fisheye",
         size=lambda settings: settings.camera.rings * settings.camera.sectors * 3,
-        open="sensors.fisheye:open_fisheye",
+        open="sensors.fisheye_images:open_fisheye",
         renders=True,
         make_measures="sensors.camera_faults:make_measures",
     ),

@@ -13,13 +13,11 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.sensors.camera_faults import decode, encode
-from sim.sensors.camera_mount import CIRCLE_PX, drive_on, tilt
-from sim.sensors.catalog import Opened
+from sim.sensors.camera_mount import CIRCLE_PX, tilt
 from sim.sensors.cube_faces import Face, edge_planes, make_faces, map_rays
 from sim.sensors.lens import make_lens, polar_rays, round_rays
 from sim.sensors.offscreen import Offscreen
-from sim.settings import CameraMountSettings, CameraSettings, SimSettings
+from sim.settings import CameraMountSettings, CameraSettings
 
 ROBOT = "robot/"
 CAMERA_SITE = "robot/camera"
@@ -29,6 +27,8 @@ _NEAR_M = 0.01
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
 UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
+Dress = Callable[[mujoco.MjvScene], None]
+"""Changes a scene before it is drawn: its lights, or what is in it besides the model."""
 _OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
 
 
@@ -75,21 +75,24 @@ class Fisheye:
         self._screen = Offscreen(model, *_strip_size(self._faces))
         self.renderer_string = self._screen.renderer_string
 
-    def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None) -> np.ndarray:
+    def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None, dress: Dress | None = None) -> np.ndarray:
         """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
 
         Args:
             data: The model's state, with kinematics computed.
             lean: Lean of the camera about its own centre, to the robot's right and forward (2,) [rad].
+            dress: Changes the scene first; what it adds is drawn in every face.
         """
-        return _warp(self._draw(data, lean), self._polar)
+        return _warp(self._draw(data, lean, dress), self._polar)
 
-    def round(self, data: mujoco.MjData, size_px: int, lean: np.ndarray | None = None) -> np.ndarray:
+    def round(
+        self, data: mujoco.MjData, size_px: int, lean: np.ndarray | None = None, dress: Dress | None = None
+    ) -> np.ndarray:
         """The round picture of the state ``data``: (size_px, size_px, 3) uint8 RGB, black outside the rim."""
         if size_px not in self._round:
             finer = self._finer(2 * self._lens.half_angle / size_px)
             self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer), finer)
-        return _warp(self._draw(data, lean), self._round[size_px])
+        return _warp(self._draw(data, lean, dress), self._round[size_px])
 
     def close(self) -> None:
         """Free the OpenGL context; a second call does nothing."""
@@ -110,7 +113,7 @@ class Fisheye:
         column_row, fraction = cv2.convertMaps(column, row, cv2.CV_16SC2)
         return _Warp(column_row, fraction, (column.shape[0] // finer, column.shape[1] // finer))
 
-    def _draw(self, data: mujoco.MjData, lean: np.ndarray | None) -> np.ndarray:
+    def _draw(self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress | None) -> np.ndarray:
         """Draw all faces; the strip's first row is the lowest."""
         self._screen.begin()
         scene = self._scene
@@ -119,9 +122,13 @@ class Fisheye:
         if lean is not None:
             turn = turn @ tilt(lean)
         update_scene(self._model, data, self._option, self._view, scene)
+        modelled = np.array([geom.objid for geom in scene.geoms[: scene.ngeom]], int)
+        seen = self._find_seen(data, modelled, position, turn)
+        if dress is not None:
+            dress(scene)
         geoms = scene.geoms[: scene.ngeom]
+        seen = np.pad(seen, [(0, 0), (0, len(geoms) - len(modelled))], constant_values=True)
         kinds = [geom.type for geom in geoms]
-        seen = self._find_seen(data, np.array([geom.objid for geom in geoms], int), position, turn)
         shown = np.ones(len(geoms), bool)
         for face, wanted in zip(self._faces, seen, strict=True):
             for index in np.flatnonzero(wanted != shown):
@@ -144,22 +151,6 @@ class Fisheye:
         reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
         inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
         return inside & ~self._robot[geoms]
-
-
-def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
-    """Open the camera in the scene; if the robot drives during the exposure, an image is the mean light of several."""
-    model, driven_m = scene(), settings.camera_mount.driven_m
-    camera, data = Fisheye(model, settings.camera, settings.camera_mount), mujoco.MjData(model)
-
-    def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
-        light = []
-        for place in drive_on(state, driven_m) if driven_m else [state]:
-            data.qpos[:] = place
-            mujoco.mj_kinematics(model, data)
-            light.append(camera.polar(data, lean))
-        return encode(decode(np.array(light)).mean(axis=0)) if driven_m else light[0]
-
-    return Opened(sense, camera.renderer_string)
 
 
 def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
