@@ -1,9 +1,9 @@
 """Light that reaches each pixel from the lamps and from the windows, each drawn apart, and mixtures of the two.
 
 A picture's linear light is reflectance times illumination. In a white copy of the room, MuJoCo draws the illumination
-by one kind of source alone; the quotient of a mixture of these and their sum holds no reflectance any more, and the
-picture is multiplied by it (Riklin-Raviv and Shashua, "The quotient image", IEEE PAMI 23(2), 2001). So lamps and windows
-at full strength give the picture as it is, and the light of several sources adds up. There are no shadows.
+by one kind of source alone. The quotient of a mixture of these and their sum holds no reflectance, and the picture is
+multiplied by it (Riklin-Raviv and Shashua, "The quotient image", IEEE PAMI 23(2), 2001). Lamps and windows at full
+strength give the picture as it is, and the light of several sources adds up. There are no shadows.
 """
 
 import copy

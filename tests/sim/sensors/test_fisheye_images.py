@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.errors import InputError
-from sim.recording.sensing import open_sensors
+from sim.recording.sensing import observe
 from sim.robot.model import RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
@@ -35,8 +35,7 @@ def states() -> np.ndarray:
 def draw(states: np.ndarray) -> Draw:
     def draw(**deployment: object) -> np.ndarray:
         use = DeploymentSettings.model_validate(deployment)
-        sense = open_sensors(SimSettings(room=ROOM, camera=CAMERA, deployment=use))["fisheye"].sense
-        return np.array([sense(state, None) for state in states])
+        return observe("fisheye", SimSettings(room=ROOM, camera=CAMERA, deployment=use), states)
 
     return draw
 
@@ -91,11 +90,11 @@ def test_every_kind_of_room_has_lamps_and_all_but_a_labyrinth_have_windows():
     assert hang_lamp(np.array([1.0, 2.0, 2.0])).place.tolist() == [[1.0, 2.0, 2.0]]
 
 
-def test_daylight_needs_a_window():
+def test_daylight_needs_a_window(states: np.ndarray):
     labyrinth = RoomSettings(kind="labyrinth", width_m=3.0, depth_m=3.0)
     use = SimSettings(room=labyrinth, camera=CAMERA, deployment=DeploymentSettings(daylight=0.5))
     with pytest.raises(InputError, match=r"no window.*deployment\.daylight"):
-        open_sensors(use)
+        observe("fisheye", use, states)
 
 
 @given(gain=st.floats(0.05, 1.0), balance=st.lists(st.floats(0.5, 1.0), min_size=3, max_size=3))
@@ -129,7 +128,7 @@ def test_a_person_has_room_and_never_touches_the_robot(states: np.ndarray):
         state = states[number % 2].copy()
         state[7] = number  # a wheel's angle: another image at the same place
         shapes = place_person(space, state, 0)
-        middle = shapes[2].place[:2]
+        middle = shapes[-1].place[:2]
         places.append(middle)
         assert np.linalg.norm(middle - state[:2]) > PERSON_RADIUS_M + RADIUS_M
         assert space.is_reachable(middle[None])[0]
