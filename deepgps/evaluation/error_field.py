@@ -11,7 +11,7 @@ from sim.files import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 from sim.renamed import name_methods
 
-OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected")
+OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
 
 
@@ -27,6 +27,11 @@ class ErrorField:
         yaw_std: Its standard deviation, as the method estimates it (C, H) [rad]; None like ``yaw``.
         yaw_weight: Share of the stored images compared that agree on the yaw (C, H); None like ``yaw``.
         expected: RMS error that the initial map's own covariance expects there (C,) [m]; None: the method knows none.
+        novelty: How unlike all training images each image is (C, H); None: the method does not say.
+        radius: Radius around the prediction that holds the true position with a probability of 68 % (C, H) [m]; None:
+            the method gives none.
+        radius_95: The same for 95 % (C, H) [m]; None like ``radius``.
+        accepted: Whether the method accepts each image (C, H) bool; None: it refuses none.
     """
 
     truth: np.ndarray
@@ -36,6 +41,10 @@ class ErrorField:
     yaw_std: np.ndarray | None = None
     yaw_weight: np.ndarray | None = None
     expected: np.ndarray | None = None
+    novelty: np.ndarray | None = None
+    radius: np.ndarray | None = None
+    radius_95: np.ndarray | None = None
+    accepted: np.ndarray | None = None
 
     @property
     def error(self) -> np.ndarray:
@@ -51,6 +60,11 @@ class ErrorField:
     def worst(self) -> np.ndarray:
         """The largest error over the headings of each position (C,) [m], the paper's measure (Sec. IV-B)."""
         return self.error.max(axis=1)
+
+    @property
+    def is_accepted(self) -> np.ndarray:
+        """Whether each image is accepted (C, H) bool; a method that refuses none accepts all."""
+        return np.ones(self.predicted.shape[:2], bool) if self.accepted is None else self.accepted
 
 
 def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
@@ -73,12 +87,19 @@ class WorstField:
         predicted: Aligned prediction at the heading with the largest error, for each position (C, 2) [m].
         error: Its distance from the truth (C,) [m].
         heading: That heading (C,) [rad].
+        radius: Radius of 68 % there (C,) [m]; None: the method gives none.
     """
 
     truth: np.ndarray
     predicted: np.ndarray
     error: np.ndarray
     heading: np.ndarray
+    radius: np.ndarray | None = None
+
+    def take(self, chosen: np.ndarray | slice) -> "WorstField":
+        """The field at some of its places."""
+        radius = None if self.radius is None else self.radius[chosen]
+        return WorstField(self.truth[chosen], self.predicted[chosen], self.error[chosen], self.heading[chosen], radius)
 
 
 def read_fields(run: Path) -> dict[str, WorstField]:
@@ -106,12 +127,25 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
     return name_methods(fields)
 
 
-def find_worst(field: ErrorField) -> WorstField:
-    """The error field with the largest error per position."""
-    error = field.error  # (C, H)
-    worst, cells = error.argmax(axis=1), np.arange(len(error))
-    heading = np.broadcast_to(field.heading, error.shape)
-    return WorstField(field.truth, field.predicted[cells, worst], error[cells, worst], heading[cells, worst])
+def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField:
+    """The error field with the largest error per position.
+
+    Args:
+        field: The error field at all headings.
+        among: The images to choose from (C, H) bool; positions without any are left out. None: all.
+    """
+    among = np.ones(field.predicted.shape[:2], bool) if among is None else among
+    cells = np.flatnonzero(among.any(axis=1))
+    error = np.where(among, field.error, -1.0)[cells]
+    worst = error.argmax(axis=1)
+    heading, rows = np.broadcast_to(field.heading, among.shape), (cells, worst)
+    radius = None if field.radius is None else field.radius[rows]
+    return WorstField(field.truth[cells], field.predicted[rows], error.max(axis=1), heading[rows], radius)
+
+
+def split_by_acceptance(field: ErrorField) -> tuple[WorstField, WorstField]:
+    """The worst accepted image of each position that has one, and the worst refused image of each that has one."""
+    return find_worst(field, field.is_accepted), find_worst(field, ~field.is_accepted)
 
 
 MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"

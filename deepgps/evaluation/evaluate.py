@@ -14,6 +14,7 @@ from deepgps.alignment import Alignment, fit_alignment
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.flipped import measure_flipped
@@ -79,14 +80,14 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     _check_tests(recording, truth)
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     in_use = open_drive_in_use(recording)
-    fields, label_fields, methods = {}, {}, {}
+    fields, use_fields, label_fields, methods = {}, {}, {}, {}
     for method in scenario.methods:
         maps = predict(folder_of(run, method), recording, in_use)
         field, alignment = measure_field(maps, method, truth)
         fields[method] = add_yaws(field, maps.poses, alignment)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
         methods[method] = {
-            **summarise(fields[method].worst, side_m),
+            **_summarise(fields[method], side_m),
             **summarise_yaw(fields[method]),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": alignment.scale,
@@ -100,15 +101,14 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             fields[method] = add_expected(fields[method], placed)
             methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
-            errors = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
-            methods[method]["in_use"] = {**errors, **maps.lean}
+            use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
+            methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
-            errors = summarise(label_fields[method].worst, side_m)
-            methods[method]["against_labels"] = {**errors, "scale": to_labels.scale}
-    write_fields(run / "error_field.npz", fields)
-    if labels is not None:
-        write_fields(run / "label_field.npz", label_fields)
+            methods[method]["against_labels"] = {**_summarise(label_fields[method], side_m), "scale": to_labels.scale}
+    for name, measured in (("error_field", fields), ("use_field", use_fields), ("label_field", label_fields)):
+        if measured:
+            write_fields(run / f"{name}.npz", measured)
     some = fields[scenario.methods[0]]
     return {
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
@@ -184,7 +184,14 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]
     shared = heading[:1] == heading  # a drive reaches each place with a different heading
-    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted), alignment
+    told = {name: part[known] for name, part in take_acceptance(maps.poses, maps.test.shape[:2]).items()}
+    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted, **told), alignment
+
+
+def _summarise(field: ErrorField, shorter_side_m: float) -> dict[str, Any]:
+    """Errors of all places, RMS over the room's shorter side, and figures of what is accepted."""
+    errors = summarise(field.worst)
+    return {**errors, "relative_rms": errors["rms_m"] / shorter_side_m, **summarise_acceptance(field)}
 
 
 def measure_grid(field: ErrorField, scenario: Scenario) -> dict[str, float]:
@@ -224,21 +231,7 @@ def measure_part(run: Path, folder: Path, method: str, every: int) -> dict[str, 
     )
     fewer = replace(truth, pose=truth.pose[::every], test_pose=truth.test_pose[::every])
     field, _ = measure_field(predict(folder, thin), method, fewer)
-    return summarise(field.worst, truth.free_space.shorter_side_m)
-
-
-def summarise(error: np.ndarray, shorter_side_m: float) -> dict[str, float]:
-    """RMS, median, 75th and 95th percentile and maximum of errors (C,) [m]; RMS over the room's shorter side."""
-    rms = float(np.sqrt(np.mean(error**2)))
-    median, p75, p95 = (float(value) for value in np.percentile(error, [50, 75, 95]))
-    return {
-        "rms_m": rms,
-        "median_m": median,
-        "p75_m": p75,
-        "p95_m": p95,
-        "max_m": float(error.max()),
-        "relative_rms": rms / shorter_side_m,
-    }
+    return summarise(field.worst)
 
 
 def measure_heading_spread(predicted: np.ndarray) -> float:

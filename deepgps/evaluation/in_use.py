@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from deepgps.alignment import Alignment
 from deepgps.data.lean import adapt_upright, describe_lean
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.evaluation.acceptance import take_acceptance
+from deepgps.evaluation.error_field import ErrorField
+from deepgps.evaluation.yaw_errors import add_yaws
+from deepgps.methods.pose import find_poses
 from deepgps.methods.positioner import NetworkPositioner, Positioner
 from sim.errors import InputError, WorkError
 from sim.recording.format import OF_USE, Recording, open_recording, open_truth
@@ -38,8 +41,8 @@ def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, 
     return replace(positioner, upright=upright), {} if lean is None else describe_lean(lean)
 
 
-def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> dict[str, Any]:
-    """RMS and median error [m] of the positions of all images of the drive in use, against its truth.
+def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recording, folder: Path) -> ErrorField:
+    """Error field of a method on the images of the drive in use, each at a place of its own.
 
     Args:
         positioner: The positioner in use.
@@ -51,14 +54,11 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
         InputError: Its truth has another number of poses.
         WorkError: The method predicts no position.
     """
-    pose, found = open_truth(drive.folder).pose, positioner(drive.observation)
-    if len(pose) != len(found):
-        raise InputError(f"{drive.folder}: it has {len(found)} observations, but the truth {len(pose)} poses")
-    if wrong := int((~np.isfinite(found)).any(axis=1).sum()):
-        raise WorkError(f"{folder}: for {wrong} of {len(found)} observations in use it predicts no position")
-    error = np.linalg.norm(alignment.apply(found) - pose[:, :2], axis=1)
-    return {
-        "rms_m": float(np.sqrt(np.mean(error**2))),
-        "median_m": float(np.median(error)),
-        "max_m": float(error.max()),
-    }
+    pose, found = open_truth(drive.folder).pose, find_poses(positioner, drive.observation)
+    if len(pose) != len(found.position):
+        raise InputError(f"{drive.folder}: it has {len(found.position)} observations, but the truth {len(pose)} poses")
+    if wrong := int((~np.isfinite(found.position)).any(axis=1).sum()):
+        raise WorkError(f"{folder}: for {wrong} of {len(pose)} observations in use it predicts no position")
+    predicted = alignment.apply(found.position)[:, None]
+    field = ErrorField(pose[:, :2], pose[:, 2:], predicted, **take_acceptance(found, predicted.shape[:2]))
+    return add_yaws(field, found, alignment)
