@@ -58,10 +58,13 @@ def read_metrics(run: Path) -> dict[str, Any]:
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
-    """Headings and one row per method, with a dash for a figure that a method does not have."""
+    """Headings and one row per method, with a dash for a figure that a method does not have.
+
+    Below the row of a method that refuses images is one with the same errors of what it accepts.
+    """
     columns = [column for column in columns if column[1] != "yaw_rms_deg" or _has_yaw(metrics)]
     headings = ("method", *(heading for heading, _, _ in columns))
-    return headings, [_row(name, values, columns) for name, values in metrics["methods"].items()]
+    return headings, [row for name, values in metrics["methods"].items() for row in _rows(name, values, columns)]
 
 
 def describe_time(times: Mapping[str, float]) -> str:
@@ -84,7 +87,7 @@ def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
-    """Describe the drive, the coverage, the encoders, the camera, the drive in use and the time, in a sentence each.
+    """Describe the drive, the encoders, the coverage, what is accepted, the camera, the drive in use and the time.
 
     Args:
         metrics: Contents of ``metrics.json``.
@@ -111,6 +114,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
             f"{_describe_wrong(distances)}",
         )
     sentences[-1:-1] = [
+        *_describe_accepted(metrics["methods"]),
         *_describe_maps(metrics["methods"]),
         *_describe_leans(metrics["methods"]),
         *_describe_in_use(metrics),
@@ -185,11 +189,32 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     console.print(table)
     console.print()
     for sentence in describe(metrics, read_times(run, metrics)):
-        console.print(sentence, highlight=False)
+        console.print(sentence, markup=False, highlight=False)
     for sentence in judge_run(metrics):
         console.print(sentence, style="yellow", markup=False, soft_wrap=True)
     if sitting_s is not None:
         console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
+
+
+def _describe_accepted(methods: Mapping[str, Any]) -> list[str]:
+    """What each method accepts, and how often its radii hold the true position of that."""
+    return [
+        *_list_shares("Accepted images (places)", methods, ("accepted", "accepted_places"), 1),
+        *_list_shares(
+            "Accepted images within their 68 % radius (95 %)", methods, ("radius_68_holds", "radius_95_holds"), 0
+        ),
+    ]
+
+
+def _list_shares(what: str, methods: Mapping[str, Any], keys: tuple[str, str], digits: int) -> list[str]:
+    """A sentence with two shares of each method that has both; none where no method has."""
+    both = {name: [values.get(key) for key in keys] for name, values in methods.items()}
+    parts = [
+        f"{title_of(name)} {100 * first:.{digits}f} % ({100 * second:.{digits}f} %)"
+        for name, (first, second) in both.items()
+        if first is not None and second is not None
+    ]
+    return [f"{what}: {'; '.join(parts)}."] if parts else []
 
 
 def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
@@ -225,11 +250,16 @@ def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
     found = {name: values["in_use"] for name, values in metrics["methods"].items() if "in_use" in values}
     if not found:
         return []
-    parts = (
-        f"{title_of(name)} {_centimetres(values['rms_m'])} ({_centimetres(values['median_m'])})"
-        for name, values in found.items()
-    )
+    parts = (f"{title_of(name)} {_describe_errors_in_use(values)}" for name, values in found.items())
     return [f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."]
+
+
+def _describe_errors_in_use(values: Mapping[str, Any]) -> str:
+    of_all = f"{_centimetres(values['rms_m'])} ({_centimetres(values['median_m'])})"
+    if values.get("rms_accepted_m") is None:
+        return of_all
+    accepted = f"{_centimetres(values['rms_accepted_m'])} ({_centimetres(values['median_accepted_m'])})"
+    return f"{of_all}, of the {100 * values['accepted']:.1f} % accepted {accepted}"
 
 
 def _describe_wrong(distances: Mapping[str, Any]) -> str:
@@ -247,9 +277,15 @@ def _is_held_out(metrics: Mapping[str, Any]) -> bool:
     return metrics.get("test", {}).get("held_out", False)  # older runs do not say
 
 
-def _row(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> Row:
-    figures = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
-    return (title_of(name), *figures)
+def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> list[Row]:
+    """A method's figures; if it refuses images, also those of what it accepts."""
+    of_all = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
+    rows = [(title_of(name), *of_all)]
+    if values.get("accepted") is not None:
+        accepted = ((values.get(f"{key.removesuffix('_m')}_accepted_m"), form) for _, key, form in columns)
+        figures = ("" if value is None else form(value) for value, form in accepted)
+        rows.append((f"  {100 * values['accepted']:.1f} % accepted", *figures))
+    return rows
 
 
 def _plain(value: Any) -> str:

@@ -85,6 +85,7 @@ def test_refusing_nothing_gives_the_figures_of_all(field: ErrorField) -> None:
 def test_refusing_the_largest_errors_bounds_every_other_score(field: ErrorField, seed: int) -> None:
     best = find_risk(field.error, field.error)
     assert (np.diff(best) >= -1e-12).all()
+    assert field.novelty is not None
     for score in (field.novelty, np.random.default_rng(seed).random(field.error.shape), -field.error):
         risk = find_risk(field.error, score)
         assert (risk >= best - 1e-12).all() and risk[-1] == pytest.approx(best[-1])
@@ -94,6 +95,7 @@ def test_refusing_the_largest_errors_bounds_every_other_score(field: ErrorField,
 
 @given(FIELDS)
 def test_only_the_order_of_novelties_matters(field: ErrorField) -> None:
+    assert field.novelty is not None
     stretched = replace(field, novelty=np.log(field.novelty) * 7.0 - 3.0)
     assert flatten(summarise_acceptance(stretched)) == flatten(summarise_acceptance(field))
 

@@ -94,11 +94,15 @@ def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: s
 
 def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
     metrics["methods"]["deepgps"]["yaw_rms_deg"] = 113.4
+    metrics["in_use"] = {"samples": 40}
+    for values in metrics["methods"].values():
+        accept_some(values)
+        values["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
     (tmp_path / "metrics.json").write_text(json.dumps(metrics))
     console = Console(width=80, record=True, file=StringIO())
     print_report(tmp_path, console)
     text = console.export_text()
-    assert "[cm]" in text
+    assert "[cm]" in text and "in use [cm]:" in text.replace("\n", " ").replace("  ", " ")
     assert "…" not in text
     assert "0.82 %" in text
 
@@ -135,3 +139,40 @@ def test_an_initial_map_is_told_with_what_it_expects_of_itself(metrics: dict) ->
     metrics["methods"]["deepgps"]["map"] = {"rms_m": 0.0028, "expected_rms_m": 0.0037}
     (sentence,) = set(describe(metrics)) - set(before)
     assert "RMS error of 0.28 cm" in sentence and "0.37 cm are expected" in sentence
+
+
+def accept_some(values: dict) -> None:
+    """What evaluation adds for a method that refuses images."""
+    values |= {"accepted": 0.981, "accepted_places": 0.994, "radius_68_holds": 0.66, "radius_95_holds": 0.94}
+    values |= {f"{name}_accepted_m": 0.011 for name in ("rms", "median", "p75", "p95", "max")}
+
+
+def test_errors_of_what_is_accepted_are_below_those_of_all(metrics: dict) -> None:
+    headings, rows = tabulate(metrics)
+    accept_some(metrics["methods"]["mine"])
+    _, more = tabulate(metrics)
+    assert more[:2] == rows and len(more) == 3
+    accepted = dict(zip(headings, more[2], strict=True))
+    assert accepted["method"].strip() == "98.1 % accepted"
+    assert accepted["RMS [cm]"] == accepted["p95 [cm]"] == accepted["max [cm]"] == "1.1"
+    assert accepted["train [s]"] == accepted["align"] == ""
+
+
+def test_coverage_is_told_in_images_and_in_places(metrics: dict) -> None:
+    before = describe(metrics)
+    for values in metrics["methods"].values():
+        accept_some(values)
+    assert set(describe(metrics)) - set(before) == {
+        "Accepted images (places): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
+        "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
+    }
+
+
+def test_errors_in_use_are_told_of_all_images_and_of_those_accepted(metrics: dict) -> None:
+    metrics["in_use"] = {"samples": 40}
+    metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
+    accept_some(metrics["methods"]["mine"]["in_use"])
+    assert any(
+        sentence.endswith("in use [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).")
+        for sentence in describe(metrics)
+    )
