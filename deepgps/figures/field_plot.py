@@ -3,20 +3,24 @@
 All plots of errors use one colour scale, so that two methods, or two runs, can be compared by eye.
 """
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
+from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm, to_rgba
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
-from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, read_all_headings, split_by_acceptance
 from deepgps.figures.style import PAPER, SCREEN, Floor, count_by_decades
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import open_truth
 
+REFUSED = "#9aa0aa"
+"""Colour of errors of images that the method refuses."""
 # Logarithmic, since one plot shows errors of a centimetre and of a metre.
 SCALE_M = (0.01, 1.0)
 TICKS_M = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
@@ -31,7 +35,7 @@ def colours_of(error: np.ndarray, scale_m: tuple[float, float] = SCALE_M) -> np.
 
 
 def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, float] = SCALE_M) -> WorstField:
-    """Draw one method's error field of a run on a white floor; ``add_scale`` adds the colour scale.
+    """Draw one method's error field of a run on a white floor, refused images in grey; ``add_scale`` adds the colours.
 
     Args:
         axes: The axes to draw into; the caller sets their title.
@@ -40,11 +44,11 @@ def print_error_field(axes: Axes, run: Path, name: str, scale_m: tuple[float, fl
         scale_m: Errors at the ends of the colour scale [m].
 
     Returns:
-        What was drawn.
+        The worst heading of each position, refused or not.
     """
-    field = read_fields(run)[name]
+    field = read_all_headings(run)[name]
     draw_field(axes, open_truth(run / "recording").free_space, field, PAPER, scale_m)
-    return field
+    return find_worst(field)
 
 
 def print_floor(axes: Axes, run: Path) -> None:
@@ -55,19 +59,39 @@ def print_floor(axes: Axes, run: Path) -> None:
 def draw_field(
     axes: Axes,
     space: FreeSpace,
-    field: WorstField,
+    field: ErrorField,
     floor: Floor = SCREEN,
     scale_m: tuple[float, float] = SCALE_M,
 ) -> None:
-    """Draw dots at the true positions and arrows from them to the predictions, coloured by error."""
+    """Draw dots at the true positions and arrows from them to the predictions, at the worst heading of each.
+
+    Colours are by error. Where a method refuses images, the worst of those it accepts has the colour, and the worst of
+    those it refuses is grey below it.
+    """
     draw_room(axes, space, floor)
-    order = np.argsort(field.error)  # the largest errors are drawn on top
-    truth, predicted = field.truth[order], field.predicted[order]
-    colours = colours_of(field.error[order], scale_m) / 255
-    axes.scatter(*truth.T, s=7, c=colours, linewidths=0)
+    accepted, refused = split_by_acceptance(field)
+    order = np.argsort(accepted.error)  # the largest errors are drawn on top
+    _draw_arrows(axes, refused, np.array([to_rgba(REFUSED)]))
+    _draw_arrows(axes, accepted.take(order), colours_of(accepted.error[order], scale_m) / 255)
+
+
+def explain_refused(figure: Figure, fields: Iterable[ErrorField]) -> None:
+    """Add a line below the axes that says what grey means, if some of the fields have refused images."""
+    if any(not field.is_accepted.all() for field in fields):
+        figure.legend(
+            handles=[Line2D([], [], color=REFUSED, marker="o", markersize=3)],
+            labels=["grey: images that the method refuses; colours: the worst heading of those it accepts"],
+            loc="outside lower center",
+            frameon=False,
+            fontsize=10,
+        )
+
+
+def _draw_arrows(axes: Axes, field: WorstField, colours: np.ndarray) -> None:
+    axes.scatter(*field.truth.T, s=7, c=colours, linewidths=0)
     axes.quiver(
-        *truth.T,
-        *(predicted - truth).T,
+        *field.truth.T,
+        *(field.predicted - field.truth).T,
         color=colours,
         angles="xy",
         scale_units="xy",

@@ -1,4 +1,4 @@
-"""A run's figures as PNG: error fields, comparison, training, error distribution, drive."""
+"""A run's figures as PNG: error fields, comparison, error distribution, risk-coverage curve, training, drive."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,8 +12,9 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.evaluation.error_field import WorstField, read_fields
-from deepgps.figures.field_plot import add_scale, draw_field, draw_room
+from deepgps.evaluation.error_field import ErrorField, read_all_headings, split_by_acceptance
+from deepgps.figures.field_plot import add_scale, draw_field, draw_room, explain_refused
+from deepgps.figures.risk_plot import draw_risk
 from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import smooth, to_png
 from deepgps.methods.catalog import METHODS, colour_of, title_of
@@ -22,6 +23,8 @@ from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 from sim.renamed import name_methods
 
+NOTE_IN = 0.4
+"""Height of the note below error fields [inch]."""
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 
 
@@ -36,12 +39,14 @@ def draw_figures(run: Path) -> list[Path]:
 
 def make_figures(run: Path) -> dict[str, Figure]:
     """Every figure of a run by its name."""
-    metrics, fields, histories = read_metrics(run), read_fields(run), read_histories(run)
+    metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
     truth, recording = open_truth(run / "recording"), keep_plausible(open_recording(run / "recording"))
     space = truth.free_space
     figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
     figures["error_fields"] = draw_comparison(space, fields, metrics)
     figures["error_cdf"] = draw_error_cdf(fields)
+    if known := {name: field for name, field in fields.items() if field.novelty is not None}:
+        figures["risk_coverage"] = draw_risk(known)
     figures["drive"] = draw_drive(truth, recording.reading, recording.manifest.distance_driven_m)
     if histories:
         figures["training"] = draw_training(histories)
@@ -54,22 +59,23 @@ def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 
-def draw_error_field(space: FreeSpace, field: WorstField, name: str) -> Figure:
+def draw_error_field(space: FreeSpace, field: ErrorField, name: str) -> Figure:
     """One method's error field over the room."""
-    figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0), layout="constrained")
+    figure = Figure(figsize=(9, 7.4 * _aspect(space) + 1.0 + NOTE_IN), layout="constrained")
     axes = figure.add_subplot()
     draw_field(axes, space, field)
     axes.set_title(f"{title_of(name)}: {_summary(field)}", fontsize=13)
     add_scale(figure, [axes])
+    explain_refused(figure, [field])
     return figure
 
 
-def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics: Mapping[str, Any]) -> Figure:
+def draw_comparison(space: FreeSpace, fields: Mapping[str, ErrorField], metrics: Mapping[str, Any]) -> Figure:
     """The methods' error fields side by side on one scale."""
     columns = 1 if len(fields) == 1 else 2
     rows = -(-len(fields) // columns)
     aspect, width = _aspect(space), 6.4 * columns
-    figure = Figure(figsize=(width + 0.9, rows * (5.75 * aspect + 0.45) + 0.85), layout="constrained")
+    figure = Figure(figsize=(width + 0.9, rows * (5.75 * aspect + 0.45) + 0.85 + NOTE_IN), layout="constrained")
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for axes, (name, field) in zip(grid.flat, fields.items(), strict=False):
         draw_field(axes, space, field)
@@ -79,6 +85,7 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
     for axes in list(grid.flat)[len(fields) :]:
         axes.set_axis_off()
     add_scale(figure, list(grid.flat))
+    explain_refused(figure, fields.values())
     figure.suptitle(
         f"Predicted positions of each method: {metrics['scenario']}, seed {metrics['seed']}, "
         f"{metrics['samples']} observations",
@@ -87,13 +94,13 @@ def draw_comparison(space: FreeSpace, fields: Mapping[str, WorstField], metrics:
     return figure
 
 
-def draw_error_cdf(fields: Mapping[str, WorstField]) -> Figure:
+def draw_error_cdf(fields: Mapping[str, ErrorField]) -> Figure:
     """Plot the share of test positions whose error is at most a given value."""
     figure = Figure(figsize=(7.5, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for name, field in fields.items():
-        share = np.arange(1, len(field.error) + 1) / len(field.error)
-        axes.step(np.sort(field.error), 100 * share, where="post", **_line(name))
+        share = np.arange(1, len(field.worst) + 1) / len(field.worst)
+        axes.step(np.sort(field.worst), 100 * share, where="post", **_line(name))
     axes.set_xscale("log")
     axes.set(xlabel="error of the worst heading [m]", ylabel="test positions [%]", ylim=(0, 100))
     axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
@@ -159,9 +166,15 @@ def _aspect(space: FreeSpace) -> float:
     return (high[1] - low[1]) / (high[0] - low[0])
 
 
-def _summary(field: WorstField) -> str:
-    rms = np.sqrt((field.error**2).mean())
-    return f"RMS {100 * rms:.1f} cm, median {100 * np.median(field.error):.1f} cm"
+def _summary(field: ErrorField) -> str:
+    rms, accepted = f"RMS {100 * _rms(field.worst):.1f} cm", split_by_acceptance(field)[0].error
+    if field.accepted is None or not len(accepted):
+        return f"{rms}, median {100 * np.median(field.worst):.1f} cm"
+    return f"{rms}; {100 * field.accepted.mean():.1f} % of images accepted: {100 * _rms(accepted):.1f} cm"
+
+
+def _rms(error: np.ndarray) -> float:
+    return float(np.sqrt((error**2).mean()))
 
 
 def _line(name: str) -> dict[str, Any]:

@@ -1,11 +1,14 @@
 """A small made-up run folder in the real formats, for tests of what shows a run."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
+from deepgps.evaluation.acceptance import summarise_acceptance
+from deepgps.evaluation.error_field import ErrorField, write_fields
 from sim.files import write_arrays, write_json, write_text
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
@@ -25,6 +28,8 @@ FURNITURE = {
 }
 # error in the middle of the room [m], share of lost places
 METHODS = {"deepgps": (0.02, 0.01), "posenet": (0.025, 0.02), "knn": (0.04, 0.05), "dead_reckoned_labels": (0.18, 0.3)}
+REFUSING = ("deepgps", "posenet")
+"""Methods that refuse images."""
 
 
 def write_synthetic_run(folder: Path, samples: int = 200, seed: int = 0, spacing_m: float = 0.16) -> Path:
@@ -36,11 +41,17 @@ def write_synthetic_run(folder: Path, samples: int = 200, seed: int = 0, spacing
     _write_recording(folder / "recording", space, pose, reading, time, wheel_angle, test_pose)
     fields = {name: make_predictions(test_pose, *METHODS[name], rng) for name in METHODS}
     truth, heading = test_pose[:, 0, :2], test_pose[0, :, 2]
-    write_arrays(folder / "error_field.npz", {"truth": truth, "heading": heading, **fields})
+    measured = {name: ErrorField(truth, heading, predicted) for name, predicted in fields.items()}
+    for name in REFUSING:
+        measured[name] = refuse_some(measured[name], rng)
+    write_fields(folder / "error_field.npz", measured)
     for name in METHODS:
         if name != "knn":
             write_arrays(folder / name / "history.npz", make_history(pose[:, :2], METHODS[name][0], rng))
-    write_json(folder / "metrics.json", make_metrics(truth, fields, samples))
+    metrics = make_metrics(truth, fields, samples)
+    for name, field in measured.items():
+        metrics["methods"][name] |= summarise_acceptance(field)
+    write_json(folder / "metrics.json", metrics)
     write_text(folder / "scenario.yaml", "name: living_room\n")
     return folder
 
@@ -113,6 +124,13 @@ def make_predictions(test_pose: np.ndarray, error_m: float, lost: float, rng: np
     distance = np.linalg.norm(places - [2.4, 0.2], axis=-1, keepdims=True)
     pull = (np.array([2.4, 0.2]) - places) * np.exp(-((distance / (3 * lost**0.5)) ** 2))
     return places + error + pull * min(4 * lost, 0.9)
+
+
+def refuse_some(field: ErrorField, rng: np.random.Generator) -> ErrorField:
+    """The field with a novelty that follows the errors, radii by it, and a tenth of the images refused."""
+    novelty = (0.01 + field.error) * np.exp(0.3 * rng.standard_normal(field.error.shape))
+    accepted = novelty < np.quantile(novelty, 0.9)
+    return replace(field, novelty=novelty, radius=novelty, radius_95=2 * novelty, accepted=accepted)
 
 
 def make_history(points: np.ndarray, error_m: float, rng: np.random.Generator) -> dict[str, np.ndarray]:

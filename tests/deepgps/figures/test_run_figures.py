@@ -1,5 +1,6 @@
 """Figures: the worst heading decides, one colour scale for all, equal runs give equal files."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,9 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matplotlib.artist import Artist
+from matplotlib.colors import to_hex
 
-from deepgps.evaluation.error_field import ErrorField, find_worst, read_fields
-from deepgps.figures.field_plot import SCALE_M, colours_of
+from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
+from deepgps.figures.field_plot import REFUSED, SCALE_M, colours_of
+from deepgps.figures.risk_plot import draw_risk
 from deepgps.figures.run_figures import draw_error_field, draw_figures, make_figures
 from deepgps.figures.style import smooth, to_png
 from sim.errors import InputError
@@ -64,28 +68,63 @@ def test_limits_enclose_the_reachable_area() -> None:
 
 def test_every_figure_is_written_as_png(run: Path) -> None:
     paths = draw_figures(run)
-    names = {f"error_field_{name}" for name in METHODS} | {"error_fields", "error_cdf", "drive", "training"}
+    names = {f"error_field_{name}" for name in METHODS}
+    names |= {"error_fields", "error_cdf", "risk_coverage", "drive", "training"}
     assert {path.stem for path in paths} == names
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in paths)
     assert all(path.parent == run / "figures" for path in paths)
 
 
 def test_equal_figures_give_equal_bytes(run: Path) -> None:
-    space, field = make_free_space(), read_fields(run)["deepgps"]
+    space, field = make_free_space(), read_all_headings(run)["deepgps"]
     first, second = (to_png(draw_error_field(space, field, "deepgps")) for _ in range(2))
     assert first == second
     assert b"Matplotlib" not in first
 
 
+def list_arrows(quiver: Artist) -> np.ndarray:
+    """Origins and vectors (n, 4) of drawn arrows."""
+    return np.stack([np.asarray(getattr(quiver, name)) for name in ("X", "Y", "U", "V")], axis=1)
+
+
 def test_the_arrows_are_drawn_to_scale(run: Path) -> None:
-    space, field = make_free_space(), read_fields(run)["posenet"]
-    axes = draw_error_field(space, field, "posenet").axes[0]
-    arrows = next(part for part in axes.collections if hasattr(part, "U"))
-    drawn = np.stack([np.asarray(getattr(arrows, name)) for name in ("X", "Y", "U", "V")], axis=1)
+    space, field = make_free_space(), read_all_headings(run)["knn"]
+    axes = draw_error_field(space, field, "knn").axes[0]
+    refused, arrows = (part for part in axes.collections if hasattr(part, "U"))
+    assert list_arrows(refused).shape == (0, 4)
+    field, drawn = find_worst(field), list_arrows(arrows)
     expected = np.concatenate([field.truth, field.predicted - field.truth], axis=1)
     np.testing.assert_allclose(drawn[np.lexsort(drawn.T)], expected[np.lexsort(expected.T)])
     assert getattr(arrows, "scale", None) == 1
     assert axes.get_aspect() == 1
+
+
+def test_refused_images_are_grey_and_the_others_have_colours(run: Path) -> None:
+    field = read_all_headings(run)["knn"]
+    accepted = np.random.default_rng(0).random(field.error.shape) < 0.5
+    figure = draw_error_field(make_free_space(), replace(field, accepted=accepted), "knn")
+    refused, arrows = (part for part in figure.axes[0].collections if hasattr(part, "U"))
+    assert len(list_arrows(arrows)) == accepted.any(axis=1).sum()
+    assert len(list_arrows(refused)) == (~accepted).any(axis=1).sum()
+    assert {to_hex(colour) for colour in refused.get_facecolors()} == {REFUSED}
+    assert "grey: images that the method refuses" in figure.legends[0].texts[0].get_text()
+    assert f"{100 * accepted.mean():.1f} % of images accepted" in figure.axes[0].get_title()
+    assert not draw_error_field(make_free_space(), field, "knn").legends
+
+
+def test_the_risk_coverage_curve_begins_with_all_images_and_never_is_below_that_by_the_error(run: Path) -> None:
+    field = read_all_headings(run)["knn"]
+    novelty = field.error * np.random.default_rng(0).lognormal(size=field.error.shape)
+    told = replace(field, novelty=novelty, accepted=novelty < np.quantile(novelty, 0.95))
+    curve, best, dot, *_ = draw_risk({"knn": told}).axes[0].lines
+    for line in (curve, best):
+        share, rms = np.asarray(line.get_data(), float)
+        assert share.max() <= 10 and share[-1] == 0
+        assert rms[-1] == pytest.approx(100 * np.sqrt((field.error**2).mean()))
+    assert (np.asarray(curve.get_ydata()) >= np.asarray(best.get_ydata()) - 1e-9).all()
+    refused, left = np.asarray(dot.get_data(), float).ravel()
+    assert refused == pytest.approx(5.0, abs=0.5)
+    assert left == pytest.approx(np.interp(-refused, -np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())))
 
 
 def test_a_run_without_histories_has_no_training_figure(run: Path, tmp_path: Path) -> None:
