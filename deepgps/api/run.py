@@ -128,8 +128,9 @@ class Run:
 
         Returns:
             A table with the columns ``method``, ``x_m``, ``y_m`` and ``heading_rad`` (the truth), ``predicted_x_m``,
-            ``predicted_y_m``, ``error_m``, ``predicted_yaw_rad`` and ``yaw_error_rad`` (null where a method gives no
-            yaw); ``to_pandas()`` turns it into a data frame.
+            ``predicted_y_m``, ``error_m``, ``predicted_yaw_rad``, ``yaw_error_rad``, ``novelty``, ``radius_68_m``,
+            ``radius_95_m`` and ``accepted`` (null where a method does not give them); ``to_pandas()`` turns it into a
+            data frame.
 
         Raises:
             InputError: The run has not been evaluated, or not with this method.
@@ -231,9 +232,9 @@ def _tabulate(name: str, field: "ErrorField") -> "pa.Table":
     guess = field.predicted.reshape(-1, 2)
     heading = np.broadcast_to(field.heading, field.predicted.shape[:2])
 
-    def as_column(yaw: np.ndarray | None) -> pa.Array:
-        missing = np.ones(len(place), bool) if yaw is None else ~np.isfinite(yaw).ravel()
-        return pa.array(np.zeros(len(place)) if yaw is None else yaw.ravel(), mask=missing)
+    def as_column(part: np.ndarray | None) -> pa.Array:
+        values = np.full(len(place), np.nan) if part is None else part.ravel().astype(float)
+        return pa.array(values, mask=np.isnan(values))
 
     columns = {
         "method": pa.array([name] * len(place)),
@@ -245,5 +246,9 @@ def _tabulate(name: str, field: "ErrorField") -> "pa.Table":
         "error_m": np.linalg.norm(guess - place, axis=1),
         "predicted_yaw_rad": as_column(field.yaw),
         "yaw_error_rad": as_column(field.yaw_error),
+        "novelty": as_column(field.novelty),
+        "radius_68_m": as_column(field.radius),
+        "radius_95_m": as_column(field.radius_95),
+        "accepted": pa.array(field.is_accepted.ravel(), mask=np.full(len(place), field.accepted is None)),
     }
     return pa.table(columns)

@@ -8,8 +8,10 @@ import pytest
 from safetensors.torch import load_file, save_file
 
 import deepgps
+from deepgps.evaluation.error_field import read_all_headings
 from sim.files import read_arrays, read_json, write_json
 from sim.recording.format import open_truth
+from tests.helpers.synthetic_run import write_synthetic_run
 
 SMALL = {
     "camera.rings": 8,
@@ -103,7 +105,7 @@ def test_errors_hold_one_row_for_each_place_and_heading(run: deepgps.Run):
     table = run.errors()
     assert table.column_names == [
         *("method", "x_m", "y_m", "heading_rad", "predicted_x_m", "predicted_y_m", "error_m"),
-        *("predicted_yaw_rad", "yaw_error_rad"),
+        *("predicted_yaw_rad", "yaw_error_rad", "novelty", "radius_68_m", "radius_95_m", "accepted"),
     ]
     assert table.num_rows == len(METHODS) * len(truth)
     for method in METHODS:
@@ -118,6 +120,18 @@ def test_errors_hold_one_row_for_each_place_and_heading(run: deepgps.Run):
         assert np.degrees(np.sqrt((rows.yaw_error_rad**2).mean())) == pytest.approx(yaw_rms_deg)
         worst = rows.groupby(["x_m", "y_m"]).error_m.max()
         assert worst.max() == pytest.approx(run.metrics["methods"][method]["max_m"])
+
+
+def test_errors_hold_what_a_method_accepts_and_nothing_where_it_does_not_say(tmp_path: Path):
+    folder = write_synthetic_run(tmp_path / "run", samples=60, spacing_m=0.4)
+    run, field = deepgps.load(folder), read_all_headings(folder)["deepgps"]
+    rows = run.errors("deepgps").to_pandas()
+    for column, part in (("novelty", field.novelty), ("radius_68_m", field.radius), ("accepted", field.accepted)):
+        np.testing.assert_array_equal(rows[column], np.ravel(part))
+    assert rows.accepted.mean() == run.metrics["methods"]["deepgps"]["accepted"]
+    silent = run.errors("knn")
+    for column in ("novelty", "radius_68_m", "radius_95_m", "accepted"):
+        assert silent.column(column).null_count == silent.num_rows
 
 
 @pytest.mark.slow
