@@ -37,6 +37,7 @@ REPORTS: dict[str, Report] = {
         "rooms:measure",
         (
             *("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins", "train_s"),
+            *(f"{method}{name}_accepted_m" for method in ("", "deepgps_compass_") for name in ("rms", "max")),
             *("posenet_rms_m", "posenet_median_m", "posenet_max_m"),
         ),
     ),

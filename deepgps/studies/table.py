@@ -21,6 +21,8 @@ FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
     *("yaw_rms_deg", "yaw_median_deg", "yaw_p95_deg"),
     *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
+    *("accepted", "accepted_places", "rms_accepted_m", "median_accepted_m", "p95_accepted_m", "max_accepted_m"),
+    *("auroc_10cm", "aurc_m", "radius_68_holds", "radius_95_holds", "radius_68_median_m"),
 )
 # figures of a map by compass
 MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
@@ -28,6 +30,16 @@ MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
 PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
 # the errors that every report shows, with their headings
 ERRORS = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
+# the errors of what a method accepts, and the share of images that it accepts; older tables have none
+ACCEPTED = {
+    "rms_accepted_m": "RMS of accepted [cm]",
+    "max_accepted_m": "max of accepted [cm]",
+    "accepted": "accepted",
+}
+ACCEPTED_NOTE = (
+    "Accepted: share of the images. A position is among the accepted where any of its headings is, with the error of "
+    "the worst of these."
+)
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
@@ -95,6 +107,21 @@ def mean(rows: Sequence[Row], name: str) -> float:
 def write_errors(row: Mapping[str, Any]) -> list[str]:
     """The figures of ``ERRORS`` in centimetres."""
     return [f"{100 * row[name]:.1f}" for name in ERRORS]
+
+
+def choose_accepted(rows: Sequence[Row]) -> dict[str, str]:
+    """The headings of ``ACCEPTED``; none if no method in these rows refuses images."""
+    return ACCEPTED if any(row.get("accepted") is not None for row in rows) else {}
+
+
+def write_accepted(rows: Sequence[Mapping[str, Any]], columns: Iterable[str]) -> list[str]:
+    """The means over rows of some columns of ``ACCEPTED``: shares in per cent, errors in centimetres; a dash: none."""
+    known = ([row[name] for row in rows if row.get(name) is not None] for name in columns)
+    means = (100 * float(np.mean(values)) if values else None for values in known)
+    return [
+        "-" if value is None else f"{value:.1f} %" if name == "accepted" else f"{value:.1f}"
+        for name, value in zip(columns, means, strict=True)
+    ]
 
 
 def read_setting(scenario: Scenario, dotted: str) -> Any:

@@ -11,7 +11,16 @@ from deepgps.figures.style import count_by_decades
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.grouping import choices, describe, group_rows, shorten
 from deepgps.studies.reports.seeds import count_folded
-from deepgps.studies.table import ERRORS, Row, is_seed, mean, write_errors
+from deepgps.studies.table import (
+    ACCEPTED_NOTE,
+    ERRORS,
+    Row,
+    choose_accepted,
+    is_seed,
+    mean,
+    write_accepted,
+    write_errors,
+)
 
 NOTE = (
     "Means over runs that differ only in their seeds. Errors on the test grid, for the worst heading of each position; "
@@ -31,13 +40,14 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
     """
     more = {"heading_spread_m": "headings [cm]", **(also or {})}
     names = choices(rows, varied)
-    kinds = shorten(names)
+    kinds, accepted = shorten(names), choose_accepted(rows)
     ours = [
         "runs",
         "images",
         "travel [m]",
         *ERRORS.values(),
         "worst RMS",
+        *accepted.values(),
         *more.values(),
         "folded",
         "said",
@@ -52,11 +62,12 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         finder = group[0]["fold_found"] is not None
         folded = [count_folded(group), str(sum(row["fold_found"] for row in group) if finder else "-")]
         driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
-        figures = [*driven, *write_errors(means), worst, *spreads, *folded, f"{means['train_s']:.0f}"]
+        errors = [*write_errors(means), worst, *write_accepted(group, accepted)]
+        figures = [*driven, *errors, *spreads, *folded, f"{means['train_s']:.0f}"]
         cells.append([*kind, title_of(method), str(len(group)), *figures])
     follow = [name for name in varied if names and name not in names and not is_seed(name)]
     told = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
-    return [tabulate([*kinds, "method", *ours], cells), *told, NOTE]
+    return [tabulate([*kinds, "method", *ours], cells), *told, NOTE, *([ACCEPTED_NOTE] if accepted else [])]
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:

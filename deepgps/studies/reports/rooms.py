@@ -1,6 +1,6 @@
 """The report of rooms: every room, the mean and the worst, and how often DeepGPS beats each rival."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,17 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure, write
 from deepgps.methods.catalog import colour_of, title_of
-from deepgps.studies.table import ERRORS, PAPERS_ERRORS, Row, split_by, write_errors
+from deepgps.studies.table import (
+    ACCEPTED,
+    ACCEPTED_NOTE,
+    ERRORS,
+    PAPERS_ERRORS,
+    Row,
+    choose_accepted,
+    split_by,
+    write_accepted,
+    write_errors,
+)
 
 OURS = ("deepgps_compass", "deepgps")
 """Methods whose wins are counted, each over those that are not before it."""
@@ -26,21 +36,22 @@ SIGN_TEST = "p is from a two-sided sign test: above 0.05, these rooms do not sho
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table of all rooms and methods, their means and worst values; a note on it; and how often our methods win."""
-    headings = ["room", "method", *ERRORS.values(), "RMS / side", "seen", "flipped", "train [s]", "RMS / PoseNet"]
-    rival = _rival(rows)
+    accepted = choose_accepted(rows)
+    ours = [*ERRORS.values(), *accepted.values(), "RMS / side", "seen", "flipped", "train [s]"]
+    headings, rival = ["room", "method", *ours, "RMS / PoseNet"], _rival(rows)
     cells = []
     for row in rows:
         known = row["method"] != "posenet" and row["recording"] in rival
         ratio = row["rms_m"] / rival[row["recording"]] if known else None
-        cells.append([name_room(row, varied), title_of(row["method"]), *_write(row), write(ratio, "")])
+        cells.append([name_room(row, varied), title_of(row["method"]), *_write(row, accepted), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
         for method, group in split_by(rows, "method").items():
-            columns = {name: [row[name] for row in group] for name in (*ERRORS, *SHARES, "train_s")}
-            whole = {name: None if None in values else float(choose(values)) for name, values in columns.items()}
-            if title == "worst":
-                whole["seen"] = min(row["seen"] for row in group)
-            cells.append([title, title_of(method), *_write(whole), "-"])
-    return [tabulate(headings, cells), NOTE, *_count_wins(rows)]
+            names = (*ERRORS, *accepted, *SHARES, "train_s")
+            whole = {name: _choose([row.get(name) for row in group], choose) for name in names}
+            for name in ("seen", "accepted") if title == "worst" else ():
+                whole[name] = _choose([row.get(name) for row in group], np.min)
+            cells.append([title, title_of(method), *_write(whole, accepted), "-"])
+    return [tabulate(headings, cells), NOTE, *([ACCEPTED_NOTE] if accepted else []), *_count_wins(rows)]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
@@ -89,11 +100,20 @@ def draw_errors(rows: Sequence[Row], label: Callable[[Row], str]) -> Picture:
     return picture
 
 
+def _choose(values: Sequence[float | None], choose: Callable) -> float | None:
+    """One of the values, or None if some are missing."""
+    return None if None in values else float(choose(values))
+
+
 def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
     figures = {}
     for name, heading in ERRORS.items():
         values = [row[name] for row in group]
         figures[name] = Figure(title + heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+    for name in ("rms_accepted_m", "max_accepted_m"):
+        if values := [row[name] for row in group if row.get(name) is not None]:
+            words = f"{title}{ACCEPTED[name].removesuffix(' [cm]')}, median over rooms"
+            figures[name] = Figure(words, float(np.median(values)), "cm", worst=max(values))
     return figures
 
 
@@ -130,6 +150,6 @@ def name_room(row: Row, varied: Sequence[str]) -> str:
     return " ".join(str(row[name]) for name in varied)
 
 
-def _write(row: Mapping) -> list[str]:
+def _write(row: Mapping, accepted: Iterable[str]) -> list[str]:
     shares = [f"{100 * row['relative_rms']:.2f} %", write(row["seen"], "%"), write(row["flipped"], "%")]
-    return [*write_errors(row), *shares, f"{row['train_s']:.0f}"]
+    return [*write_errors(row), *write_accepted([row], accepted), *shares, f"{row['train_s']:.0f}"]
