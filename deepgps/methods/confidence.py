@@ -1,10 +1,10 @@
 """How far to trust one position: how unlike all training images an image is, and a radius that follows from that.
 
-A table holds the features of training images at places that cover the map evenly. The novelty of an image is its
-distance in features to the nearest of those entries that are near its predicted position. So an image of an unknown
-place is novel, and so is one that the network puts in the wrong place, where the entries show something else. The
-search takes as long in a large map as in a small one. ``confidence_fit`` makes the table and calibrates threshold and
-radii, without the truth.
+A table holds the features of training images at places that cover the map evenly. The novelty of an image is the mean
+distance in features to the most alike of those entries that are near its predicted position, in metres: times the
+distance on the map that goes with a distance in features there. So an image of an unknown place is novel, and so is one
+that the network puts in the wrong place, where the entries show something else. The search takes as long in a large map
+as in a small one. ``confidence_fit`` makes the table and calibrates threshold and radii, without the truth.
 """
 
 from collections.abc import Mapping
@@ -15,8 +15,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-NEAREST = 16
-"""Entries around a predicted position with which an image is compared."""
+from deepgps.methods.headings import find_nearest
+
+NEAREST, ALIKE = 16, 4
+"""Entries around a predicted position with which an image is compared, and those most alike, which count."""
 LEVELS = (0.68, 0.95)
 """Probabilities with which the radii hold the true position."""
 GROWTH = 3
@@ -29,7 +31,8 @@ class Trust:
     """What is known of the positions of B images.
 
     Attributes:
-        novelty: Distance of each image's features to the nearest training features near its position (B,).
+        novelty: Distance of each image's features to the most alike training features near its position, converted to
+            a distance on the map (B,) [m].
         accepted: Whether the novelty is one that images of the drive have (B,) bool.
         radius: Radii that hold the true position with the probabilities ``LEVELS`` (B, 2) [m]; NaN: unknown.
     """
@@ -50,29 +53,30 @@ class Confidence:
         features: The first components of their features, divided by ``scale`` (E, K) int8.
         scale: Size of one step of each component (K,) float32.
         place: Predicted positions (E, 2) float32 [m].
+        metres: Distance on the map between entries around each over their distance in features (E,) float32 [m].
         map_std: Standard deviation of the map there, along one axis (E,) float32 [m]; 0 where none is known.
-        threshold: Largest novelty that is accepted.
-        slope: a [m], b [m] for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know.
+        threshold_m: Largest novelty that is accepted [m].
+        slope: a [m] and b for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know.
         reach_m: Largest distance between two places of the map.
     """
 
     features: np.ndarray
     scale: np.ndarray
     place: np.ndarray
+    metres: np.ndarray
     map_std: np.ndarray
-    threshold: float
+    threshold_m: float
     slope: np.ndarray
     reach_m: float
 
     def find(self, features: np.ndarray, positions: np.ndarray) -> Trust:
         """How far to trust positions (B, 2) [m] of images with these features (B, at least K)."""
         novelty, entry = self.measure(features, positions)
-        return Trust(novelty, novelty <= self.threshold, self._find_radius(novelty, self.map_std[entry]))
+        return Trust(novelty, novelty <= self.threshold_m, self._find_radius(novelty, self.map_std[entry]))
 
     def measure(self, features: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Novelty (B,) of images, and the entry (B,) nearest to each position; arguments as for ``find``."""
-        count = min(NEAREST, len(self.place))
-        rows = np.reshape(self._tree.query(positions, count)[1], (len(positions), count))
+        """Novelty (B,) [m] of images, and the entry (B,) nearest to each position; arguments as for ``find``."""
+        rows = find_nearest(self._tree, positions, NEAREST)[1]
         known = features[:, : len(self.scale)]
         chunks = [slice(start, start + CHUNK) for start in range(0, len(rows), CHUNK)]
         novelty = [self._measure(known[chunk], rows[chunk]) for chunk in chunks]
@@ -80,7 +84,8 @@ class Confidence:
 
     def _measure(self, features: np.ndarray, rows: np.ndarray) -> np.ndarray:
         away = self.features[rows] * self.scale - features[:, None]
-        return np.sqrt(np.einsum("nek,nek->ne", away, away).min(axis=1)).astype(float)
+        unlike = np.sort(np.sqrt(np.einsum("nek,nek->ne", away, away)), axis=1)[:, :ALIKE]
+        return (unlike.mean(axis=1) * self.metres[rows].mean(axis=1)).astype(float)
 
     def _find_radius(self, novelty: np.ndarray, map_std: np.ndarray) -> np.ndarray:
         flat = self.slope[:, 0] + novelty[:, None] ** GROWTH * self.slope[:, 1]
@@ -91,7 +96,7 @@ class Confidence:
         """The table as arrays and as what JSON holds, from which ``unpack`` makes it again."""
         known = np.isfinite(self.slope).all()
         numbers = {
-            "threshold": self.threshold,
+            "threshold_m": self.threshold_m,
             "slope_m": self.slope.tolist() if known else None,
             "reach_m": self.reach_m,
         }
@@ -102,7 +107,7 @@ class Confidence:
         return KDTree(self.place)
 
 
-ARRAYS = ("features", "scale", "place", "map_std")
+ARRAYS = ("features", "scale", "place", "metres", "map_std")
 
 
 def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Confidence:
@@ -110,7 +115,7 @@ def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Conf
     slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
     return Confidence(
         **{name: np.asarray(arrays[name]) for name in ARRAYS},
-        threshold=float(numbers["threshold"]),
+        threshold_m=float(numbers["threshold_m"]),
         slope=slope,
         reach_m=float(numbers["reach_m"]),
     )

@@ -11,11 +11,13 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 from scipy.optimize import linprog
+from scipy.spatial import KDTree
 from scipy.spatial.distance import pdist
 
 from deepgps.data.segments import Segments, find_held_out, find_owners, spread_evenly
-from deepgps.methods.confidence import GROWTH, LEVELS, Confidence
+from deepgps.methods.confidence import CHUNK, GROWTH, LEVELS, NEAREST, Confidence
 from deepgps.methods.heading_fit import thin_out
+from deepgps.methods.headings import find_nearest
 
 CELL_M = 0.05
 """The table has one image for each square of the map with sides of this length [m]."""
@@ -43,7 +45,7 @@ def make_confidence(
     std = np.zeros(len(positions)) if map_std is None else np.nan_to_num(map_std)
     table = _make_table(features, positions, std, np.flatnonzero(~held))
     across = _leave_segments_out(segments, features, positions, std)
-    table = replace(table, threshold=float(np.quantile(across, 1.0 - REFUSED, method="higher")))
+    table = replace(table, threshold_m=float(np.quantile(across, 1.0 - REFUSED, method="higher")))
     error = measure_bars(segments, positions, held)
     measured = np.isfinite(error)
     if measured.sum() < LEAST_ERRORS:
@@ -85,8 +87,8 @@ def find_least_growth(table: Confidence) -> np.ndarray:
     An image that is as unlike the entries as these are unlike one another could be anywhere on the map.
     """
     some = spread_evenly(len(table.place)).argsort()[:COMPARED].numpy()
-    unlike, apart = pdist(table.features[some] * table.scale), pdist(table.place[some])
-    return np.quantile(apart, LEVELS) / max(np.median(unlike), 1e-12) ** GROWTH
+    unlike = np.median(pdist(table.features[some] * table.scale)) * np.median(table.metres)
+    return np.quantile(pdist(table.place[some]), LEVELS) / max(unlike, 1e-12) ** GROWTH
 
 
 def fit_quantile(novelty: np.ndarray, error: np.ndarray, level: float, least: float = 0.0) -> tuple[float, float]:
@@ -116,11 +118,26 @@ def _make_table(features: np.ndarray, positions: np.ndarray, std: np.ndarray, ro
         features=np.rint(known / scale).astype(np.int8),
         scale=scale,
         place=place.astype(np.float32),
+        metres=_convert(known, place),
         map_std=std[entry].astype(np.float32),
-        threshold=np.inf,
+        threshold_m=np.inf,
         slope=np.full((len(LEVELS), 2), np.nan),
         reach_m=float(2.0 * middle),
     )
+
+
+def _convert(known: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Median distance on the map over the distance in features (E,) [m], between each entry and those around it."""
+    apart, around = find_nearest(KDTree(place), place, NEAREST)
+    found = np.zeros(len(place), np.float32)
+    for start in range(0, len(place), CHUNK):
+        part = slice(start, start + CHUNK)
+        unlike = np.linalg.norm(known[around[part]] - known[part, None], axis=2)
+        other = (apart[part] > 0.0) & (unlike > 0.0)  # an entry is near itself
+        ratio = np.divide(apart[part], unlike, out=np.full(unlike.shape, np.nan), where=other)
+        seen = other.any(axis=1)
+        found[part][seen] = np.nanmedian(ratio[seen], axis=1)
+    return found
 
 
 def _leave_segments_out(segments: Segments, features: np.ndarray, positions: np.ndarray, std: np.ndarray) -> np.ndarray:

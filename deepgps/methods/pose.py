@@ -31,8 +31,8 @@ class Poses:
             place is new or looks like another. None like ``yaw``.
         other_yaw: Second hypothesis of the yaw (B,) [rad]; None like ``yaw``.
         other_weight: Its share (B,), 0 where there is none; None like ``yaw``.
-        novelty: How unlike all training images each image is (B,), by the distance to the nearest of them in feature
-            space; None: the method does not say.
+        novelty: How unlike the training images near by each image is, as a distance on the map (B,) [m]; None: the
+            method does not say.
         radius_68: Radius of the circle that holds the true position with a probability of 68 % (B,) [m]; None: unknown.
         radius_95: The same for 95 % (B,) [m]; None: unknown.
         accepted: Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not
