@@ -22,6 +22,7 @@ from deepgps.cli_arguments import (
     RunArguments,
     RunsArguments,
     StudyArguments,
+    TrackArguments,
     ViewArguments,
     list_words,
     parse,
@@ -196,6 +197,22 @@ def diagnose_command(words: Sequence[str]) -> None:
         console.print(f"\nwrote {written}", soft_wrap=True)
 
 
+def track_command(words: Sequence[str]) -> None:
+    """Track the robot through the drive in use, or another recording, by single images and odometry together."""
+    arguments = parse(TrackArguments, "track", words, track_command.__doc__)
+    load_plugins(arguments.plugin)
+    from deepgps.evaluation.track_run import track_run, write_tums
+    from deepgps.figures.track_page import draw_track, print_track
+
+    with show_progress(errors) as progress:
+        tracked = track_run(arguments.run, arguments.method, arguments.drive, progress)
+    print_track(tracked, console)
+    written = [tracked.path.with_suffix(".npz"), tracked.path.with_suffix(".json"), draw_track(tracked)]
+    if arguments.tum is not None:
+        written += write_tums(arguments.tum, tracked)
+    console.print(f"\nwrote {', '.join(str(path) for path in written if path)}", soft_wrap=True)
+
+
 def runs_command(words: Sequence[str]) -> None:
     """List runs: what each changes in its scenario, its errors, and its age."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
@@ -277,6 +294,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "study": study_command,
     "view": view_command,
     "diagnose": diagnose_command,
+    "track": track_command,
     "runs": runs_command,
     "rooms": rooms_command,
     "bench": bench_command,
@@ -292,6 +310,7 @@ SUMMARIES = {
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
     "diagnose": "say what is wrong with the wheels, and what to set",
+    "track": "track the robot through a drive, by images and odometry",
     "runs": "list runs by what they change, with their errors",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency and memory beside naive baselines",

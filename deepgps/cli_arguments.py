@@ -98,6 +98,20 @@ class DiagnoseArguments:
 
 
 @dataclass(frozen=True)
+class TrackArguments:
+    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    """The folder of a run."""
+    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    """A method that is trained in it; none: its first."""
+    drive: OptionalFolder = None
+    """The folder of another recording of the same robot and room; none: the drive in use."""
+    tum: OptionalFolder = None
+    """Write the paths as TUM files, which evo reads, to this folder; also the truth, if it is known."""
+    plugin: Plugins = ()
+    """Files of plugins, with methods of your own."""
+
+
+@dataclass(frozen=True)
 class RoomsArguments:
     kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
     """Kinds of room, separated by commas, or all."""
@@ -141,6 +155,7 @@ ARGUMENTS: dict[str, Any] = {
     "study": StudyArguments,
     "view": ViewArguments,
     "diagnose": DiagnoseArguments,
+    "track": TrackArguments,
     "runs": RunsArguments,
     "rooms": RoomsArguments,
     "bench": BenchArguments,

@@ -127,11 +127,16 @@ def draw_room(axes: Axes, space: FreeSpace, floor: Floor = SCREEN) -> None:
         spine.set_color("#888888")
 
 
-def add_scale(figure: Figure, axes: list[Axes], scale_m: tuple[float, float] = SCALE_M) -> None:
-    """Add the colour bar of error fields next to these axes."""
+def add_scale(
+    figure: Figure,
+    axes: list[Axes],
+    scale_m: tuple[float, float] = SCALE_M,
+    label: str = "error of the worst heading [m]",
+) -> None:
+    """Add the colour bar of errors next to these axes."""
     bar = figure.colorbar(
         ScalarMappable(LogNorm(*scale_m), COLOURS), ax=axes, extend="both", shrink=0.8, pad=0.015, aspect=30
     )
-    bar.set_label("error of the worst heading [m]", fontsize=10)
+    bar.set_label(label, fontsize=10)
     count_by_decades(bar.ax.yaxis)
     bar.ax.yaxis.set_minor_locator(ticker.NullLocator())

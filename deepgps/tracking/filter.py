@@ -69,7 +69,7 @@ class Estimate:
         position_std: Its standard deviation along each axis [m].
         yaw: Yaw [rad].
         yaw_std: Its standard deviation [rad].
-        probability: Of this hypothesis, among all of them and a pose that is none of these.
+        probability: That the robot is near it (``NEAR_M``), and neither at another hypothesis nor elsewhere.
         accepted: Whether it is certain enough to be used.
     """
 
@@ -127,15 +127,17 @@ def estimate(state: State) -> Estimate:
     """The likeliest hypothesis of a state."""
     if not len(state.mean):
         return Estimate(np.full(2, np.nan), np.inf, np.nan, np.inf, 0.0, False)
-    best, probability = int(state.evidence.argmax()), weigh(state)
+    best = int(state.evidence.argmax())
+    near = _find_near(state.mean[best : best + 1], state.mean, NEAR_M, NEAR_RAD)[0]
+    probability = float(weigh(state)[near].sum())
     mean, variance = state.mean[best], np.diagonal(state.covariance[best])
     return Estimate(
         mean[:2],
         float(np.sqrt(variance[:2].mean())),
         float(wrap(mean[2])),
         float(np.sqrt(variance[2])),
-        float(probability[best]),
-        bool(probability[best] >= CERTAIN),
+        probability,
+        probability >= CERTAIN,
     )
 
 

@@ -62,6 +62,10 @@ def make_motion(
     return Motion(np.array([forward_m, left_m]), float(turn_rad), np.diag(spread**2))
 
 
+STILL = make_motion(0.0)
+"""No motion."""
+
+
 def invert(motion: Motion) -> Motion:
     """The motion back: from the pose after to the pose before."""
     back = -rotate(np.array(-motion.turn)) @ motion.step

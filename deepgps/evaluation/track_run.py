@@ -1,0 +1,162 @@
+"""A trained method of a run tracks the robot through the drive in use, or through another recording."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepgps.alignment import Alignment
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.evaluation.in_use import adapt, open_drive_in_use
+from deepgps.evaluation.stored_alignment import read_alignment
+from deepgps.evaluation.track_errors import measure_track, take_in_world
+from deepgps.learning.trainer import use_threads
+from deepgps.methods.catalog import folder_of
+from deepgps.methods.positioner import load_positioner
+from deepgps.owned_folder import is_older
+from deepgps.progress import Report
+from deepgps.run_folder import RUN, list_trained, open_run
+from deepgps.tracking.track import Track, track_drive, write_track
+from deepgps.tracking.tum import is_tum, write_tum
+from sim.errors import InputError
+from sim.files import check_overwrite, write_json
+from sim.occupancy import FreeSpace
+from sim.recording.format import Recording, has_truth, open_recording, open_truth, read_manifest
+from sim.recording.turns import NO_IMAGE
+from sim.user_input import quote
+
+FOLDER = "tracking"
+"""Folder of tracked drives in a run's folder."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the robot truly was.
+
+    Attributes:
+        alignment: From the method's frame to the world's.
+        pose: True pose of each image (M, 3); NaN for images after turns.
+        space: Where the robot fits.
+    """
+
+    alignment: Alignment
+    pose: np.ndarray
+    space: FreeSpace
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A tracked drive of a run.
+
+    Attributes:
+        method: Name of the method.
+        path: Path of its files, without their suffix.
+        track: The track.
+        figures: Contents of its ``.json``.
+        reference: The truth; None: it is not known.
+    """
+
+    method: str
+    path: Path
+    track: Track
+    figures: dict[str, Any]
+    reference: Reference | None
+
+
+def track_run(run: Path, method: str | None, drive: Path | None, progress: Report) -> Tracked:
+    """Track the robot, and write ``tracking/<method>.npz`` and ``.json`` in the run's folder.
+
+    Args:
+        run: The run's folder.
+        method: A trained method; None: the first of the run.
+        drive: Folder of a recording; None: the drive in use.
+        progress: Called with the steps done.
+
+    Raises:
+        InputError: The folder is no run, has no such method or no drive in use, or the truth is known but the run has
+            not been evaluated.
+    """
+    scenario = open_run(run)
+    if is_older(run, RUN):
+        raise InputError(f"{run} is a run of an earlier version, which is read but not changed")
+    name = _choose(run, scenario.methods, method)
+    recording, path = _open_drive(run, drive, name)
+    with use_threads(scenario.learn.train.threads):
+        positioner, _ = adapt(load_positioner(folder_of(run, name)), recording)
+        track = track_drive(positioner, recording, progress)
+    reference = _open_reference(folder_of(run, name), recording, track)
+    figures = _describe(name, len(recording.observation), track, reference)
+    write_track(path.with_suffix(".npz"), track)
+    write_json(path.with_suffix(".json"), figures)
+    return Tracked(name, path, track, figures, reference)
+
+
+def write_tums(folder: Path, tracked: Tracked) -> list[Path]:
+    """Write each path, and the truth if it is known, as TUM files; in the world's frame where the truth is known.
+
+    Raises:
+        InputError: A file of such a name is there that deepgps did not write.
+    """
+    reference, track = tracked.reference, tracked.track
+    poses = {
+        name: path.pose if reference is None else take_in_world(path, reference.alignment)
+        for name, path in track.paths.items()
+    }
+    if reference is not None:
+        poses["truth"] = reference.pose
+    paths = [folder / f"{name}.tum" for name in poses]
+    for path in paths:
+        check_overwrite(path, is_tum)
+    seen = track.observation != NO_IMAGE
+    for path, pose in zip(paths, poses.values(), strict=True):
+        write_tum(path, track.time[seen], pose[seen])
+    return paths
+
+
+def _choose(run: Path, methods: tuple[str, ...], method: str | None) -> str:
+    trained = list_trained(run)
+    names = [name for name in methods if name in trained]
+    if not names:
+        raise InputError(f"{run} holds no trained method")
+    if method is not None and method not in names:
+        raise InputError(f"--method {quote(method)}: {run} has trained {', '.join(names)}")
+    return method or names[0]
+
+
+def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, Path]:
+    """What the robot sensed, and where its track is written, without a suffix."""
+    if drive is not None:
+        digest = read_manifest(drive).sha256.get("reading.npy", "")[:8]
+        return keep_plausible(open_recording(drive)), run / FOLDER / f"{method}-{digest}"
+    recording = open_drive_in_use(open_recording(run / "recording"))
+    if recording is None:
+        raise InputError(
+            f"{run} has no drive in use, which --deployment.drive-samples makes; or name the folder of a recording"
+        )
+    return recording, run / FOLDER / method
+
+
+def _open_reference(folder: Path, recording: Recording, track: Track) -> Reference | None:
+    if not has_truth(recording.folder):
+        return None
+    truth = open_truth(recording.folder)
+    if len(truth.pose) != len(recording.observation):
+        raise InputError(
+            f"{recording.folder}: it has {len(recording.observation)} observations, but the truth {len(truth.pose)}"
+        )
+    pose = np.where((track.observation != NO_IMAGE)[:, None], truth.pose[track.observation], np.nan)
+    return Reference(read_alignment(folder), pose, truth.free_space)
+
+
+def _describe(method: str, images: int, track: Track, reference: Reference | None) -> dict[str, Any]:
+    seen = track.observation != NO_IMAGE
+    figures = {
+        "method": method,
+        "images": images,
+        "tracked": int(seen.sum()),
+        "accepted": {name: float(track.paths[name].accepted[seen].mean()) for name in ("single", "causal", "smoothed")},
+    }
+    if reference is None:
+        return figures
+    return {**figures, "paths": measure_track(track, reference.alignment, reference.pose)}

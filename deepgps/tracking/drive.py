@@ -1,0 +1,197 @@
+"""A recording as the tracker takes it: its images in the order driven, and the motion from each to the next.
+
+Along a segment the robot drives straight, or with a constant curvature; its way is that of the wheels.
+Turns are those of the compass, or of the wheels where no images show them. The image after a turn in place is one of
+its own. The ground truth is not used.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from deepgps.data.compass_turns import (
+    BACKED_OFF_M,
+    MEETING_M,
+    UNKNOWN_M,
+    UNKNOWN_RAD,
+    WHEELS_RAD,
+    CompassTurns,
+    measure_turns,
+)
+from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.segments import find_runs
+from deepgps.data.turn_images import turns_with_images
+from deepgps.diagnosis.diagnosis import FEWEST_READINGS, apply_diagnosis, diagnose
+from deepgps.diagnosis.mend import mend_stuck
+from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate
+from sim.recording.format import Recording
+from sim.recording.turns import KINDS, NO_IMAGE
+from sim.sensors.encoder_faults import expect_variance
+
+WAY = 0.005
+"""Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders."""
+ASIDE_M, BENT_RAD = 0.002, 0.02
+"""Standard deviations of the place beside a straight line and of the heading, after a metre [m], [rad]."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """M images in the order driven.
+
+    Attributes:
+        observation: Observation of each (M,), or -1: it is an image after a turn.
+        turn_image: Turn image of each (M,), or -1: it is an observation.
+        reading: Row of the recording's readings at each (M,).
+        motions: Motion to each from the one before (M,); None: nothing is known of it.
+        turns: The turns between its segments.
+    """
+
+    observation: np.ndarray
+    turn_image: np.ndarray
+    reading: np.ndarray
+    motions: list[Motion | None]
+    turns: CompassTurns
+
+
+@dataclass(frozen=True)
+class _Node:
+    observation: int
+    turn_image: int
+    reading: int
+    motion: Motion | None
+
+
+def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
+    """The images of a recording with plausible readings, and the motions between them.
+
+    Observations to which no reading belongs are left out, and segments of a single reading.
+
+    Args:
+        recording: The recording.
+        curvature: Of what the robot drives for straight, to the left [1 / m].
+    """
+    turns = measure_turns(recording) if turns_with_images(recording) else measure_wheel_turns(recording)
+    nodes = list(_list_nodes(recording, turns, curvature))
+    columns = np.array([[one.observation, one.turn_image, one.reading] for one in nodes]).T
+    return Drive(columns[0], columns[1], columns[2], [one.motion for one in nodes], turns)
+
+
+def mend_wheels(recording: Recording) -> tuple[Recording, float]:
+    """Take the noise and the track width that a recording's own readings and images show, and mend a stuck wheel.
+
+    Returns:
+        The recording, and the curvature of what the robot drives for straight, to the left, where it shows [1 / m].
+    """
+    if turns_with_images(recording) is None or len(recording.reading) < FEWEST_READINGS:
+        return recording, 0.0
+    found = diagnose(recording)
+    ratio, curves = found.wheel_ratio, not found.wheel_ratio.low <= 1.0 <= found.wheel_ratio.high
+    curvature = 2.0 * (ratio.value - 1.0) / (ratio.value + 1.0) / found.track_m.value
+    return apply_diagnosis(mend_stuck(recording), found), curvature if ratio.known and curves else 0.0
+
+
+def measure_wheel_turns(recording: Recording) -> CompassTurns:
+    """The turns between consecutive segments of at least two readings, by the wheels."""
+    pose, runs = dead_reckon(recording), [run for run in find_runs(recording) if len(run) >= 2]
+    before, after = (pose[[run[end] for run in part]] for part, end in ((runs[:-1], -1), (runs[1:], 0)))
+    angle = after[:, 2] - before[:, 2]
+    jump = (rotate(-before[:, 2]) @ (after - before)[:, :2, None])[..., 0]
+    jump_std = np.where(np.abs(jump).max(axis=1, initial=0.0) > MEETING_M, BACKED_OFF_M, MEETING_M)
+    angle_std = np.full(len(angle), WHEELS_RAD)
+    if recording.turns is not None:
+        carried = recording.turns.after[recording.turns.kind == KINDS.index("relocated")]
+        unknown = np.isin([run[0] for run in runs[1:]], carried)
+        angle_std, jump_std = np.where(unknown, UNKNOWN_RAD, angle_std), np.where(unknown, UNKNOWN_M, jump_std)
+    return CompassTurns(angle, angle_std, jump, jump_std)
+
+
+def _list_nodes(recording: Recording, turns: CompassTurns, curvature: float) -> list[_Node]:
+    every = find_runs(recording)
+    numbers = [number for number, run in enumerate(every) if len(run) >= 2]
+    nodes, pending = list[_Node](), None
+    for row, number in enumerate(numbers):
+        _add_segment(nodes, recording, every[number], pending, curvature)
+        if row + 1 < len(numbers):
+            follows = numbers[row + 1] == number + 1
+            pending = _add_turn(nodes, recording, turns, row, int(every[numbers[row + 1]][0]), follows)
+    return nodes
+
+
+def _add_segment(
+    nodes: list[_Node], recording: Recording, run: np.ndarray, pending: Motion | None, curvature: float
+) -> None:
+    """Add the images of a segment of these readings; ``pending`` leads to its first one, None: nothing is known."""
+    seen = recording.reading[run, 1].tolist()
+    way, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
+    if not nodes or max(nodes[-1].observation, nodes[-2:][0].observation) != seen[0]:
+        nodes.append(_Node(seen[0], NO_IMAGE, int(run[0]), pending))
+        pending = STILL
+    for number in range(1, len(run)):
+        gap, made_of = way[number] - way[number - 1], max(1, seen[number] - seen[number - 1])
+        ahead = drive_straight(gap, expect_variance(odometry, abs(float(gap.mean())), made_of), curvature)
+        nodes.append(_Node(seen[number], NO_IMAGE, int(run[number]), pending and compose(pending, ahead)))
+        pending = STILL
+
+
+def _add_turn(
+    nodes: list[_Node], recording: Recording, turns: CompassTurns, row: int, reading: int, follows: bool
+) -> Motion | None:
+    """Add the images beside the turn after a segment.
+
+    Args:
+        nodes: To which they are added.
+        recording: The recording.
+        turns: All turns.
+        row: Number of this one.
+        reading: First reading after it.
+        follows: Whether no segment without a way is between.
+
+    Returns:
+        The motion that is left to the beginning of the next segment; None: nothing is known of it.
+    """
+    if turns.angle_std[row] >= UNKNOWN_RAD or turns.jump_std[row] >= UNKNOWN_M:
+        return None
+    jump, turn = _split(turns, row)
+    number = _find_turn(recording, reading) if follows else None
+    if number is None or recording.turns is None:
+        return compose(jump, turn)
+    place = int(recording.turns.before[number])
+    if place != nodes[-1].observation:  # the reading before the turn was lost, and the image shows the heading before
+        nodes.append(_Node(place, NO_IMAGE, reading, jump))
+    if (image := int(recording.turns.image[number])) == NO_IMAGE:
+        return turn
+    nodes.append(_Node(NO_IMAGE, image, reading, turn))
+    return STILL
+
+
+def _split(turns: CompassTurns, row: int) -> tuple[Motion, Motion]:
+    """The way to the next segment and the turn there, one after the other."""
+    way, std = turns.jump[row], float(turns.jump_std[row])
+    return make_motion(*way.tolist(), step_std_m=std), make_motion(
+        0.0, turn_rad=float(turns.angle[row]), turn_std_rad=float(turns.angle_std[row])
+    )
+
+
+def _find_turn(recording: Recording, reading: int) -> int | None:
+    """The turn in place at the first image of the segment that begins with this reading; None: there is none."""
+    if recording.turns is None:
+        return None
+    found = np.flatnonzero(
+        (recording.turns.after == reading) & (recording.turns.before == recording.reading[reading, 1])
+    )
+    return int(found[0]) if len(found) else None
+
+
+def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:
+    """The motion along a straight way, or an arc.
+
+    Args:
+        wheels_m: Ways of the left and the right wheel (2,) [m]; where they differ, one of them is wrong.
+        variance: Expected squared error of their mean [m^2].
+        curvature: To the left [1 / m].
+    """
+    way_m, apart_m = float(wheels_m.mean()), float(np.diff(wheels_m)[0])
+    bent, long = curvature * way_m, abs(way_m)
+    step = way_m * np.array([np.cos(bent / 2.0), np.sin(bent / 2.0)])
+    spread = [variance + (WAY * way_m) ** 2 + (apart_m / 2.0) ** 2, ASIDE_M**2 * long, BENT_RAD**2 * long]
+    return Motion(step, bent, np.diag(spread))

@@ -1,0 +1,211 @@
+"""A drive tracked by a trained method: poses by single images, filter, smoother, and odometry alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.data.dead_reckoning import dead_reckon
+from deepgps.data.segments import read_segments
+from deepgps.initial_map.wheel_turns import find_chirality
+from deepgps.methods.pose import Poses, find_poses
+from deepgps.methods.positioner import Positioner, headings_of
+from deepgps.progress import Report
+from deepgps.tracking.drive import Drive, mend_wheels, read_drive
+from deepgps.tracking.filter import State, estimate, weigh
+from deepgps.tracking.fix import Fix, take_fixes
+from deepgps.tracking.motion import Motion, mirror, move, rotate
+from deepgps.tracking.smoother import fuse, run_backward, run_forward
+from sim.files import read_arrays, write_arrays
+from sim.recording.format import Recording
+from sim.recording.turns import NO_IMAGE
+
+PATHS = {
+    "single": "single image",
+    "causal": "tracked, causal",
+    "smoothed": "tracked, smoothed",
+    "odometry": "wheels and compass",
+    "dead_reckoning": "wheels alone",
+}
+"""The paths of a drive and their titles; those by odometry begin at the first image."""
+KEPT = 4
+"""Hypotheses of the filter that are kept at each image."""
+
+
+@dataclass(frozen=True)
+class TrackedPath:
+    """Poses of M images.
+
+    Attributes:
+        pose: x, y [m], yaw [rad] (M, 3) in the method's frame; NaN where it is unknown.
+        std: Standard deviations of the position along each axis [m] and of the yaw [rad] (M, 2).
+        accepted: Which are certain enough to be used (M,) bool.
+    """
+
+    pose: np.ndarray
+    std: np.ndarray
+    accepted: np.ndarray
+
+
+@dataclass(frozen=True)
+class Track:
+    """A tracked drive of M images.
+
+    Attributes:
+        observation: Observation of each image (M,), or -1: it is an image after a turn.
+        turn_image: Turn image of each (M,), or -1.
+        time: Time of each (M,) [s].
+        paths: The paths by their names in ``PATHS``.
+        hypothesis: The likeliest poses that the filter holds at each image (M, ``KEPT``, 3); NaN where it holds fewer.
+        probability: Their probabilities (M, ``KEPT``).
+    """
+
+    observation: np.ndarray
+    turn_image: np.ndarray
+    time: np.ndarray
+    paths: dict[str, TrackedPath]
+    hypothesis: np.ndarray
+    probability: np.ndarray
+
+
+def track_drive(positioner: Positioner, recording: Recording, progress: Report) -> Track:
+    """Track the robot through a recording.
+
+    Args:
+        positioner: The trained method, as it is in use.
+        recording: What the robot sensed, with plausible readings.
+        progress: Called with the steps done.
+
+    Raises:
+        InputError: No segment has two readings, or no wheel turned.
+    """
+    progress("track", 0, 4)
+    recording, curvature = mend_wheels(recording)
+    drive = read_drive(recording, curvature)
+    progress("track", 1, 4)
+    poses = find_poses(positioner, recording.observation)
+    fixes = _list_fixes(positioner, recording, drive, poses)
+    mirrored = find_mirroring(positioner, recording, drive, poses.position) < 0
+    motions = [one and mirror(one) for one in drive.motions] if mirrored else drive.motions
+    progress("track", 2, 4)
+    causal = run_forward(motions, fixes)
+    progress("track", 3, 4)
+    smoothed = [fuse(*both) for both in zip(causal, run_backward(motions, fixes), strict=True)]
+    progress("track", 4, 4)
+    first = _find_first(fixes)
+    paths = {
+        "single": _as_path(fixes),
+        "causal": _estimate(causal),
+        "smoothed": _estimate(smoothed),
+        "odometry": _from_poses(_follow(motions, first)),
+        "dead_reckoning": _from_poses(_reckon(recording, drive, mirrored, first)),
+    }
+    hypothesis, probability = _list_hypotheses(causal)
+    return Track(drive.observation, drive.turn_image, _stamp(recording, drive), paths, hypothesis, probability)
+
+
+def find_mirroring(positioner: Positioner, recording: Recording, drive: Drive, position: np.ndarray) -> int:
+    """1; -1 where the map is mirrored, so that a turn to the left is one to the right in it."""
+    headings = headings_of(positioner)
+    if headings is not None:
+        return headings.chirality
+    return find_chirality(position, read_segments(recording), drive.turns.angle)
+
+
+def write_track(path: Path, track: Track) -> None:
+    """Write a track as ``.npz``."""
+    arrays = {name: value for name, value in vars(track).items() if name != "paths"}
+    arrays |= {f"{name}/{part}": value for name, one in track.paths.items() for part, value in vars(one).items()}
+    write_arrays(path, arrays)
+
+
+def read_track(path: Path) -> Track:
+    """Read a track; raises DamagedError where the file differs from its checksums."""
+    arrays = read_arrays(path)
+    paths = {
+        name: TrackedPath(*(arrays.pop(f"{name}/{part}") for part in ("pose", "std", "accepted"))) for name in PATHS
+    }
+    return Track(paths=paths, **arrays)
+
+
+def _list_fixes(positioner: Positioner, recording: Recording, drive: Drive, poses: Poses) -> list[Fix]:
+    fixes = take_fixes(poses)
+    seen = drive.turn_image[drive.turn_image != NO_IMAGE]
+    after = dict[int, Fix]()
+    if len(seen):
+        assert recording.turn_observation is not None
+        found = take_fixes(find_poses(positioner, recording.turn_observation[seen]))
+        after = dict(zip(seen.tolist(), found, strict=True))
+    both = zip(drive.observation.tolist(), drive.turn_image.tolist(), strict=True)
+    return [after[image] if observation == NO_IMAGE else fixes[observation] for observation, image in both]
+
+
+def _find_first(fixes: Sequence[Fix]) -> tuple[int, np.ndarray]:
+    """The first image that is accepted and tells a yaw, or else the first one, and its pose (3,)."""
+    number = next((number for number, one in enumerate(fixes) if one.accepted and len(one.yaw)), 0)
+    return number, _as_path([fixes[number]]).pose[0]
+
+
+def _as_path(fixes: Sequence[Fix]) -> TrackedPath:
+    yaw = [(one.yaw[0], one.yaw_std[0]) if len(one.yaw) else (np.nan, np.nan) for one in fixes]
+    pose = np.column_stack([np.array([one.position for one in fixes]), [one for one, _ in yaw]])
+    std = np.column_stack([[one.position_std for one in fixes], [one for _, one in yaw]])
+    return TrackedPath(pose, std, np.array([one.accepted for one in fixes], bool))
+
+
+def _estimate(states: Sequence[State]) -> TrackedPath:
+    found = [estimate(state) for state in states]
+    return TrackedPath(
+        np.array([[*one.position, one.yaw] for one in found]),
+        np.array([[one.position_std, one.yaw_std] for one in found]),
+        np.array([one.accepted for one in found]),
+    )
+
+
+def _from_poses(pose: np.ndarray) -> TrackedPath:
+    """A path of which nothing tells the errors."""
+    return TrackedPath(pose, np.full((len(pose), 2), np.nan), np.asarray(np.isfinite(pose).all(axis=1)))
+
+
+def _follow(motions: Sequence[Motion | None], first: tuple[int, np.ndarray]) -> np.ndarray:
+    """Poses (M, 3) by motions alone from the pose of the first image on; NaN before it, and where none is known."""
+    number, pose = first
+    found, at, covariance = np.full((len(motions), 3), np.nan), np.append(pose, 0.0)[None], np.zeros((1, 4, 4))
+    for row in range(number, len(motions)):
+        if row > number:
+            motion = motions[row]
+            if motion is None:
+                break
+            at, _ = move(at, covariance, motion)
+        found[row] = at[0, :3]
+    return found
+
+
+def _reckon(recording: Recording, drive: Drive, mirrored: bool, first: tuple[int, np.ndarray]) -> np.ndarray:
+    """Poses (M, 3) by the wheels alone, from the pose of the first image on."""
+    number, pose = first
+    path = dead_reckon(recording)[drive.reading]
+    path[:, 1:] *= -1.0 if mirrored else 1.0
+    turn = rotate(np.array(pose[2] - path[number, 2]))
+    found = np.column_stack([pose[:2] + (path - path[number])[:, :2] @ turn.T, path[:, 2] + pose[2] - path[number, 2]])
+    found[:number] = np.nan
+    return found
+
+
+def _list_hypotheses(states: Sequence[State]) -> tuple[np.ndarray, np.ndarray]:
+    hypothesis, probability = np.full((len(states), KEPT, 3), np.nan), np.zeros((len(states), KEPT))
+    for row, state in enumerate(states):
+        weight = weigh(state)
+        order = np.argsort(-weight, kind="stable")[:KEPT]
+        hypothesis[row, : len(order)], probability[row, : len(order)] = state.mean[order, :3], weight[order]
+    return hypothesis, probability
+
+
+def _stamp(recording: Recording, drive: Drive) -> np.ndarray:
+    """Times of the images (M,) [s]; one after a turn is taken as midway between its neighbours."""
+    assert recording.observation_time is not None
+    time = np.where(drive.observation == NO_IMAGE, np.nan, recording.observation_time[drive.observation])
+    known = np.isfinite(time)
+    rows = np.arange(len(time))
+    return np.interp(rows, rows[known], time[known]) if known.any() else time

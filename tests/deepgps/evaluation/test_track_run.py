@@ -1,0 +1,124 @@
+"""``deepgps track`` on a small run with a drive in use: what it writes, what it says, and what it refuses."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.evaluation.in_use import open_drive_in_use
+from deepgps.evaluation.stored_alignment import read_alignment
+from deepgps.tracking.track import PATHS, read_track
+from sim.files import read_json, write_json
+from sim.recording.format import open_recording, open_truth
+from sim.recording.turns import NO_IMAGE
+from tests.helpers.command import MINI, deepgps, deepgps_here
+from tests.helpers.made_once import make_once
+
+METHODS = {"methods: [deepgps, posenet]": "methods: [deepgps_compass, knn]", "samples: 120": "samples: 400"}
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    def make(folder: Path) -> None:
+        text = MINI
+        for before, after in METHODS.items():
+            text = text.replace(before, after)
+        (folder / "mini.yaml").write_text(text + "deployment: {drive_samples: 120}\n")
+        done = deepgps("evaluate", "mini.yaml", "--out", "run", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        done = deepgps("track", "run", "--tum", "tum", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        (folder / "said.txt").write_text(done.stdout)
+
+    return make_once(tmp_path_factory, "tracked", make) / "run"
+
+
+def test_files_and_figures_belong_together(run: Path):
+    track, figures = (
+        read_track(run / "tracking" / "deepgps_compass.npz"),
+        read_json(run / "tracking/deepgps_compass.json"),
+    )
+    drive = open_drive_in_use(open_recording(run / "recording"))
+    assert drive is not None
+    true, alignment = open_truth(drive.folder).pose, read_alignment(run / "deepgps_compass")
+    seen = track.observation != NO_IMAGE
+    for name in PATHS:
+        error = np.hypot(*(alignment.apply(track.paths[name].pose[seen, :2]) - true[track.observation[seen], :2]).T)
+        assert figures["paths"][name]["rms_m"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert figures["tracked"] == figures["images"] == 120
+    assert (np.diff(track.time) > 0.0).all()
+    assert track.probability[:, 0].max() <= 1.0
+    assert (run / "tracking" / "deepgps_compass.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_table_names_every_path(run: Path):
+    said = (run.parent / "said.txt").read_text()
+    assert all(title in said for title in PATHS.values())
+    assert "DeepGPS, compass: 120 of 120 images tracked" in said
+
+
+def test_tracking_is_better_than_single_images(run: Path):
+    paths = read_json(run / "tracking/deepgps_compass.json")["paths"]
+    assert paths["smoothed"]["rms_m"] < paths["single"]["rms_m"]
+
+
+def test_tum_files_hold_all_paths_and_the_truth(run: Path):
+    names = {path.stem for path in (run.parent / "tum").iterdir()}
+    assert names == {*PATHS, "truth"}
+
+
+def test_same_bytes_again(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run")
+    before = (run / "tracking" / "deepgps_compass.npz").read_bytes()
+    (tmp_path / "run" / "tracking" / "deepgps_compass.npz").unlink()
+    assert deepgps_here("track", "run", cwd=tmp_path).returncode == 0
+    assert (tmp_path / "run" / "tracking" / "deepgps_compass.npz").read_bytes() == before
+
+
+def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run")
+    use, log = tmp_path / "run" / "recording" / "use", tmp_path / "log"
+    shutil.copytree(use, log, ignore=shutil.ignore_patterns("truth", "scene.glb"))
+    manifest = read_json(use / "manifest.json")
+    sums = {name: one for name, one in manifest["sha256"].items() if (log / name).is_file()}
+    write_json(log / "manifest.json", {**manifest, "sha256": sums})
+    done = deepgps_here("track", "run", "--drive", "log", "--method", "knn", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "The truth is not known" in done.stdout
+    digest = sums["reading.npy"][:8]
+    assert not (tmp_path / "run" / "tracking" / f"knn-{digest}.png").exists()
+    figures = read_json(tmp_path / "run" / "tracking" / f"knn-{digest}.json")
+    assert set(figures) == {"method", "images", "tracked", "accepted"}
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("nowhere",), "nowhere does not exist"),
+        (("run", "--method", "posenet"), "--method 'posenet': run has trained deepgps_compass, knn"),
+        (("run", "--drive", "."), "is no finished recording"),
+        ((), "deepgps track:"),
+    ],
+)
+def test_wrong_words_give_one_line(run: Path, tmp_path: Path, words: tuple[str, ...], message: str):
+    (tmp_path / "run").symlink_to(run)
+    done = deepgps_here("track", *words, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_run_without_a_drive_in_use_says_how_to_make_one(finished_run: Path, tmp_path: Path):
+    done = deepgps_here("track", str(finished_run), cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--deployment.drive-samples" in done.stderr
+
+
+def test_files_that_are_not_ours_are_not_written_over(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "truth.tum").write_text("0 0 0 0 0 0 0 1\n")
+    done = deepgps_here("track", "run", "--tum", "mine", cwd=tmp_path)
+    assert done.returncode == 2
+    assert (tmp_path / "mine" / "truth.tum").read_text() == "0 0 0 0 0 0 0 1\n"

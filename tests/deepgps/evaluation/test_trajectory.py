@@ -1,0 +1,61 @@
+"""ATE and RPE of our own code are those of evo."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from evo.core import metrics, sync
+from evo.core.trajectory import PoseTrajectory3D
+from evo.core.units import Unit
+from evo.tools import file_interface
+
+from deepgps.evaluation.trajectory import measure_ate, measure_rpe
+from deepgps.tracking.tum import write_tum
+
+
+@pytest.fixture(scope="module")
+def paths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
+    """Files of two paths, and their poses."""
+    folder, rng = tmp_path_factory.mktemp("paths"), np.random.default_rng(0)
+    yaw = np.cumsum(rng.uniform(-0.5, 0.5, 200))
+    true = np.column_stack([np.cumsum(0.1 * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0), yaw])
+    found = true + rng.standard_normal((200, 3)) * [0.02, 0.02, 0.05] + [0.3, -0.2, 0.4]
+    for name, pose in (("true", true), ("found", found)):
+        write_tum(folder / f"{name}.tum", np.arange(200.0), pose)
+    return folder, found, true
+
+
+def read(folder: Path) -> tuple[PoseTrajectory3D, PoseTrajectory3D]:
+    one, two = (file_interface.read_tum_trajectory_file(folder / f"{name}.tum") for name in ("true", "found"))
+    return sync.associate_trajectories(one, two)
+
+
+def test_ate_is_that_of_evo(paths: tuple[Path, np.ndarray, np.ndarray]):
+    folder, found, true = paths
+    reference, estimate = read(folder)
+    estimate.align(reference)
+    ape = metrics.APE(metrics.PoseRelation.translation_part)
+    ape.process_data((reference, estimate))
+    assert measure_ate(found[:, :2], true[:, :2]) == pytest.approx(
+        ape.get_statistic(metrics.StatisticsType.rmse), rel=1e-6
+    )
+
+
+@pytest.mark.parametrize("apart", [1, 10])
+def test_rpe_is_that_of_evo(paths: tuple[Path, np.ndarray, np.ndarray], apart: int):
+    folder, found, true = paths
+    relations = metrics.PoseRelation.translation_part, metrics.PoseRelation.rotation_angle_rad
+    for relation, ours in zip(relations, measure_rpe(found, true, apart), strict=True):
+        rpe = metrics.RPE(relation, delta=apart, delta_unit=Unit.frames, all_pairs=True)
+        rpe.process_data(read(folder))
+        assert ours == pytest.approx(rpe.get_statistic(metrics.StatisticsType.rmse), rel=1e-6)
+
+
+def test_rigid_motion_of_all_changes_neither():
+    rng = np.random.default_rng(1)
+    found, true = rng.uniform(-2.0, 2.0, (2, 50, 3))
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    moved = np.column_stack([found[:, :2] @ turn.T + 5.0, found[:, 2] + np.arctan2(0.8, 0.6)])
+    assert measure_ate(moved[:, :2], true[:, :2]) == pytest.approx(measure_ate(found[:, :2], true[:, :2]))
+    assert measure_rpe(moved, true, 3) == pytest.approx(measure_rpe(found, true, 3))
+    assert measure_ate(moved[:, :2], found[:, :2]) == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,103 @@
+"""A recording's motions: with the true readings they are the true path, whatever is lost, stuck or mirrored."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.tracking.drive import drive_straight, mend_wheels, read_drive
+from deepgps.tracking.motion import Motion, move
+from sim.recording.format import Recording, open_recording, open_truth
+from sim.recording.turns import KINDS, NO_IMAGE, lose_turns
+
+
+@pytest.fixture(scope="module")
+def recording(small_recording: Path) -> Recording:
+    return keep_plausible(open_recording(small_recording))
+
+
+def lose(recording: Recording, kept: np.ndarray) -> Recording:
+    assert recording.turns is not None
+    turns = lose_turns(recording.turns, recording.reading[:, 0], kept)
+    return replace(recording, reading=recording.reading[kept], time=recording.time[kept], turns=turns)
+
+
+def check_ways(recording: Recording) -> None:
+    """Ways between images are the true ones, by their length, which no heading changes."""
+    drive, true = read_drive(recording), open_truth(recording.folder).pose
+    seen = -1
+    pending: Motion | None = None
+    for observation, motion in zip(drive.observation.tolist(), drive.motions, strict=True):
+        if observation == NO_IMAGE:
+            pending = motion
+        elif seen >= 0 and motion is not None:
+            way = np.hypot(*(true[observation] - true[seen])[:2])
+            allowed = 0.005 + 3.0 * np.sqrt(np.trace(motion.covariance[:2, :2]))
+            assert abs(motion.length_m - way) < allowed, (seen, observation, pending)
+        seen = max(seen, observation)
+
+
+def test_every_observation_is_there_once(recording: Recording):
+    drive = read_drive(recording)
+    seen = drive.observation[drive.observation != NO_IMAGE]
+    assert seen.tolist() == sorted(set(recording.reading[:, 1].tolist()))
+    assert ((drive.observation == NO_IMAGE) != (drive.turn_image == NO_IMAGE)).all()
+    assert [one is None for one in drive.motions] == [True] + [False] * (len(drive.motions) - 1)
+
+
+def test_motions_lead_along_the_true_path(recording: Recording):
+    drive, true = read_drive(recording), open_truth(recording.folder).pose
+    at, covariance = np.append(true[drive.observation[0]], 0.0)[None], np.zeros((1, 4, 4))
+    worst = 0.0
+    for observation, motion in zip(drive.observation[1:40], drive.motions[1:40], strict=True):
+        assert motion is not None
+        at, covariance = move(at, covariance, motion)
+        if observation != NO_IMAGE:
+            away = at[0, :2] - true[observation, :2]
+            worst = max(worst, float(np.hypot(*away) / np.sqrt(np.trace(covariance[0, :2, :2]) + 1e-6)))
+    assert worst < 3.0
+
+
+def test_ways_are_right_where_readings_are_lost(recording: Recording):
+    check_ways(recording)
+    for seed in range(3):
+        check_ways(lose(recording, np.random.default_rng(seed).random(len(recording.reading)) > 0.3))
+
+
+def test_relocated_robot_moves_nobody_knows_how(recording: Recording):
+    assert recording.turns is not None
+    kind = recording.turns.kind.copy()
+    kind[3] = KINDS.index("relocated")
+    for turns in (replace(recording.turns, kind=kind), None):
+        drive = read_drive(replace(recording, turns=turns))
+        assert sum(one is None for one in drive.motions) == (1 if turns is None else 2)
+
+
+def test_without_images_of_turns_the_wheels_turn(recording: Recording):
+    drive = read_drive(replace(recording, turns=None, turn_observation=None))
+    assert (drive.turn_image == NO_IMAGE).all()
+    assert sum(abs(one.turn) > 0.3 for one in drive.motions if one) > 5
+
+
+def test_wheel_that_is_stuck_makes_the_way_uncertain():
+    right = drive_straight(np.array([0.1, 0.1]), 0.0)
+    stuck = drive_straight(np.array([0.1, 0.0]), 0.0)
+    assert np.sqrt(right.covariance[0, 0]) < 0.001
+    assert np.sqrt(stuck.covariance[0, 0]) == pytest.approx(0.05, rel=0.01), "the way may be 10 cm as well as 0"
+
+
+def test_arc_has_its_chord():
+    motion = drive_straight(np.array([1.0, 1.0]), 0.0, curvature=0.2)
+    chord = 2.0 / 0.2 * np.sin(0.1)
+    assert motion.turn == pytest.approx(0.2)
+    assert motion.length_m == pytest.approx(chord, rel=0.01)
+    assert np.arctan2(*motion.step[::-1]) == pytest.approx(0.1)
+
+
+def test_wheels_without_turns_stay_as_they_are(recording: Recording):
+    bare = replace(recording, turns=None, turn_observation=None)
+    mended, curvature = mend_wheels(bare)
+    assert mended is bare
+    assert curvature == 0.0
