@@ -12,6 +12,7 @@ from rich.console import Console
 
 from deepgps.methods.catalog import folder_of
 from deepgps.plugins import load_plugins
+from deepgps.progress import ignore
 from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario
 from sim.errors import InputError
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from deepgps.evaluation.error_field import ErrorField
     from deepgps.methods.pose import Poses
     from deepgps.methods.positioner import Positioner
+    from deepgps.tracking.track import Track
 
 Frame = Literal["world", "map"]
 
@@ -119,6 +121,24 @@ class Run:
         if alignment := self._find_alignment(name, frame):
             found = found.align(alignment)
         return found.take(0) if single else found
+
+    def track(self, method: str | None = None, drive: str | Path | None = None) -> "Track":
+        """Track the robot through a drive, by single images and odometry together; written as by ``deepgps track``.
+
+        Args:
+            method: Name of the method; None: the first of the run.
+            drive: Folder of a recording of the same robot in the same room; None: the drive in use.
+
+        Returns:
+            Poses of its images in the method's own frame: ``paths["causal"]`` while driving, ``paths["smoothed"]``
+            afterwards, and those by single images and by odometry alone.
+
+        Raises:
+            InputError: There is no such method or drive.
+        """
+        from deepgps.evaluation.track_run import track_run
+
+        return track_run(self.folder, method, None if drive is None else Path(drive), ignore).track
 
     def errors(self, method: str | None = None) -> "pa.Table":
         """Errors at the test positions, one row for each method, position and heading.
