@@ -53,11 +53,13 @@ def run_command(words: Sequence[str]) -> None:
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
     from deepgps.run_folder import find_place
-    from deepgps.stages import choose_renderer_for, list_undriven
+    from deepgps.stages import check_log, choose_renderer_for, list_undriven, write_log
 
     arguments, source = parse_scenario("run", words, run_command.__doc__)
     scenario, folder = source.scenario, source.folder
-    if source.recording is None:
+    if arguments.log is not None:
+        check_log(arguments.log, scenario)
+    elif source.recording is None:
         choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
     place = find_place(folder, arguments.fresh)
     with (
@@ -66,6 +68,8 @@ def run_command(words: Sequence[str]) -> None:
         _watch(arguments, scenario, place, progress) as report,
     ):
         run(scenario, folder, arguments.fresh, report, source.recording)
+        if arguments.log is not None:
+            write_log(scenario, folder, arguments.log, report)
     print_report(folder, console, time.monotonic() - BEGUN)
     console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
 
@@ -77,11 +81,13 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
         from deepgps.adopted_recording import link_recording
         from deepgps.figures.run_report import describe_left_out
         from deepgps.run_folder import claim, find_place
-        from deepgps.stages import STAGES, ask_for_device, choose_renderer_for, list_undriven
+        from deepgps.stages import STAGES, ask_for_device, check_log, choose_renderer_for, list_undriven, write_log
 
         arguments, source = parse_scenario(stage, words, f"{SUMMARIES[stage].capitalize()}.")
         scenario, folder = source.scenario, source.folder
-        if source.recording is None:
+        if arguments.log is not None:
+            check_log(arguments.log, scenario)
+        elif source.recording is None:
             choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
         place = find_place(folder, arguments.fresh)
         with (
@@ -96,6 +102,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
                 ask_for_device(scenario, place)
             for name, work in STAGES.items():
                 work(scenario, place, report)
+                if name == "collect" and arguments.log is not None:
+                    write_log(scenario, place, arguments.log, report)
                 if name == stage:
                     break
             left_out = describe_left_out(place, scenario.methods) if stage == "train" else None

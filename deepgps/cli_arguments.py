@@ -48,6 +48,8 @@ class RunArguments:
     """Discard what is in the run folder and start again."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
     """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Also write the log that a robot would have recorded of the drive, as MCAP: raw pictures, wheels, rays, truth."""
     plugin: Plugins = ()
     """Files of plugins, with methods and encoder faults of your own."""
 

@@ -12,7 +12,7 @@ from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import RUN, find_place
-from deepgps.scenario import Scenario
+from deepgps.scenario import Scenario, digest_recording
 from deepgps.shared_drive import find_base
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
@@ -84,6 +84,21 @@ def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool
 def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Drive and record: write the recording ``folder``, or what is missing of it."""
     RECORD[scenario.world](scenario, folder, progress)
+
+
+def check_log(path: Path, scenario: Scenario) -> None:
+    """Raise InputError if the log of a scenario's drive cannot be written to a file; choose a renderer for it."""
+    from sim.robot_log.check import check_log as check
+
+    check(path, scenario.sim)
+    choose_renderer()
+
+
+def write_log(scenario: Scenario, folder: Path, path: Path, progress: Report) -> None:
+    """Write what the robot's computers would have recorded of the drive of a run's recording, unless it is written."""
+    from sim.robot_log.log import write_log as write
+
+    write(path, scenario.sim, scenario.seed, folder / "recording", digest_recording(scenario), progress)
 
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -320,10 +320,21 @@ def list_files(folder: Path, ours: re.Pattern[str], parts_only: bool = False) ->
     return found
 
 
-def check_overwrite(path: Path, is_ours: Callable[[bytes], bool]) -> None:
-    """Raise InputError if writing a file would overwrite one that deepgps did not write."""
-    if path.is_symlink() or (path.exists() and not (path.is_file() and is_ours(path.read_bytes()))):
+def check_overwrite(path: Path, is_ours: Callable[[bytes], bool], head: int = -1) -> None:
+    """Raise InputError if writing a file would overwrite one that deepgps did not write.
+
+    Args:
+        path: The file.
+        is_ours: Whether deepgps wrote a file with these contents.
+        head: Number of its first bytes that are enough to tell; -1: all are needed.
+    """
+    if path.is_symlink() or (path.exists() and not (path.is_file() and is_ours(_read_head(path, head)))):
         raise InputError(f"{path} exists, and deepgps did not write it: choose another name, or move it away")
+
+
+def _read_head(path: Path, size: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(size)
 
 
 _WRITING = re.compile(rf"\.\d+{re.escape(PART)}(?=/|$)")

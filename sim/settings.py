@@ -260,7 +260,7 @@ def _is_mapping(value: Any) -> bool:
 class DriveSettings(WithLater):
     """How the robot drives and when it looks."""
 
-    later = frozenset({"mixed_light"})
+    later = frozenset({"mixed_light", "arcs"})
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""
@@ -288,6 +288,8 @@ class DriveSettings(WithLater):
     """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
     mixed_light: bool = False
     """Whether the light changes every 256 images of the training drive: as usual, little daylight, lamps off, night."""
+    arcs: float = Field(default=0.0, ge=0.0, le=0.9)
+    """Probability, before a segment, of driving an arc first, on which no image is taken; only logs show it."""
 
 
 class GridSettings(Group):

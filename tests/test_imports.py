@@ -24,7 +24,7 @@ ORDER = (
     ("sim.rooms",),
     ("sim.robot", "sim.sensors"),
     ("sim.recording",),
-    ("sim.planar", "sim.tools", "sim.environment"),
+    ("sim.planar", "sim.tools", "sim.environment", "sim.robot_log"),
     ("deepgps.methods.catalog",),
     ("deepgps",),
     ("deepgps.command",),
@@ -92,7 +92,7 @@ WITHOUT_MUJOCO = {
     ),
 }
 ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
-STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl")
+STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl", "sim.robot_log")
 ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),

@@ -66,6 +66,6 @@ def _number(segment: Segment, number: int, observations: int) -> dict[str, np.nd
 
 def _name_turn(segment: Segment) -> int:
     """Number of the kind of the turn before a segment."""
-    if segment.relocated:
+    if segment.relocated or segment.after_arc:
         return KINDS.index("relocated")
     return KINDS.index("in_place" if segment.continues else "backed_off")

@@ -14,7 +14,8 @@ from sim.errors import InputError
 
 KINDS = ("in_place", "backed_off", "relocated")
 """How the robot came from one segment to the next. in_place: it turned where the segment ended. backed_off: after a
-contact or when it was wedged, it rolled back, so the next segment begins nearby. relocated: a person carried it."""
+contact or when it was wedged, it rolled back, so the next segment begins nearby. relocated: a person carried it, or it
+drove an arc, of which a recording says nothing."""
 NO_IMAGE = -1
 FILE = "turns.npy"
 

@@ -21,7 +21,19 @@ from sim.errors import WorkError
 from sim.geometry import planar_pose
 from sim.robot.gaps import Gaps
 from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, wheel_speeds
-from sim.robot.motion import ACCELERATION_MPS2, SEEN_M, Robot, back_off, halt, look, ramp, travelled, turn
+from sim.robot.motion import (
+    ACCELERATION_MPS2,
+    CLOSE_M,
+    SEEN_M,
+    Robot,
+    back_off,
+    drive_arc,
+    halt,
+    look,
+    ramp,
+    travelled,
+    turn,
+)
 from sim.robot.range_finder import REACH_M
 from sim.settings import DriveSettings
 
@@ -38,8 +50,6 @@ CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
 """Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
 FURTHER_RAD = 0.3
 """After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
-CLOSE_M = 0.002
-"""The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
 SHORTEST_M = 0.16
 """A heading is accepted when at least this distance is clear ahead [m]."""
 SEARCHED = 20
@@ -48,6 +58,8 @@ TOWARDS_RAD = 0.6 * np.pi
 """To search, the robot turns by this to one side, then back until the path is clear [rad]."""
 GRAZE_RAD = 0.05
 """In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
+ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)
+"""Shortest and longest arc, and its smallest and largest radius [m]."""
 UNCERTAIN_M = 0.12
 """A contact or stall makes the samples over this last distance travelled doubtful: they are dropped [m]."""
 STALL_S = 0.2
@@ -92,6 +104,7 @@ class Segment:
         dropped: Number of samples dropped as doubtful.
         mode: How to continue.
         relocated: How often the robot was relocated before this segment.
+        after_arc: Whether it drove an arc before this segment.
     """
 
     state: np.ndarray
@@ -102,6 +115,7 @@ class Segment:
     dropped: int
     mode: DriveMode
     relocated: int = 0
+    after_arc: bool = False
 
     @property
     def pose(self) -> np.ndarray:
@@ -124,13 +138,14 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     Args:
         robot: The robot, at rest.
         settings: How to drive and when to sample.
-        rng: Draws headings, when to enter or search, and the heading of a relocated robot.
+        rng: Draws headings, arcs, when to enter or search, and the heading of a relocated robot.
         mode: The last segment's mode, or a new one.
 
     Raises:
         WorkError: the robot is stuck.
     """
     wedged = relocated = 0
+    after_arc = False
     for _ in range(TRIES):
         while (stop_m := _turn_to_clear(robot, settings, rng, mode)) is None:
             mode = mode._replace(continues=False)
@@ -142,13 +157,24 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
                 wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
+        if settings.arcs and mode.kind == "chance" and _may_drive_arc(robot, settings, rng):
+            mode, after_arc = mode._replace(continues=False), True
+            continue
         segment = _go_straight(robot, settings, rng, stop_m, mode)
         if segment.ended in TOUCHED:
             back_off(robot, settings)
         if len(segment.time) >= 2:
-            return replace(segment, relocated=relocated)
+            return replace(segment, relocated=relocated, after_arc=after_arc)
         mode = segment.mode._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
+
+
+def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> bool:
+    """Drive an arc if one is drawn and there is room; returns whether the robot moved."""
+    if rng.uniform() >= settings.arcs:
+        return False
+    length_m, radius_m, side = rng.uniform(*ARC_M), rng.uniform(*ARC_RADIUS_M), rng.choice((1, -1))
+    return drive_arc(robot, settings, length_m, side / radius_m)
 
 
 def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> float | None:

@@ -1,4 +1,4 @@
-"""How the robot moves: it looks around, turns in place, rolls back and pauses, all controlled by its wheel angles."""
+"""How the robot moves: it looks, turns in place, drives arcs, rolls back and pauses, controlled by its wheel angles."""
 
 from typing import Protocol
 
@@ -14,10 +14,12 @@ REST_S = 0.12
 """The robot pauses this long after a stop, until it no longer rocks [s]."""
 PATIENCE_TURNS = 4
 """A turn is given up if it takes longer than this many full turns would."""
-CLOSE_RAD = 0.01
+CLOSE_RAD, CLOSE_M = 0.01, 0.002
 """The robot stops when it is nearer than this to its goal: a controller that acts once per period can do no better."""
 SEEN_M = 0.01
 """Ranges that differ by less than this count as unchanged [m]."""
+AHEAD_M = 0.3
+"""On an arc this much stays clear straight ahead [m]: the robot looks where it heads, and turns as it drives."""
 BACK_M = 0.06
 BACK_MPS = 0.08
 
@@ -82,6 +84,34 @@ def turn(
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
     halt(robot, settings)
     return goal < np.inf
+
+
+def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature: float) -> bool:
+    """Drive an arc from rest to rest; it ends early before an obstacle, at a contact, and when the wheels are held.
+
+    Args:
+        robot: The robot, at rest.
+        settings: How fast to drive.
+        length_m: Length of the arc [m].
+        curvature: Inverse of its radius, positive to the left [1/m].
+
+    Returns:
+        Whether there was room to drive at all.
+    """
+    period, start, speed = CONTROL_PERIOD_S, robot.wheel_angle(), 0.0
+    deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
+    while robot.time() < deadline and not robot.bumped():
+        rest_m = length_m - travelled(robot, start)
+        clear_m = look(robot, rest_m + AHEAD_M + RADIUS_M + SEEN_M) - AHEAD_M
+        if min(rest_m, clear_m) < CLOSE_M:
+            break
+        speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
+        robot.step(wheel_speeds(speed, speed * curvature))
+    touched, moved = robot.bumped(), speed > 0.0
+    halt(robot, settings)
+    if touched:
+        back_off(robot, settings)
+    return moved
 
 
 def back_off(robot: Robot, settings: DriveSettings) -> None:

@@ -102,12 +102,16 @@ class RoomWorld:
         """
         data = self.data
         data.ctrl[:] = wheel_speed
-        mujoco.mj_step(self.model, data, self._substeps)
+        self.advance(self._substeps)
         if data.warning.number.any():
             raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
         # After a step the sensors are one step behind the joints: evaluate them for the current state.
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_sensorPos(self.model, data)
+
+    def advance(self, steps: int) -> None:
+        """Let physics pass by so many of its time steps."""
+        mujoco.mj_step(self.model, self.data, steps)
 
     def wheel_angle(self) -> np.ndarray:
         """Return wheel-joint angles (2,) left, right [rad], from the joint-position sensors."""
@@ -122,7 +126,12 @@ class RoomWorld:
             turned_rad: Direction of the fans: 0 straight ahead, positive to the left [rad].
         """
         x, y, yaw = self.pose()
-        return self._finder.measure(x, y, yaw + turned_rad, reach_m)
+        return self.ranges_at(np.array((x, y, yaw + turned_rad)), reach_m)
+
+    def ranges_at(self, pose: np.ndarray, reach_m: float = REACH_M) -> np.ndarray:
+        """Return distances (K,) of the range rays [m] of a robot at a pose (3,) x, y [m], yaw [rad]."""
+        x, y, yaw = pose.tolist()
+        return self._finder.measure(x, y, yaw, reach_m)
 
     def bumped(self) -> bool:
         """Whether something presses against the body or the mast."""

@@ -68,8 +68,8 @@ class Fisheye:
         self._boxes = _local_boxes(model)
         self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
-        centre = 2.0 * mount.centre_px / CIRCLE_PX
-        rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, centre)
+        self._centre = 2.0 * mount.centre_px / CIRCLE_PX
+        rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, self._centre)
         self._polar = self._make_warp(rays, finer)
         self._round: dict[int, _Warp] = {}
         self._screen = Offscreen(model, *_strip_size(self._faces))
@@ -91,7 +91,7 @@ class Fisheye:
         """The round picture of the state ``data``: (size_px, size_px, 3) uint8 RGB, black outside the rim."""
         if size_px not in self._round:
             finer = self._finer(2 * self._lens.half_angle / size_px)
-            self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer), finer)
+            self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer, self._centre), finer)
         return _warp(self._draw(data, lean, dress), self._round[size_px])
 
     def close(self) -> None:

@@ -47,6 +47,10 @@ class Lens:
             theta = theta - (self._growth(theta) - target) / self._slope(theta)
         return theta
 
+    def focal_length(self, rim_px: float) -> float:
+        """Focal length f [px] of an image whose rim has this radius: f = rim_px / (theta + k1 theta^3 + ...) there."""
+        return float(rim_px / self._growth(np.array(self.half_angle)))
+
     def _growth(self, theta: np.ndarray) -> np.ndarray:
         square = theta * theta
         k1, k2, k3, k4 = self.k
@@ -124,9 +128,9 @@ def polar_rays(lens: Lens, rings: int, sectors: int, centre: float = 0.0) -> np.
     return _directions(theta, np.arctan2(left, forward))
 
 
-def round_rays(lens: Lens, size: int) -> np.ndarray:
-    """Directions of all pixels of the round picture (size, size, 3), NaN outside the rim."""
-    return unproject_round(lens, _pixels(size, size), size)
+def round_rays(lens: Lens, size: int, centre: float = 0.0) -> np.ndarray:
+    """Directions of all pixels of the round picture (size, size, 3), NaN outside the rim; ``centre`` as above."""
+    return unproject_round(lens, _pixels(size, size) + [centre * size / 2, 0.0], size)
 
 
 def _pixels(rows: int, columns: int) -> np.ndarray:

@@ -1,0 +1,149 @@
+"""The log of a recording's drive: what the robot's computers would have recorded, as an MCAP file.
+
+The drive is repeated, since a recording holds only its samples. Worker processes draw the pictures into parts, which
+stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them.
+"""
+
+import logging
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from sim.errors import DamagedError, InputError
+from sim.files import check_space, list_files, read_json, remove_files, write_json
+from sim.processes import usable_cores
+from sim.recording.assemble import read_part
+from sim.recording.format import open_truth
+from sim.recording.renderers import Part, Renderers
+from sim.rng import stream
+from sim.robot_log.clocks import make_base_clock
+from sim.robot_log.content import list_topics
+from sim.robot_log.mcap_file import holds, write_mcap
+from sim.robot_log.observe import Observed, join, observe
+from sim.robot_log.pictures import PER_PART, draw_part
+from sim.robot_log.trace import TracedWorld, trace_drive
+from sim.sensors.camera_mount import draw_leans
+from sim.settings import SimSettings
+
+PARTS = re.compile(r"log\.json|picture-\d+\.npz")
+"""Names of the files in the folder of an unfinished log."""
+PICTURE_BYTES = 40_000
+"""About the size of a picture."""
+log = logging.getLogger(__name__)
+Report = Callable[[str, int, int], None]
+
+
+def write_log(
+    path: Path,
+    settings: SimSettings,
+    seed: int,
+    recording: Path,
+    key: str,
+    progress: Report,
+    workers: int | None = None,
+) -> None:
+    """Write the log of a recording's drive, or complete an unfinished one.
+
+    Args:
+        path: The file; a log of other settings is replaced when the new one is complete.
+        settings: Those of the recording.
+        seed: That of the recording.
+        recording: Folder of the recording, which must have been driven by this simulator.
+        key: Names what determines the log.
+        progress: Called with a stage, the steps done and their number.
+        workers: Number of drawing processes; None: one for each usable core.
+
+    Raises:
+        InputError: The recording holds another drive than these settings give here.
+        WorkError: There is no renderer, physics failed, or the disk is full.
+    """
+    work = path.with_name(f"{path.name}.parts")
+    if holds(path, key):
+        log.warning("%s is complete already", path)
+        _remove_parts(work)
+        return
+    _claim(work, key)
+    start = time.perf_counter()
+    world = TracedWorld(settings)
+    build_s = time.perf_counter() - start
+    seen = _drive(world, seed, recording, progress)
+    check_space(path, 2 * PICTURE_BYTES * len(seen.picture_time))
+    parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
+    with Renderers(draw_part, workers or usable_cores(), build_s) as renderers:
+        _draw(renderers, parts, progress)
+    topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
+    write_mcap(path, topics, key, lambda *done: progress("log write", *done))
+    _remove_parts(work)
+
+
+def _claim(work: Path, key: str) -> None:
+    """Keep the parts of an interrupted work on the same log, and say so; remove those of another log."""
+    mark, held = work / "log.json", None
+    with suppress(DamagedError):
+        held = read_json(mark).get("key")
+    there = len(list_files(work, PARTS))
+    if held == key and there > 1:
+        log.warning("%s holds the beginning of this log: it is continued", work)
+    elif there:
+        log.warning("%s holds the beginning of another log: this one is started again", work)
+        remove_files(work, PARTS)
+    write_json(mark, {"key": key})
+
+
+def _drive(world: TracedWorld, seed: int, recording: Path, progress: Report) -> Observed:
+    """Repeat the drive of a recording and observe it.
+
+    Raises:
+        InputError: The wheels turned otherwise in the recording.
+    """
+    base, seen, angle = make_base_clock(seed), list[Observed](), list[np.ndarray]()
+    wanted = world.settings.drive.samples + world.settings.grid.held_out
+    for stretch in trace_drive(world, seed):
+        seen.append(observe(world, stretch, base))
+        angle.append(stretch.wheel_angle)
+        progress("log drive", min(stretch.observations, wanted), wanted)
+    recorded = open_truth(recording).wheel_angle
+    if not np.array_equal(np.concatenate(angle)[: len(recorded)], recorded):
+        raise InputError(
+            f"{recording} holds another drive than its settings give on this machine, with these versions of the "
+            "packages; make it again with --fresh, then its log can be made"
+        )
+    return join(seen)
+
+
+def _lay_out(settings: SimSettings, seed: int, states: np.ndarray, work: Path) -> Iterator[Part]:
+    """Divide the pictures at states (n, nq) into parts."""
+    leans = draw_leans(settings.camera_mount, len(states), stream(seed, "log", "lean"))
+    for number, first in enumerate(range(0, len(states), PER_PART)):
+        rows = slice(first, first + PER_PART)
+        path = work / f"picture-{number:06d}.npz"
+        yield Part(settings, states[rows], path, None if leans is None else leans[rows])
+
+
+def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None:
+    """Draw the parts that are missing or damaged."""
+    missing = [part for part in parts if not _is_intact(part.path)]
+    for part in missing:
+        renderers.give(part)
+
+    def tell(drawn: int) -> None:
+        progress("log render", (len(parts) - len(missing) + drawn) * PER_PART, len(parts) * PER_PART)
+
+    tell(0)
+    renderers.finish(tell)
+    tell(len(missing))
+
+
+def _is_intact(path: Path) -> bool:
+    with suppress(DamagedError):
+        return bool(read_part(path))
+    return False
+
+
+def _remove_parts(work: Path) -> None:
+    if work.is_dir():
+        remove_files(work, PARTS)
