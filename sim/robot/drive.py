@@ -157,7 +157,7 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
                 wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
-        if settings.arcs and mode.kind == "chance" and _may_drive_arc(robot, settings, rng):
+        if settings.arcs and mode.kind != "enter" and _may_drive_arc(robot, settings, rng):
             mode, after_arc = mode._replace(continues=False), True
             continue
         segment = _go_straight(robot, settings, rng, stop_m, mode)

@@ -56,7 +56,7 @@ class Stretch:
 
     def find(self, clock: Clock, period_s: float) -> np.ndarray:
         """Rows (m,) of the states when a timer of this period fires by a computer's clock."""
-        return np.searchsorted(self.time, clock.fire(period_s, self.begun, float(self.time[-1])))
+        return np.searchsorted(self.time + 1e-6, clock.fire(period_s, self.begun, float(self.time[-1])))
 
 
 def trace_drive(world: TracedWorld, seed: int) -> Iterator[Stretch]:
