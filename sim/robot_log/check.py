@@ -3,13 +3,22 @@
 from pathlib import Path
 
 from sim.errors import InputError
+from sim.files import check_overwrite
 from sim.robot_log.mcap_file import check_file
 from sim.settings import ImageFaultSettings, SimSettings
 
+ROBOT_HEAD = "# The robot of a simulated log, for deepgps import.\n"
+
+
+def robot_file(log: Path) -> Path:
+    """Path of the robot's description beside a log."""
+    return log.with_suffix(".robot.yaml")
+
 
 def check_log(path: Path, settings: SimSettings) -> None:
-    """Raise InputError if a log of these settings cannot be written to a file."""
+    """Raise InputError if a log of these settings, and the robot's description, cannot be written to these files."""
     check_file(path)
+    check_overwrite(robot_file(path), lambda data: data.startswith(ROBOT_HEAD.encode()))
     if settings.world != "room" or settings.sensor != "fisheye":
         raise InputError(f"--log {path}: a log needs world room and sensor fisheye, for its pictures")
     if settings.image_faults != ImageFaultSettings():

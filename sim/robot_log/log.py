@@ -9,12 +9,13 @@ import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from glob import escape
 from pathlib import Path
 
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files import check_space, list_files, read_json, remove_files, write_json
+from sim.files import PART, check_space, list_files, read_json, remove_files, write_json
 from sim.processes import usable_cores
 from sim.recording.assemble import read_part
 from sim.recording.format import open_truth
@@ -25,6 +26,7 @@ from sim.robot_log.content import list_topics
 from sim.robot_log.mcap_file import holds, write_mcap
 from sim.robot_log.observe import Observed, join, observe
 from sim.robot_log.pictures import PER_PART, draw_part
+from sim.robot_log.robot_yaml import write_robot
 from sim.robot_log.trace import TracedWorld, trace_drive
 from sim.sensors.camera_mount import draw_leans
 from sim.settings import SimSettings
@@ -46,7 +48,7 @@ def write_log(
     progress: Report,
     workers: int | None = None,
 ) -> None:
-    """Write the log of a recording's drive, or complete an unfinished one.
+    """Write the log of a recording's drive, or complete an unfinished one, and the robot's description beside it.
 
     Args:
         path: The file; a log of other settings is replaced when the new one is complete.
@@ -66,6 +68,8 @@ def write_log(
         log.warning("%s is complete already", path)
         _remove_parts(work)
         return
+    for orphan in path.parent.glob(f"{escape(path.name)}.*{PART}"):  # of a process that was stopped while it wrote
+        orphan.unlink()
     _claim(work, key)
     start = time.perf_counter()
     world = TracedWorld(settings)
@@ -76,6 +80,7 @@ def write_log(
     with Renderers(draw_part, workers or usable_cores(), build_s) as renderers:
         _draw(renderers, parts, progress)
     topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
+    write_robot(path, settings)
     write_mcap(path, topics, key, lambda *done: progress("log write", *done))
     _remove_parts(work)
 

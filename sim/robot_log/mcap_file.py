@@ -75,12 +75,12 @@ def _write(file: IO[bytes], topics: Sequence[Topic], key: str, progress: Callabl
     writer, channels, store = Writer(file), _Channels(), type_store()
     writer.start(profile="ros2", library=f"{LIBRARY}{key}")
     logged = np.concatenate([topic.logged for topic in topics])
-    topic = np.repeat(np.arange(len(topics)), [len(topic.logged) for topic in topics])
+    owner = [one for one in topics for _ in one.logged]
     number = np.concatenate([np.arange(len(topic.logged)) for topic in topics])
     for done, row in enumerate(np.argsort(logged, kind="stable").tolist()):
         if done % EVERY == 0:
             progress(done, len(logged))
-        one = topics[topic[row]]
+        one = owner[row]
         message, ns = one.make(int(number[row])), int(logged[row])
         data = bytes(store.serialize_cdr(message, message.__msgtype__))
         writer.add_message(channels.find(writer, one.name, message.__msgtype__), ns, data, ns, int(number[row]))

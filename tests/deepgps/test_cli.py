@@ -9,7 +9,8 @@ import pytest
 
 from deepgps.scenario import names_in
 from sim.paths import STUDIES
-from sim.recording.format import check_recording
+from sim.recording.format import check_recording, read_manifest
+from sim.robot_log.mcap_file import MAGIC
 from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, wait_until
 
 ONE_LINE_ERRORS = [
@@ -70,6 +71,24 @@ def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
     assert done.returncode == 0, done.stderr
     check_recording(tmp_path / "plane" / "recording")
     assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
+
+
+def test_a_log_changes_nothing_in_the_recording(tmp_path):
+    (tmp_path / "mini.yaml").write_text(MINI)
+    words = ("collect", "mini.yaml", "--drive.samples", "16", "--out")
+    for more in (("with", "--log", "drive.mcap"), ("without",)):
+        done = deepgps_here(*words, *more, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    one, other = (read_manifest(tmp_path / name / "recording").sha256 for name in ("with", "without"))
+    assert one == other
+    assert (tmp_path / "drive.mcap").read_bytes().startswith(MAGIC)
+    again = deepgps_here(*words, "with", "--log", "drive.mcap", cwd=tmp_path)
+    assert "drive.mcap is complete already" in again.stderr
+    (tmp_path / "drive.mcap").write_text("holiday")
+    done = deepgps_here(*words, "other", "--log", "drive.mcap", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "drive.mcap exists, and deepgps did not write it" in done.stderr
+    assert not (tmp_path / "other").exists()
 
 
 def test_a_room_that_reaches_out_of_its_folder_is_refused(tmp_path, tmp_path_factory):

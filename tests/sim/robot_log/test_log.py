@@ -1,0 +1,242 @@
+"""The log of a drive: its topics, its times, what it shares with the recording, and how it is written."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+
+from sim.errors import InputError
+from sim.files import write_arrays, write_json
+from sim.recording.collect import collect
+from sim.recording.format import open_recording, open_truth
+from sim.robot.model import WHEEL_RADIUS_M
+from sim.robot_log.check import check_log
+from sim.robot_log.clocks import EPOCH_NS, make_base_clock
+from sim.robot_log.log import write_log
+from sim.settings import DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
+
+SEED, SAMPLES = 3, 20
+IMAGE = "/camera/image_raw/compressed"
+
+
+class Message(NamedTuple):
+    logged: int
+    stamp: int
+    content: Any
+
+
+Log = dict[str, list[Message]]
+
+
+def quiet(*_: object) -> None:
+    pass
+
+
+def read(path: Path) -> Log:
+    """Messages of each topic in the file's order."""
+    found = defaultdict(list)
+    with AnyReader([path]) as reader:
+        for connection, logged, raw in reader.messages():
+            content: Any = reader.deserialize(raw, connection.msgtype)
+            stamp = (content if hasattr(content, "header") else content.transforms[0]).header.stamp
+            found[connection.topic].append(Message(logged, stamp.sec * 10**9 + stamp.nanosec, content))
+    return found
+
+
+@pytest.fixture(scope="module")
+def settings(small_settings: SimSettings) -> SimSettings:
+    return small_settings.model_copy(update={"drive": DriveSettings(samples=SAMPLES)})
+
+
+@pytest.fixture(scope="module")
+def recording(settings: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("drive") / "recording"
+    collect(settings, SEED, folder, quiet, workers=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def path(settings: SimSettings, recording: Path) -> Path:
+    path = recording.parent / "drive.mcap"
+    write_log(path, settings, SEED, recording, "key", quiet, workers=1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def log(path: Path) -> Log:
+    return read(path)
+
+
+def times(log: Log, topic: str) -> np.ndarray:
+    """Times of a topic's stamps in the simulation [s]."""
+    clock = make_base_clock(SEED) if topic.startswith(("/joint", "/range")) else None
+    stamp = np.array([message.stamp for message in log[topic]]) - EPOCH_NS
+    return (stamp / 1e9 - clock.offset_s) / (1 + clock.drift) if clock else stamp / 1e9
+
+
+def test_it_has_the_topics_of_such_a_robot(log):
+    rays = [topic for topic in log if topic.startswith("/range/ray_")]
+    others = {"/joint_states", IMAGE, "/camera/camera_info", "/tf", "/tf_static", "/ground_truth/pose"}
+    assert set(log) == others | set(rays)
+    assert len(rays) == 29
+    assert len(log[IMAGE]) == len(log["/camera/camera_info"]) == pytest.approx(len(log["/joint_states"]) / 2, abs=1.5)
+
+
+def test_messages_are_in_the_order_in_which_they_were_recorded(log):
+    for messages in log.values():
+        logged, stamp = (np.array([getattr(message, name) for message in messages]) for name in ("logged", "stamp"))
+        assert (np.diff(logged) >= 0).all()
+        assert (np.diff(stamp) > 0).all()
+
+
+def test_pictures_are_taken_all_the_time_and_the_wheels_read_too(log):
+    for topic, period_s in (("/joint_states", 0.05), (IMAGE, 0.1), ("/ground_truth/pose", 0.05)):
+        np.testing.assert_allclose(np.diff(times(log, topic)), period_s, atol=0.0051)
+
+
+def test_the_wheels_clock_is_not_the_camera_s(log):
+    apart = {
+        topic: np.median([message.logged - message.stamp for message in log[topic]]) / 1e9
+        for topic in ("/joint_states", "/range/ray_left_00", IMAGE, "/ground_truth/pose")
+    }
+    assert abs(apart["/joint_states"] - apart["/range/ray_left_00"]) < 0.01
+    assert 0 < apart[IMAGE] < 0.05
+    assert abs(apart["/joint_states"] - apart[IMAGE]) > 0.9
+
+
+def test_wheels_are_whole_ticks_of_the_period_before(log, recording):
+    """The recording's ticks, which are exact, lie between those of the log 50 ms later."""
+    time = times(log, "/joint_states")
+    ticks = np.array([message.content.position for message in log["/joint_states"]]) * 4096 / (2 * np.pi)
+    np.testing.assert_allclose(ticks, np.rint(ticks), atol=1e-6)
+    sensed = open_recording(recording)
+    late = np.column_stack([np.interp(sensed.time[1:] + 0.05, time, wheel) for wheel in ticks.T])
+    np.testing.assert_allclose(late, sensed.reading[1:, 2:], atol=12)  # 12 ticks: a physics step at full speed
+    prompt = np.column_stack([np.interp(sensed.time[1:], time, wheel) for wheel in ticks.T])
+    assert np.abs(prompt - sensed.reading[1:, 2:]).max() > 100
+
+
+def test_velocity_is_that_of_the_rims_as_turtlebot3_has_it(log):
+    angle = np.array([message.content.position for message in log["/joint_states"]])
+    speed = np.array([message.content.velocity for message in log["/joint_states"]])
+    np.testing.assert_allclose(np.diff(angle, axis=0) * WHEEL_RADIUS_M / 0.05, speed[1:], atol=1e-9)
+
+
+def test_the_truth_is_that_of_the_recording_and_the_same_on_both_topics(log, recording):
+    time = times(log, "/ground_truth/pose")
+    place = np.array([[one.content.pose.position.x, one.content.pose.position.y] for one in log["/ground_truth/pose"]])
+    moved = [one.content.transforms[0].transform.translation for one in log["/tf"]]
+    np.testing.assert_array_equal(place, [[one.x, one.y] for one in moved])
+    sensed, truth = open_recording(recording), open_truth(recording)
+    there = np.column_stack([np.interp(sensed.time[1:], time, axis) for axis in place.T])
+    np.testing.assert_allclose(there, truth.pose[sensed.reading[1:, 1], :2], atol=0.002)
+
+
+def test_a_ray_that_meets_nothing_is_infinite_and_each_has_its_frame(log):
+    (sent,) = log["/tf_static"]
+    angle = {
+        one.child_frame_id: 2 * np.degrees(np.arctan2(one.transform.rotation.z, one.transform.rotation.w))
+        for one in sent.content.transforms
+    }
+    assert angle.pop("camera") == pytest.approx(90)
+    for frame, degrees in angle.items():
+        side = -1 if "right" in frame else 1
+        assert degrees == pytest.approx(side * int(frame[-2:]), abs=0.5)
+        ranges = np.array([message.content.range for message in log[f"/range/{frame}"]])
+        assert ((ranges < 3.5) | np.isinf(ranges)).all()
+        assert log[f"/range/{frame}"][0].content.header.frame_id == frame
+
+
+def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording, tmp_path):
+    write_log(tmp_path / "again.mcap", settings, SEED, recording, "key", quiet, workers=2)
+    assert (tmp_path / "again.mcap").read_bytes() == path.read_bytes()
+    assert {one.name for one in tmp_path.iterdir()} == {"again.mcap", "again.robot.yaml"}
+
+
+def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tmp_path, caplog):
+    def stop(stage: str, *_: int) -> None:
+        if stage == "log write":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", stop, workers=1)
+    assert not (tmp_path / "a.mcap").exists()
+    part = tmp_path / "a.mcap.parts" / "picture-000000.npz"
+    part.write_bytes(part.read_bytes()[:-100])
+    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", quiet, workers=1)
+    assert "a.mcap.parts holds the beginning of this log: it is continued" in caplog.text
+    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
+    assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
+
+
+def test_parts_of_another_log_are_not_used(path, settings, recording, tmp_path, caplog):
+    parts = tmp_path / "a.mcap.parts"
+    write_arrays(parts / "picture-000000.npz", {"jpeg": np.zeros(3, np.uint8), "end": np.array([3])})
+    write_json(parts / "log.json", {"key": "other"})
+    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", quiet, workers=1)
+    assert "a.mcap.parts holds the beginning of another log: this one is started again" in caplog.text
+    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
+
+
+def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(path, settings, recording, tmp_path, caplog):
+    here = tmp_path / "a.mcap"
+    here.write_bytes(path.read_bytes())
+    before = here.stat().st_mtime_ns
+    check_log(here, settings)
+    write_log(here, settings, SEED, recording, "key", quiet, workers=1)
+    assert here.stat().st_mtime_ns == before
+    assert "is complete already" in caplog.text
+    write_log(here, settings, SEED, recording, "another key", quiet, workers=1)
+    assert here.read_bytes() != path.read_bytes()
+    assert len(read(here)[IMAGE]) == len(read(path)[IMAGE])
+
+
+def test_the_description_of_the_robot_names_topics_of_the_log(path, log):
+    robot = yaml.safe_load(path.with_suffix(".robot.yaml").read_text())
+    topics = [robot["wheels"]["topic"], robot["camera"]["topic"], robot["camera"]["info"], robot["pose"]["topic"]]
+    assert set(topics) <= set(log)
+    assert log["/joint_states"][0].content.name == [robot["wheels"]["left"], robot["wheels"]["right"]]
+
+
+def test_a_foreign_description_is_kept(settings, recording, tmp_path):
+    (tmp_path / "a.robot.yaml").write_text("mine: 1")
+    with pytest.raises(InputError, match=r"a.robot.yaml exists, and deepgps did not write it"):
+        check_log(tmp_path / "a.mcap", settings)
+
+
+def test_faults_of_the_encoders_are_in_the_log(log, settings, recording, tmp_path):
+    faulty = settings.model_copy(update={"encoder": EncoderSettings(radius_error_left=0.1, dropout=0.2)})
+    write_log(tmp_path / "a.mcap", faulty, SEED, recording, "key", quiet, workers=1)
+    states = read(tmp_path / "a.mcap")["/joint_states"]
+    assert 0.7 * len(log["/joint_states"]) < len(states) < 0.9 * len(log["/joint_states"])
+    sound = {message.stamp: message.content.position for message in log["/joint_states"]}
+    left, right = np.array([message.content.position / sound[message.stamp] for message in states[20:]]).T
+    np.testing.assert_allclose(left, 1.1, atol=0.01)
+    np.testing.assert_allclose(right, 1.0, atol=0.01)
+
+
+def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
+    with pytest.raises(InputError, match="holds another drive than its settings give"):
+        write_log(tmp_path / "a.mcap", settings, SEED + 1, recording, "key", quiet, workers=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "changes", "message"),
+    [
+        ("a.bag", None, {}, "the name of a log must end in .mcap"),
+        ("a.mcap", b"holiday", {}, "deepgps did not write it"),
+        ("a.mcap", b"\x89MCAP0\r\nby others", {}, "deepgps did not write it"),
+        ("a.mcap", None, {"sensor": "lidar"}, "needs world room and sensor fisheye"),
+        ("a.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults act on polar images"),
+    ],
+)
+def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path, name, content, changes, message):
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=message):
+        check_log(tmp_path / name, settings.model_copy(update=changes))
+    assert content is None or (tmp_path / name).read_bytes() == content
