@@ -21,5 +21,10 @@ def check_log(path: Path, settings: SimSettings) -> None:
     check_overwrite(robot_file(path), lambda data: data.startswith(ROBOT_HEAD.encode()))
     if settings.world != "room" or settings.sensor != "fisheye":
         raise InputError(f"--log {path}: a log needs world room and sensor fisheye, for its pictures")
-    if settings.image_faults != ImageFaultSettings():
-        raise InputError(f"--log {path}: image_faults act on polar images, and a log has raw ones: leave them off")
+    faults = {
+        "image_faults": settings.image_faults != ImageFaultSettings(),
+        "camera_mount.driven_m": settings.camera_mount.driven_m,
+        "drive.mixed_light": settings.drive.mixed_light,
+    }
+    for name in (name for name, on in faults.items() if on):
+        raise InputError(f"--log {path}: {name} is for polar images, and the raw ones of a log do not have it")

@@ -6,13 +6,13 @@ from functools import lru_cache
 from pathlib import Path
 
 import cv2
+import mujoco
 import numpy as np
 
 from sim.files import read_arrays, write_arrays
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld
-from sim.sensors.catalog import Opened
-from sim.sensors.fisheye import open_round
+from sim.sensors.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
 ROWS, COLUMNS = 480, 640
@@ -22,6 +22,8 @@ FACE_PX = 160
 QUALITY = 85
 PER_PART = 256
 JPEG, END = "jpeg", "end"
+Sense = Callable[[np.ndarray, np.ndarray | None], np.ndarray]
+"""(state (nq,), lean of the camera (2,) [rad] or None) -> image (ROWS, COLUMNS, 3) RGB."""
 
 
 def draw_part(part: Part, beat: Callable[[], None]) -> None:
@@ -30,22 +32,30 @@ def draw_part(part: Part, beat: Callable[[], None]) -> None:
     Raises:
         UnsteadyError: A picture that was drawn twice came out different; nothing is written.
     """
-    camera = open_camera(part.settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    sense = open_camera(part.settings)  # pyright: ignore[reportArgumentType] (frozen settings do hash)
     files = []
     for number in range(len(part.states)):
-        files.append(_take(camera, part, number))
+        files.append(_take(sense, part, number))
         beat()
     again = zlib.crc32(part.path.name.encode()) % max(len(files) - 1, 1)
-    if not np.array_equal(_take(camera, part, again), files[again]):
+    if not np.array_equal(_take(sense, part, again), files[again]):
         raise UnsteadyError(f"{part.path}: picture {again} of {len(files)} was drawn twice and came out different")
     write_arrays(part.path, {JPEG: np.concatenate(files), END: np.cumsum([len(file) for file in files])})
 
 
 @lru_cache(maxsize=1)
-def open_camera(settings: SimSettings) -> Opened:
+def open_camera(settings: SimSettings) -> Sense:
     """The camera, opened once per worker process, since a context belongs to its process."""
-    world = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()}))
-    return open_round(settings, world.model, ROWS, FACE_PX)
+    model = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()})).model
+    camera = Fisheye(model, settings.camera.model_copy(update={"face_px": FACE_PX}), settings.camera_mount)
+    data = mujoco.MjData(model)
+
+    def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        return _frame(camera.round(data, ROWS, lean))
+
+    return sense
 
 
 @lru_cache(maxsize=1)
@@ -55,15 +65,14 @@ def read_pictures(path: Path) -> list[np.ndarray]:
     return np.split(stored[JPEG], stored[END][:-1])
 
 
-def frame(round_picture: np.ndarray) -> np.ndarray:
+def _frame(round_picture: np.ndarray) -> np.ndarray:
     """The camera's image (ROWS, COLUMNS, 3), black beside the round picture (ROWS, ROWS, 3)."""
     side = (COLUMNS - ROWS) // 2
     return np.pad(round_picture, ((0, 0), (side, side), (0, 0)))
 
 
-def _take(camera: Opened, part: Part, number: int) -> np.ndarray:
-    lean = None if part.leans is None else part.leans[number]
-    image = frame(camera.sense(part.states[number], lean))
+def _take(sense: Sense, part: Part, number: int) -> np.ndarray:
+    image = sense(part.states[number], None if part.leans is None else part.leans[number])
     done, file = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     assert done
     return file

@@ -231,7 +231,8 @@ def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
         ("a.mcap", b"holiday", {}, "deepgps did not write it"),
         ("a.mcap", b"\x89MCAP0\r\nby others", {}, "deepgps did not write it"),
         ("a.mcap", None, {"sensor": "lidar"}, "needs world room and sensor fisheye"),
-        ("a.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults act on polar images"),
+        ("a.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults is for polar images"),
+        ("a.mcap", None, {"drive": DriveSettings(mixed_light=True)}, "drive.mixed_light is for polar images"),
     ],
 )
 def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path, name, content, changes, message):
