@@ -17,6 +17,7 @@ from deepgps.cli_arguments import (
     BenchArguments,
     CompletionArguments,
     DiagnoseArguments,
+    ImportArguments,
     NoArguments,
     RoomsArguments,
     RunArguments,
@@ -221,6 +222,32 @@ def track_command(words: Sequence[str]) -> None:
     console.print(f"\nwrote {', '.join(str(path) for path in written if path)}", soft_wrap=True)
 
 
+def import_command(words: Sequence[str]) -> None:
+    """Make a recording from the log of a robot: ROS 1 bags, ROS 2 db3 or MCAP files, or a folder of plain files."""
+    arguments = parse(ImportArguments, "import", words, import_command.__doc__)
+    if arguments.look == (arguments.config is not None or arguments.out is not None):
+        raise InputError("deepgps import takes --look, or --config FILE and --out FOLDER")
+    from deepgps.logs.look import look
+
+    if arguments.look:
+        with show_progress(errors) as progress:
+            text = look(arguments.log, progress)
+        print(text)
+        return
+    if arguments.config is None or arguments.out is None:
+        raise InputError("deepgps import needs both --config FILE and --out FOLDER; --look proposes the file")
+    from deepgps.logs.importing import import_log
+    from deepgps.logs.robot_config import load_config
+    from deepgps.logs.summary import write_summary
+    from sim.files import sha256
+
+    config = load_config(arguments.config)
+    with show_progress(errors) as progress:
+        about = import_log(arguments.log, config, arguments.out, progress, sha256(arguments.config))
+    console.print(write_summary(about), markup=False, soft_wrap=True)
+    console.print(f"\nimported: {arguments.out}; train on it: deepgps train {arguments.out}", soft_wrap=True)
+
+
 def runs_command(words: Sequence[str]) -> None:
     """List runs: what each changes in its scenario, its errors, and its age."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
@@ -303,6 +330,7 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "view": view_command,
     "diagnose": diagnose_command,
     "track": track_command,
+    "import": import_command,
     "runs": runs_command,
     "rooms": rooms_command,
     "bench": bench_command,
@@ -317,6 +345,7 @@ SUMMARIES = {
     "evaluate": "collect, train, and measure the methods",
     "study": "run a study: many scenarios, one table",
     "view": "open a run or a study in Rerun, or two runs with their difference",
+    "import": "make a recording from the log of a robot",
     "diagnose": "say what is wrong with the wheels, and what to set",
     "track": "track the robot through a drive, by images and odometry",
     "runs": "list runs by what they change, with their errors",

@@ -114,6 +114,18 @@ class TrackArguments:
 
 
 @dataclass(frozen=True)
+class ImportArguments:
+    log: Annotated[Path, tyro.conf.arg(metavar="LOG"), tyro.conf.Positional]
+    """A .bag, .mcap or .db3 file, a folder of them, or a folder with images and wheels.csv."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """What the log does not say of its robot: robot.yaml, which --look proposes."""
+    out: OptionalFolder = None
+    """Folder of the recording; must be empty or not exist."""
+    look: bool = False
+    """Only print what the log holds, and propose a robot.yaml."""
+
+
+@dataclass(frozen=True)
 class RoomsArguments:
     kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
     """Kinds of room, separated by commas, or all."""
@@ -158,6 +170,7 @@ ARGUMENTS: dict[str, Any] = {
     "view": ViewArguments,
     "diagnose": DiagnoseArguments,
     "track": TrackArguments,
+    "import": ImportArguments,
     "runs": RunsArguments,
     "rooms": RoomsArguments,
     "bench": BenchArguments,

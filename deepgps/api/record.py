@@ -61,6 +61,8 @@ def write_recording(
     test_pose: Values | None = None,
     free_space: FreeSpace | None = None,
     camera: CameraSettings | None = None,
+    labels: Values | None = None,
+    about: Mapping[str, Any] | None = None,
 ) -> Path:
     """Write a recording of your own data, from which ``deepgps.train`` learns.
 
@@ -88,7 +90,10 @@ def write_recording(
             not known, so nothing can be evaluated.
         test_pose: True pose at each test observation (C, H, 3), or (C, 3).
         free_space: Where the robot fits, for figures and the viewer; None: within 0.15 m of a pose.
-        camera: The fisheye camera's field of view and lens, which only the viewer uses.
+        camera: The fisheye camera's field of view and lens, by which the compass compares images.
+        labels: Measured pose at each observation (N, 3), NaN where there is none, from which supervised methods learn;
+            None: they learn from ``pose``.
+        about: More entries of the manifest, such as ``source``.
 
     Returns:
         The folder.
@@ -115,6 +120,9 @@ def write_recording(
     if turned is not None:
         arrays |= {TURNS: turned[0], turn_file(sensor): turned[1]}
     travelled_m = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
+    if labels is not None:
+        arrays["labels/pose.npy"] = _shaped(labels, (len(observation), 3), "labels")
+        arrays["labels/test_pose.npy"] = np.full((*test.shape[:2], 3), np.nan)
     known = _take_truth(pose, test_pose, free_space, reading, observation, test)
     manifest = {
         "sensors": {sensor: kind},
@@ -124,6 +132,7 @@ def write_recording(
         "readings": len(reading),
         "distance_driven_m": measure_driven(reading[:, 0], travelled_m.mean(axis=1)),
         "odometry": dict(odometry),
+        **(about or {}),
     }
     if known is not None:
         save_free_space(folder / "truth" / "free_space.npz", known.free_space)

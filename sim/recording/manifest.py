@@ -23,6 +23,7 @@ class Manifest(BaseModel):
 
     Attributes:
         number: Number of the schema.
+        source: Where it comes from: ``simulator``, or ``log`` of a robot.
         sensors: Kind of each sensor's observations, by its name; methods learn from the first.
         settings: Settings of the simulation, if there was one.
         seed: Seed of the simulation.
@@ -38,6 +39,7 @@ class Manifest(BaseModel):
     model_config = ConfigDict(frozen=True, extra="allow", populate_by_name=True)
 
     number: int = Field(default=SCHEMA, alias="schema")
+    source: str = "simulator"
     sensors: dict[Annotated[str, Field(pattern=f"^{SENSOR}$")], ObservationKind] = Field(default_factory=dict)
     settings: dict[str, Any] = Field(default_factory=dict)
     seed: int | None = None

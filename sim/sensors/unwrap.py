@@ -47,15 +47,26 @@ def unwrap_fisheye(
     """
     images = np.asarray(images)
     _check(images, centre, radius_px, rings, sectors)
-    across = int(np.clip(np.ceil(radius_px / rings), 1, MOST_FINER))
-    around = int(np.clip(np.ceil(2 * np.pi * radius_px / sectors), 1, min(MOST_FINER, LARGEST_PX // sectors)))
+    across, around = oversample(radius_px, rings, sectors)
     warp = _make_warp(centre, radius_px, rings * across, sectors * around, forward_deg, lens, polar_lens)
     batch = images if images.ndim == 4 else images[None]
     polar = np.empty((len(batch), rings, sectors, 3), np.uint8)
     for index, image in enumerate(batch):
-        fine = cv2.remap(np.ascontiguousarray(image), *warp, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        polar[index] = cv2.resize(fine, (sectors, rings), interpolation=cv2.INTER_AREA)
+        polar[index] = draw_polar(image, warp, rings, sectors)
     return polar if images.ndim == 4 else polar[0]
+
+
+def oversample(radius_px: float, rings: int, sectors: int) -> tuple[int, int]:
+    """Points whose mean is a pixel of the polar image, across and along the rings; the rim has this radius [px]."""
+    across = int(np.clip(np.ceil(radius_px / rings), 1, MOST_FINER))
+    around = int(np.clip(np.ceil(2 * np.pi * radius_px / sectors), 1, min(MOST_FINER, LARGEST_PX // sectors)))
+    return across, around
+
+
+def draw_polar(image: np.ndarray, warp: tuple[np.ndarray, np.ndarray], rings: int, sectors: int) -> np.ndarray:
+    """The polar image (rings, sectors, 3) of an image, by the column and row of its points [px], several per pixel."""
+    fine = cv2.remap(np.ascontiguousarray(image), *warp, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    return cv2.resize(fine, (sectors, rings), interpolation=cv2.INTER_AREA)
 
 
 def _make_warp(

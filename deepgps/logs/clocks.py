@@ -1,0 +1,162 @@
+"""One time for the messages of several topics, whose stamps may be of clocks that differ, jump or are missing.
+
+A message has two times: its header's stamp, by the clock of who sent it, and when it was logged, by the recorder's.
+The stamps are used as they are if the clocks of both topics agree: the shortest delays, logged minus stamped, in
+stretches of some seconds, differ by at most 50 ms. Otherwise they are refused, or aligned with the recorder's clock by
+these delays. The shortest ones count, since messages may arrive in bursts, most of them late.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.errors import InputError
+
+APART_S = 0.05
+"""Largest difference between clocks, and largest jump of one, that goes unnoticed [s]."""
+STRETCH_S = 10.0
+"""Length of the stretches in which the shortest delays are found [s]."""
+SHORTEST = 5
+"""Percentile of the delays in a stretch that counts as the shortest."""
+FEW, MANY = 10, 60
+"""Fewest and most messages on each side of a jump that must show it."""
+NS = 1e-9
+
+
+@dataclass(frozen=True)
+class Times:
+    """Times of a topic's messages, in the order in which they were logged.
+
+    Attributes:
+        topic: The topic.
+        log_s: When each was logged (n,) [s].
+        stamp_s: Its stamp (n,) [s]; NaN where it is missing.
+    """
+
+    topic: str
+    log_s: np.ndarray
+    stamp_s: np.ndarray
+
+    @property
+    def late_s(self) -> np.ndarray:
+        """Logged minus stamped (n,) [s]."""
+        return self.log_s - self.stamp_s
+
+    @property
+    def is_stamped(self) -> bool:
+        """Whether most messages have a stamp."""
+        return bool(np.isfinite(self.stamp_s).mean() > 0.5)
+
+
+def take_times(topic: str, log_ns: Sequence[int], stamp_ns: Sequence[int], start_ns: int) -> Times:
+    """Times from ``start_ns`` of messages that were logged and stamped at these times, where 0 is no stamp."""
+    logged, stamped = np.asarray(log_ns, np.int64), np.asarray(stamp_ns, np.int64)
+    stamp_s = np.where(stamped == 0, np.nan, (stamped - start_ns) * NS)
+    return Times(topic, (logged - start_ns) * NS, stamp_s)
+
+
+def find_start(stamps: Sequence[Sequence[int]], logs: Sequence[Sequence[int]]) -> int:
+    """The earliest time of several topics [ns], from which seconds are counted."""
+    found = [min(filter(None, stamp), default=None) for stamp in stamps]
+    found = [first for first in found if first] or [min(log, default=0) for log in logs]
+    return min(found)
+
+
+def align(topics: Sequence[Times], may_align: bool) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Times of all topics by one clock.
+
+    Args:
+        topics: Their times; the first is compared with each other one.
+        may_align: Whether clocks that differ are aligned; otherwise they are refused.
+
+    Returns:
+        The time of each message by topic (n,) [s], in the order in which they were logged, NaN where it is not known,
+        and notes on what was done.
+
+    Raises:
+        InputError: Clocks differ by more than ``APART_S`` or jump, and may not be aligned.
+    """
+    problem = next(filter(None, (*map(find_jump, topics), *(compare(topics[0], other) for other in topics[1:]))), None)
+    unstamped = [one.topic for one in topics if not one.is_stamped]
+    if problem and not may_align:
+        raise InputError(f"{problem}; clocks: align in the robot's file aligns them by the times of logging")
+    notes = [f"{topic}: most messages have no stamp, so the times of logging count" for topic in unstamped]
+    if not problem and not unstamped:
+        return {one.topic: _fill(one) for one in topics}, notes
+    if problem:
+        notes.append(f"{problem}: aligned by the times of logging")
+    return {one.topic: _by_recorder(one) for one in topics}, notes
+
+
+def compare(first: Times, second: Times) -> str | None:
+    """What is wrong between the clocks of two topics; None: they agree, or have no stamps to compare."""
+    if not (first.is_stamped and second.is_stamped):
+        return None
+    edge = np.arange(first.log_s.min(), first.log_s.max() + STRETCH_S, STRETCH_S)
+    one, other = _find_delays(first, edge), _find_delays(second, edge)
+    apart = other - one
+    if not np.isfinite(apart).any():
+        return None
+    worst = int(np.nanargmax(np.abs(apart)))
+    if abs(apart[worst]) <= APART_S:
+        return None
+    return (
+        f"the clock of {second.topic} differs from that of {first.topic} by {-apart[worst]:+.3f} s at "
+        f"{edge[worst]:.1f} s"
+    )
+
+
+def find_jump(times: Times) -> str | None:
+    """Where a topic's clock was set back; None: nowhere. Messages that only arrive out of order are no jump."""
+    known = np.flatnonzero(np.isfinite(times.stamp_s))
+    stamp, late = times.stamp_s[known], times.late_s[known]
+    for row in np.flatnonzero(np.diff(stamp) < -APART_S).tolist():
+        before, after = late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
+        step = float(np.median(after) - np.median(before))
+        lasting = min(len(before), len(after)) >= FEW and np.percentile(after, 10) > np.percentile(before, 90)
+        if lasting and step > 0.5 * (stamp[row] - stamp[row + 1]):
+            return f"the clock of {times.topic} is set back by {step:.3f} s at {times.log_s[known[row]]:.1f} s"
+    return None
+
+
+def list_offsets(topics: Sequence[Times]) -> Mapping[str, float]:
+    """Median of logged minus stamped, by topic [s]; NaN without stamps."""
+    return {one.topic: float(np.nanmedian(one.late_s)) if one.is_stamped else float("nan") for one in topics}
+
+
+def _find_delays(times: Times, edge: np.ndarray) -> np.ndarray:
+    """Shortest delay in each stretch (E,) [s]; NaN where there is no message."""
+    late, found = times.late_s, np.full(len(edge), np.nan)
+    place = np.searchsorted(edge, times.log_s, side="right") - 1
+    good = np.isfinite(late) & (place >= 0)
+    order = np.argsort(place[good], kind="stable")
+    numbers, starts = np.unique(place[good][order], return_index=True)
+    for number, values in zip(numbers, np.split(late[good][order], starts[1:]), strict=True):
+        found[number] = np.percentile(values, SHORTEST)
+    return found
+
+
+def _fill(times: Times) -> np.ndarray:
+    """The stamps, and for messages without one the time of logging less the median delay."""
+    return np.where(np.isfinite(times.stamp_s), times.stamp_s, times.log_s - np.nanmedian(times.late_s))
+
+
+def _by_recorder(times: Times) -> np.ndarray:
+    """Times by the recorder's clock: stamps plus the shortest delay of their stretch, which follows drift and jumps.
+
+    A message whose time then differs by more than ``APART_S`` from the usual delay is next to a jump: NaN.
+    """
+    if not times.is_stamped:
+        return times.log_s
+    edge = np.arange(times.log_s.min(), times.log_s.max() + STRETCH_S, STRETCH_S)
+    middle, delay = edge + STRETCH_S / 2, _find_delays(times, edge)
+    known = np.isfinite(delay)
+    offset = np.interp(times.log_s, middle[known], delay[known])
+    if (jumps := np.abs(np.diff(delay[known])) > APART_S).any() and find_jump(times):
+        nearest = np.clip(np.searchsorted(edge[known], times.log_s, side="right") - 1, 0, known.sum() - 1)
+        offset = delay[known][nearest]
+        at_jump = jumps[np.clip(nearest - 1, 0, len(jumps) - 1)] | jumps[np.clip(nearest, 0, len(jumps) - 1)]
+        found = np.where(np.isfinite(times.stamp_s), times.stamp_s + offset, times.log_s)
+        return np.where(at_jump & ~(np.abs(times.late_s - offset) <= APART_S), np.nan, found)
+    return np.where(np.isfinite(times.stamp_s), times.stamp_s + offset, times.log_s)

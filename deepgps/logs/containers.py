@@ -1,0 +1,145 @@
+"""The containers of a log: ROS 1 bags, ROS 2 db3 and MCAP files, alone, split, or in a folder with metadata.yaml.
+
+Messages are read one after the other, so a log of any size takes the same memory. Of a file that was cut off, every
+complete message is read. A log is read in parts: a folder with its metadata.yaml is one, otherwise each file is one.
+"""
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from deepgps.logs.plain_folder import PlainFolder, is_plain
+from deepgps.logs.sample import Part, Sample, read_stamp
+from deepgps.logs.truncated import is_truncated, salvage
+from sim.errors import InputError, one_line
+from sim.user_input import shorten
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+ZSTD = ".zstd"
+
+
+@dataclass(frozen=True)
+class Log:
+    """An open log.
+
+    Attributes:
+        path: Its path.
+        types: Type of each topic.
+        notes: What the user should know of its files.
+    """
+
+    path: Path
+    types: dict[str, str]
+    notes: tuple[str, ...] = ()
+    _parts: Sequence[Part] = field(default=(), repr=False)
+
+    def read(self, topics: Collection[str]) -> Iterator[tuple[Sample, Part]]:
+        """Messages of some topics, in the order of the files; the part decodes them."""
+        for part in self._parts:
+            wanted = [topic for topic in topics if topic in part.types]
+            if wanted:
+                with _explained(self.path):
+                    for sample in part.read(wanted):
+                        yield sample, part
+
+    def check_topic(self, topic: str, name: str, kinds: Collection[str]) -> str:
+        """The type of a topic; raises InputError that names the setting unless it is one of ``kinds``."""
+        kind = self.types.get(topic)
+        short = ", ".join(one.rpartition("/")[2] for one in kinds)
+        if kind is None:
+            there = [other for other, its in self.types.items() if its in kinds]
+            hint = f"; topics of type {short}: {', '.join(there)}" if there else f"; it has none of type {short}"
+            raise InputError(f"{name} {topic}: {self.path} has no such topic{hint}")
+        if kind not in kinds:
+            raise InputError(f"{name} {topic}: its type is {kind}, and must be {short}")
+        return kind
+
+
+@contextmanager
+def open_log(path: Path) -> Iterator[Log]:
+    """Open a log.
+
+    Args:
+        path: A .bag, .mcap or .db3 file, a folder of them, or a folder with images and ``wheels.csv``.
+
+    Raises:
+        InputError: It is no log, or it is damaged in another way than cut off.
+    """
+    if not path.exists():
+        raise InputError(f"{shorten(str(path), 300)}: there is no such log")
+    if is_plain(path):
+        part = PlainFolder(path)
+        yield Log(path, part.types, (), [part])
+        return
+    files = _list_files(path)
+    cut = [file for file in files if is_truncated(file)]
+    notes = tuple(f"{file.name} is cut off: what is complete is read" for file in cut)
+    if path.is_dir() and (path / "metadata.yaml").is_file() and not cut:
+        files = [path]
+    with ExitStack() as stack:
+        with _explained(path):
+            parts = [_open_part(file, file in cut, stack) for file in files]
+        types = {topic: kind for part in parts for topic, kind in part.types.items()}
+        yield Log(path, types, notes, parts)
+
+
+def _list_files(path: Path) -> list[Path]:
+    """Storage files of a log, in the order in which they were written."""
+    if path.is_file():
+        if path.suffix not in SUFFIXES:
+            raise InputError(f"{shorten(str(path), 300)}: a log is a .bag, .mcap or .db3 file, or a folder")
+        return [path]
+    files = [file for file in path.iterdir() if file.suffix in SUFFIXES and file.is_file()]
+    if not files and not (path / "metadata.yaml").is_file():
+        zipped = any(file.suffix == ZSTD for file in path.iterdir())
+        hint = f"; files compressed as {ZSTD} need their metadata.yaml" if zipped else ""
+        raise InputError(
+            f"{shorten(str(path), 300)} holds no log: neither .bag, .mcap or .db3 files nor images and wheels.csv{hint}"
+        )
+    return sorted(files, key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)])
+
+
+def _split(name: str) -> list[str]:
+    """A name in pieces of text and of digits, in turn: log_10 comes after log_9."""
+    return re.split(r"(\d+)", name)
+
+
+def _open_part(file: Path, cut: bool, stack: ExitStack) -> Part:
+    if cut:
+        return salvage(file)
+    defaults = get_typestore(Stores.ROS2_HUMBLE)  # rosbag2 up to version 5 stores no definitions of types
+    return IndexedPart(stack.enter_context(AnyReader([file], default_typestore=defaults)))
+
+
+class IndexedPart:
+    """A part that ``rosbags`` reads by its index."""
+
+    def __init__(self, reader: AnyReader) -> None:
+        self.reader = reader
+        self.types = {one.topic: one.msgtype for one in reader.connections}
+
+    def read(self, topics: Collection[str]) -> Iterator[Sample]:
+        chosen = [one for one in self.reader.connections if one.topic in topics]
+        for connection, log_ns, data in self.reader.messages(chosen) if chosen else ():
+            stamp_ns = read_stamp(self.reader.typestore, connection.msgtype, data, not self.reader.is2)
+            yield Sample(connection.topic, log_ns, stamp_ns, data)
+
+    def decode(self, sample: Sample) -> Any:
+        return self.reader.deserialize(sample.data, self.types[sample.topic])
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Every exception of the libraries that read logs, as one line."""
+    try:
+        yield
+    except (InputError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {one_line(error)}") from None

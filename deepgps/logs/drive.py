@@ -1,0 +1,64 @@
+"""The drive of a log: everything by one clock, and what the robot did by its wheels."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deepgps.logs.clocks import align, find_start, list_offsets, take_times
+from deepgps.logs.joints import WheelLog
+from deepgps.logs.pictures import ImageList
+from deepgps.logs.poses import PoseLog, find_poses
+from deepgps.logs.robot_config import RobotConfig
+from deepgps.logs.segmentation import Motion, Path, find_motions, find_path
+from deepgps.logs.wheels import Wheels, clean_wheels
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A log's drive, by its wheels and the times of its images.
+
+    Attributes:
+        wheels: The wheels.
+        path: Distance and heading by them.
+        motions: What the robot did.
+        image_s: Time of each image (m,) [s]; NaN where it is not known.
+        pose: Poses at the images (m, 3), NaN where there is none; None: they are not known.
+        notes: What the user should know.
+        offset_s: Median of logged minus stamped, by topic [s].
+        start_ns: From when times count [ns since 1970].
+        start_ns: From when times count [ns since 1970].
+    """
+
+    wheels: Wheels
+    path: Path
+    motions: list[Motion]
+    image_s: np.ndarray
+    pose: np.ndarray | None
+    notes: tuple[str, ...]
+    offset_s: Mapping[str, float]
+    start_ns: int
+
+
+def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> Drive:
+    """Bring everything to one clock and find what the robot did; raises InputError like ``import_log``."""
+    logs: list[tuple[str, Any]] = [(config.wheels.topic, wheel_log), (listed.topic, listed)]
+    if config.pose and pose_log is not None:
+        logs.append((config.pose.topic, pose_log))
+    start_ns = find_start([one.stamp_ns for _, one in logs], [one.log_ns for _, one in logs])
+    times = [take_times(topic, one.log_ns, one.stamp_ns, start_ns) for topic, one in logs]
+    time_s, notes = align(times, config.clocks == "align")
+    wheels = clean_wheels(
+        time_s[config.wheels.topic], wheel_log.angle, config.wheels.ticks_per_rev, config.wheels.topic
+    )
+    path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
+    motions = find_motions(wheels, path, config.wheels.track_m)
+    image_s, pose = time_s[listed.topic], None
+    if config.pose and pose_log is not None:
+        pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
+    if wheel_log.without:
+        notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
+    if wheel_log.from_odometry:
+        notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
+    return Drive(wheels, path, motions, image_s, pose, (*notes, *wheels.notes), list_offsets(times), start_ns)

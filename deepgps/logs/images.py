@@ -1,0 +1,101 @@
+"""Images of a log as RGB: raw in every encoding that camera drivers write, or compressed as JPEG or PNG."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+
+from sim.errors import InputError
+from sim.user_input import quote
+
+RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
+"""How JPEG and PNG begin; what a message says of its format differs between drivers."""
+
+
+class Encoding(NamedTuple):
+    """How pixels are stored.
+
+    Attributes:
+        channels: Bytes of a pixel.
+        code: OpenCV's conversion to RGB; None: they are RGB.
+        extra: Rows of the image that follow as one of colours, as a fraction of its height.
+    """
+
+    channels: int
+    code: int | None
+    extra: float = 0.0
+
+
+ENCODINGS = {
+    "rgb8": Encoding(3, None),
+    "bgr8": Encoding(3, cv2.COLOR_BGR2RGB),
+    "8uc3": Encoding(3, cv2.COLOR_BGR2RGB),
+    "rgba8": Encoding(4, cv2.COLOR_RGBA2RGB),
+    "bgra8": Encoding(4, cv2.COLOR_BGRA2RGB),
+    "8uc4": Encoding(4, cv2.COLOR_BGRA2RGB),
+    "mono8": Encoding(1, cv2.COLOR_GRAY2RGB),
+    "8uc1": Encoding(1, cv2.COLOR_GRAY2RGB),
+    "yuv422": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv21": Encoding(1, cv2.COLOR_YUV2RGB_NV21, 0.5),
+    "nv12": Encoding(1, cv2.COLOR_YUV2RGB_NV12, 0.5),
+    "bayer_rggb8": Encoding(1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": Encoding(1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGRBG2RGB),
+}
+
+
+def decoder(kind: str) -> Callable[[Any], np.ndarray]:
+    """The function that turns a message of a type into an image (height, width, 3) uint8 RGB."""
+    return decode_raw if kind == RAW else decode_compressed
+
+
+def decode_raw(message: Any) -> np.ndarray:
+    """The image (height, width, 3) uint8 RGB of an ``Image``, whose rows may be padded.
+
+    Raises:
+        InputError: The encoding is unknown, or there are fewer bytes than its size needs.
+    """
+    name = str(message.encoding).strip().lower()
+    if name not in ENCODINGS:
+        raise InputError(f"encoding {quote(message.encoding)}: must be {', '.join(ENCODINGS)}")
+    encoding = ENCODINGS[name]
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    rows, used = height + int(height * encoding.extra), width * encoding.channels
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    step = step or used
+    # The last row may end with its last pixel.
+    if not (height and width) or step < used or len(data) < (rows - 1) * step + used:
+        raise InputError(
+            f"{len(data)} bytes, and {width} x {height} pixels of {name} with rows of {step} bytes need {rows * step}"
+        )
+    padded = np.zeros(rows * step, np.uint8)
+    padded[: min(len(data), rows * step)] = data[: rows * step]
+    pixels = padded.reshape(rows, step)[:, :used]
+    pixels = pixels.reshape(rows, width, encoding.channels) if encoding.channels > 1 else pixels
+    pixels = np.ascontiguousarray(pixels)
+    return pixels if encoding.code is None else cv2.cvtColor(pixels, encoding.code)
+
+
+def decode_compressed(message: Any) -> np.ndarray:
+    """The image (height, width, 3) uint8 RGB of a ``CompressedImage``, recognised by its first bytes.
+
+    Raises:
+        InputError: It is neither a JPEG nor a PNG of 8 bits, or it is damaged.
+    """
+    data = bytes(message.data)
+    if not data.startswith(MAGIC):
+        raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
+    mosaic = ENCODINGS.get(str(message.format).partition(";")[0].strip().lower())
+    mosaic = mosaic if mosaic and "bayer" in str(message.format).lower() else None
+    how = cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
+    if pixels is None:
+        raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")
+    code = mosaic.code if mosaic and mosaic.code is not None else cv2.COLOR_BGR2RGB
+    return cv2.cvtColor(pixels, code)

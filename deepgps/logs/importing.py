@@ -1,0 +1,228 @@
+"""A recording from a robot's log: segments and turns by the wheels, images at them, the poses of motion capture.
+
+The log is read three times, never kept: for the wheels and the times of images, for the turns that tell the lag, and
+for the images that the recording holds.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import Any
+
+import numpy as np
+
+from deepgps.api.record import write_recording
+from deepgps.logs.containers import Log, open_log
+from deepgps.logs.drive import Drive, find_drive
+from deepgps.logs.joints import WheelLog, open_wheels
+from deepgps.logs.matching import Images, Plan, plan_recording
+from deepgps.logs.pictures import ImageList, open_images
+from deepgps.logs.polar import PolarSource, open_polar
+from deepgps.logs.poses import PoseLog, open_poses
+from deepgps.logs.robot_config import RobotConfig
+from deepgps.logs.segmentation import find_path
+from deepgps.logs.summary import describe
+from deepgps.logs.turn_pairs import choose_lag, measure_lag
+from deepgps.progress import Report
+from sim.errors import InputError
+from sim.files import check_space
+from sim.settings import CameraSettings
+from sim.user_input import shorten
+
+MOST_DAMAGED = 0.05
+"""Share of damaged images from which a log is refused."""
+ROUNDS = 3
+"""Attempts at a choice of images without damaged ones."""
+HEIGHTS_M = (0.2, 1.5)
+"""Limits of the setting camera.height_m, by which only the viewer draws [m]."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The images of a recording, numbered as in the log.
+
+    Attributes:
+        train: Those of the segments to learn from.
+        test: Those of the segments that are held out (C,).
+    """
+
+    train: Plan
+    test: np.ndarray
+
+    @property
+    def numbers(self) -> list[int]:
+        """All images: observations, those after turns, those held out."""
+        return [*self.train.observation.tolist(), *self.train.turn_image.tolist(), *self.test.tolist()]
+
+
+def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, config_sha256: str = "") -> dict[str, Any]:
+    """Import a log.
+
+    Args:
+        path: The log.
+        config: What it does not say of its robot.
+        out: Folder of the recording; must be empty or not exist.
+        progress: Called with what is done.
+        config_sha256: Checksum of the configuration's file, for the manifest.
+
+    Returns:
+        The manifest's entries on the log, with ``notes`` on what the user should know.
+
+    Raises:
+        InputError: The log or its configuration cannot be used; one line says why, with topic and time.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise InputError(f"{shorten(str(out), 300)} is not empty; a recording is written to a folder of its own")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with open_log(path) as log:
+        drive = find_drive(config, *_read(log, config, progress))
+        source = open_polar(log, config.camera)
+        with TemporaryFile(dir=out.parent) as file:
+            lag = measure_lag(source, drive, file, progress)
+        lag_s, notes = choose_lag(config.wheels.lag_s, lag)
+        about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
+        return _write(config, source, drive, about, [*log.notes, *drive.notes, *notes], out, progress)
+
+
+def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
+    """Read wheels, times of images, and poses, all at once."""
+    wheels, images = open_wheels(log, config.wheels), open_images(log, config.camera.topic)
+    poses = open_poses(log, config.pose.topic) if config.pose else None
+    takers = {config.wheels.topic: wheels.take, images.topic: images.take}
+    if poses is not None and config.pose:
+        if config.pose.topic in takers:
+            raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels or of the camera")
+        takers[config.pose.topic] = poses.take
+    progress("read log", 0, 1)
+    for sample, part in log.read(list(takers)):
+        takers[sample.topic](sample, part)
+    progress("read log", 1, 1)
+    wheels.check()
+    images.check()
+    if poses is not None and config.pose:
+        poses.check(config.pose.topic)
+    return wheels, images, poses
+
+
+def _write(
+    config: RobotConfig,
+    source: PolarSource,
+    drive: Drive,
+    about: Mapping[str, Any],
+    notes: list[str],
+    out: Path,
+    progress: Report,
+) -> dict[str, Any]:
+    """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
+    for _ in range(ROUNDS):
+        choice = _choose(config, source, drive, about["lag_s"])
+        check_space(out, 2 * len(choice.numbers) * source.size)
+        before = len(source.damaged)
+        with TemporaryFile(dir=out.parent) as file:
+            source.draw(choice.numbers, file, progress, "unwrap images")
+            damage = _describe_damage(source, drive)
+            if len(source.damaged) > max(MOST_DAMAGED * len(choice.numbers), 1):
+                raise InputError(damage)
+            if len(source.damaged) > before:
+                continue
+            told = {**about, **describe(config, source, drive, choice.train, len(choice.test))}
+            told["notes"] = [*notes, *([damage] if damage else [])]
+            _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, told)
+        return told
+    raise InputError(f"{source.topic}: again and again, images are damaged")
+
+
+def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Choice:
+    """Choose the images; raises InputError if there is no segment."""
+    wheels = drive.wheels
+    path = drive.path
+    images = _match(config, source, drive, lag_s)
+    straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
+    held_out = config.drive.held_out if config.pose and config.pose.use == "truth" else 0.0
+    count = len(straight) - round(held_out * len(straight))
+    end = straight[count] if count < len(straight) else len(drive.motions)
+    spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
+    train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)
+    if not len(train.motions):
+        found = {kind: sum(one.kind == kind for one in drive.motions) for kind in ("straight", "turn", "arc", "back")}
+        raise InputError(
+            f"{config.wheels.topic}, {source.topic}: no straight segment with two images was found (motions: "
+            f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
+            f"{len(images.number)}); do their times overlap, and do both wheels count forward?"
+        )
+    test = plan_recording(drive.motions, range(end, len(drive.motions)), wheels, path, images, spacing_m, ticks)
+    return Choice(train, test.observation)
+
+
+def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Images:
+    """The images that can be used, with the wheels at their times."""
+    order = np.argsort(drive.image_s, kind="stable")
+    angle = drive.wheels.at(np.nan_to_num(drive.image_s[order] + lag_s, nan=-np.inf))
+    good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(source.damaged))
+    if drive.pose is not None and config.pose and config.pose.use == "truth":
+        good &= np.isfinite(drive.pose[order]).all(axis=1)
+    good[1:] &= np.diff(drive.image_s[order]) > 0
+    order, angle = order[good], angle[good]
+    path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
+    return Images(order, drive.image_s[order], angle, path)
+
+
+def _describe_damage(source: PolarSource, drive: Drive) -> str:
+    """The first damaged image in one line; empty: there is none."""
+    if not source.damaged:
+        return ""
+    number = min(source.damaged)
+    return (
+        f"{source.topic} at {drive.image_s[number]:.2f} s: {source.damaged[number]}; damaged images: "
+        f"{len(source.damaged)}"
+    )
+
+
+def _store(
+    config: RobotConfig,
+    source: PolarSource,
+    drive: Drive,
+    choice: Choice,
+    images: np.ndarray,
+    out: Path,
+    about: Mapping[str, Any],
+) -> None:
+    """Write the recording aside and move it to its place."""
+    train, wheels = choice.train, config.wheels
+    observation, turn, test = np.split(images, np.cumsum([len(train.observation), len(train.turn_image)]))
+    with TemporaryDirectory(dir=out.parent, prefix=f".{out.name[:60]}.") as place:
+        folder = Path(place) / "recording"
+        write_recording(
+            folder,
+            observation,
+            train.reading,
+            train.time_s,
+            {"wheel_radius_m": wheels.radius_m, "track_m": wheels.track_m, "ticks_per_rev": wheels.ticks_per_rev},
+            observation_time=drive.image_s[train.observation],
+            turns=train.turns,
+            turn_observations=turn,
+            test_observations=test if len(test) else None,
+            camera=_describe_lens(config, source),
+            about={"source": "log", "log": about},
+            **_take_poses(config, drive, choice),
+        )
+        if out.exists():
+            out.rmdir()
+        folder.replace(out)
+
+
+def _take_poses(config: RobotConfig, drive: Drive, choice: Choice) -> dict[str, Any]:
+    """Poses of observations and test observations, as truth or as labels."""
+    if drive.pose is None or config.pose is None:
+        return {}
+    if config.pose.use == "labels":
+        return {"labels": drive.pose[choice.train.observation]}
+    test = {"test_pose": drive.pose[choice.test]} if len(choice.test) else {}
+    return {"pose": drive.pose[choice.train.observation], **test}
+
+
+def _describe_lens(config: RobotConfig, source: PolarSource) -> CameraSettings:
+    """The camera of the polar images, as a scenario describes it, whose heights are limited."""
+    field_deg = round(float(np.degrees(2 * source.lens.half_angle)), 6)
+    return CameraSettings(field_of_view_deg=field_deg, height_m=float(np.clip(config.camera.height_m, *HEIGHTS_M)))

@@ -1,0 +1,112 @@
+"""A log as plain files: a folder ``images``, ``wheels.csv`` with angles, and ``poses.csv`` if poses are known.
+
+``wheels.csv`` has the columns time_s, left_rad, right_rad; ``poses.csv`` time_s, x_m, y_m, yaw_rad. An image's time is
+in ``images.csv`` (time_s, file), or its name is its time: seconds, or nanoseconds if it has at least 16 digits.
+"""
+
+import csv
+import math
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from deepgps.logs.sample import Sample
+from sim.errors import InputError
+from sim.user_input import quote
+
+IMAGES, WHEELS, POSES, TIMES = "images", "wheels.csv", "poses.csv", "images.csv"
+TYPES = {
+    IMAGES: "sensor_msgs/msg/CompressedImage",
+    WHEELS: "sensor_msgs/msg/JointState",
+    POSES: "geometry_msgs/msg/PoseStamped",
+}
+COLUMNS = {
+    WHEELS: ("time_s", "left_rad", "right_rad"),
+    POSES: ("time_s", "x_m", "y_m", "yaw_rad"),
+    TIMES: ("time_s", "file"),
+}
+JOINTS = ["left", "right"]
+SUFFIXES = {".jpg", ".jpeg", ".png"}
+NANOSECOND_DIGITS = 16
+
+
+def is_plain(path: Path) -> bool:
+    """Whether a path is a log of plain files."""
+    return (path / WHEELS).is_file() and (path / IMAGES).is_dir()
+
+
+class PlainFolder:
+    """The files as topics of the same names, with messages like those of ROS.
+
+    Attributes:
+        types: Type of each topic.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.types = {name: kind for name, kind in TYPES.items() if (folder / name).exists()}
+        self._images = _list_images(folder)
+
+    def read(self, topics: Collection[str]) -> Iterator[Sample]:
+        for topic in topics:
+            if topic == IMAGES:
+                yield from (Sample(topic, ns, ns, self.folder / IMAGES / name) for ns, name in self._images)
+            else:
+                for values in _read_table(self.folder / topic):
+                    ns = _read_ns(values[0])
+                    yield Sample(topic, ns, ns, tuple(map(float, values[1:])))
+
+    def decode(self, sample: Sample) -> Any:
+        if sample.topic == IMAGES:
+            return SimpleNamespace(format="", data=sample.data.read_bytes())
+        if sample.topic == WHEELS:
+            return SimpleNamespace(name=JOINTS, position=list(sample.data))
+        x, y, yaw = sample.data
+        place = SimpleNamespace(x=x, y=y, z=0.0)
+        turn = SimpleNamespace(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
+        return SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn))
+
+
+def _list_images(folder: Path) -> list[tuple[int, str]]:
+    """Time [ns] and name of each image, by time."""
+    if (folder / TIMES).is_file():
+        return sorted((_read_ns(time), name) for time, name in _read_table(folder / TIMES))
+    names = [file.name for file in (folder / IMAGES).iterdir() if file.suffix.lower() in SUFFIXES]
+    return sorted((_read_name(folder, name), name) for name in names)
+
+
+def _read_name(folder: Path, name: str) -> int:
+    """The time that an image's name tells [ns]."""
+    stem = name.rpartition(".")[0]
+    try:
+        return int(stem) if stem.isdigit() and len(stem) >= NANOSECOND_DIGITS else _read_ns(stem)
+    except ValueError:
+        raise InputError(f"{folder / IMAGES / name}: its name is no time [s], and there is no {TIMES}") from None
+
+
+def _read_ns(text: str) -> int:
+    """Seconds as nanoseconds, without rounding those of 1970 to a quarter of a microsecond."""
+    seconds, _, fraction = text.strip().partition(".")
+    if fraction.isdigit() and seconds.isdigit():
+        return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
+    return round(float(text) * 1e9)
+
+
+def _read_table(path: Path) -> Iterator[list[str]]:
+    """Rows of a CSV file without its header; raises InputError that names the first wrong line."""
+    columns = COLUMNS[path.name]
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = csv.reader(file)
+        if tuple(name.strip() for name in next(rows, [])) != columns:
+            raise InputError(f"{path}: its first line must be {','.join(columns)}")
+        for row in filter(None, rows):
+            try:
+                numbers = [float(value) for value in (row[:1] if "file" in columns else row)]
+                if len(row) != len(columns) or not all(map(math.isfinite, numbers)):
+                    raise ValueError
+            except ValueError:
+                raise InputError(
+                    f"{path}: line {rows.line_num} must be {','.join(columns)}, and is {quote(row)}"
+                ) from None
+            yield row

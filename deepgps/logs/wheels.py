@@ -1,0 +1,150 @@
+"""The motion of the wheels: angles in the order of time, made continuous across wraps, divided at restarts and gaps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim.errors import InputError
+
+GAP_S = 0.3
+"""Longest time between two messages across which angles are interpolated while the robot moves [s]."""
+STILL_RAD = 0.05
+"""Angle up to which a wheel has not moved in a gap [rad]."""
+FASTER = 3.0
+"""A step is a jump if the wheel would have been faster than this multiple of its usual top speed."""
+SLOWEST_RADPS = 1.0
+"""Least top speed that is assumed [rad/s]."""
+MANY = 0.02
+"""Share of jumps from which another program is assumed to publish the same joints."""
+BACK_AND_FORTH = 0.1
+"""The same share of messages of which one wheel jumps there and back."""
+LEAST = 20
+"""Fewest messages of wheels that a drive has."""
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """The wheels' angles over time.
+
+    Attributes:
+        time_s: Times (n,) [s], increasing.
+        angle: Angles of the left and right wheel (n, 2) [rad]; continuous, as if a counter that restarts went on.
+        broken: Whether the motion between a message and the next is unknown (n - 1,): the counter restarted.
+        gap: Whether there is a gap between them in which the robot moved (n - 1,).
+        notes: What was repaired.
+    """
+
+    time_s: np.ndarray
+    angle: np.ndarray
+    broken: np.ndarray
+    gap: np.ndarray
+    notes: tuple[str, ...] = ()
+
+    def at(self, time_s: np.ndarray) -> np.ndarray:
+        """Angles (m, 2) [rad] at some times (m,) [s]; NaN outside the log and inside gaps."""
+        angle = np.column_stack([np.interp(time_s, self.time_s, wheel) for wheel in self.angle.T])
+        before = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.gap) - 1)
+        outside = (time_s < self.time_s[0]) | (time_s > self.time_s[-1])
+        angle[outside | self.broken[before] | self.gap[before]] = np.nan
+        return angle
+
+
+def clean_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topic: str) -> Wheels:
+    """Put the messages of the wheels in order.
+
+    Args:
+        time_s: Time of each message (n,) [s]; NaN where it is unknown.
+        angle: Angles (n, 2) [rad]; NaN where a message lacks a wheel.
+        ticks_per_rev: Ticks of a revolution, by which a counter of 16 or 32 bits wraps around.
+        topic: Name for messages.
+
+    Raises:
+        InputError: There are too few messages, or the angles jump back and forth.
+    """
+    time_s, angle = _join_wheels(time_s, angle)
+    if len(time_s) < LEAST:
+        raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {LEAST}")
+    notes = []
+    _refuse_back_and_forth(time_s, angle, topic)
+    angle, wrapped = _unwrap(time_s, angle, ticks_per_rev)
+    if wrapped:
+        notes.append(f"{topic}: a counter wrapped around {wrapped} times")
+    jumps = _find_jumps(time_s, angle)
+    back = np.abs(angle[2:] - angle[:-2]) < np.abs(angle[1:-1] - angle[:-2])
+    spike = jumps[:-1] & jumps[1:] & back.any(axis=1)
+    first = time_s[np.argmax(jumps)]
+    if jumps.sum() > max(MANY * len(time_s), 4):
+        raise _jumping(topic, first)
+    if spike.any():
+        kept = np.append(np.insert(~spike, 0, True), True)
+        time_s, angle = time_s[kept], angle[kept]
+        jumps = _find_jumps(time_s, angle)
+        notes.append(f"{topic} at {first:.2f} s: {int(spike.sum())} messages jump and are left out")
+    for row in np.flatnonzero(jumps):
+        notes.append(f"{topic} at {time_s[row + 1]:.2f} s: the counter restarted, so the way between is unknown")
+        angle[row + 1 :] += angle[row] - angle[row + 1]
+    moved = np.abs(np.diff(angle, axis=0)).max(axis=1) > STILL_RAD
+    gap = (np.diff(time_s) > GAP_S) & moved & ~jumps
+    notes += [
+        f"{topic} at {time_s[row]:.2f} s: no message for {time_s[row + 1] - time_s[row]:.1f} s while the robot moved"
+        for row in np.flatnonzero(gap)[:5]
+    ]
+    return Wheels(time_s, angle, jumps, gap, tuple(notes))
+
+
+def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) -> None:
+    """Raise InputError if two programs take turns: then the median step of the wheels is a jump."""
+    step = np.diff(angle, axis=0)
+    size = np.abs(step)
+    low, high = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
+    turned = (step[1:] * step[:-1] < 0) & (low > STILL_RAD) & (low > high / 2)
+    back = turned.any(axis=1)
+    if back.mean() > BACK_AND_FORTH:
+        raise _jumping(topic, time_s[np.argmax(back)])
+
+
+def _jumping(topic: str, at_s: float) -> InputError:
+    return InputError(
+        f"{topic} at {at_s:.2f} s: the wheels' angles jump back and forth, as if more than one program published them; "
+        "record only the one of the wheels"
+    )
+
+
+def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Messages with both wheels in the order of time; wheels in messages of their own are interpolated."""
+    known = np.isfinite(time_s)
+    time_s, angle = time_s[known], angle[known]
+    order = np.argsort(time_s, kind="stable")
+    time_s, angle = time_s[order], angle[order]
+    both = np.isfinite(angle).all(axis=1)
+    if both.sum() < 0.5 * max(np.isfinite(angle).sum(axis=0).min(), 1):
+        left, right = np.isfinite(angle).T
+        inside = left & (time_s >= time_s[right].min()) & (time_s <= time_s[right].max())
+        angle = np.column_stack([angle[:, 0], np.interp(time_s, time_s[right], angle[right, 1])])
+        both = inside
+    time_s, angle = time_s[both], angle[both]
+    fresh = np.diff(time_s, prepend=-np.inf) > 0
+    return time_s[fresh], angle[fresh]
+
+
+def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Mask (n - 1,) of the steps in which a wheel would have been too fast."""
+    step, seconds = np.abs(np.diff(angle, axis=0)), np.diff(time_s)
+    top = max(float(np.percentile(step / seconds[:, None], 95)), SLOWEST_RADPS)
+    return np.asarray((step > FASTER * top * seconds[:, None] + STILL_RAD).any(axis=1))
+
+
+def _unwrap(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, int]:
+    """Angles without the jumps of a counter that wraps around: at a turn of the wheel, or at 16 or 32 bits."""
+    jumps, wrapped = _find_jumps(time_s, angle), 0
+    if not jumps.any():
+        return angle, 0
+    step = np.diff(angle, axis=0)
+    small = np.median(np.abs(step), axis=0) * 10 + STILL_RAD
+    for full in (2 * np.pi, *(2 * np.pi * 2**bits / ticks_per_rev for bits in (16, 32))):
+        within = np.ptp(angle, axis=0) <= full * 1.001
+        turns = np.rint(step / full)
+        fits = within & (turns != 0) & (np.abs(step - turns * full) < small)
+        step = np.where(fits, step - turns * full, step)
+        wrapped += int(fits.any(axis=1).sum())
+    return angle[:1] + np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)]), wrapped

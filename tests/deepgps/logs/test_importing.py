@@ -1,0 +1,377 @@
+"""Logs of a synthetic robot, in every container and with every fault, become right recordings or are refused."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from deepgps.logs.importing import import_log
+from deepgps.logs.robot_config import RobotConfig
+from deepgps.progress import ignore
+from sim.errors import InputError
+from sim.recording.format import check_recording, has_truth, open_labels, open_recording, open_truth
+from tests.helpers.robot_log import (
+    CAMERA,
+    CAMERA_INFO,
+    COMPRESSED,
+    CONFIG,
+    JOINTS,
+    LENGTHS_M,
+    RADIUS_M,
+    TICK,
+    TRUTH,
+    TURNS,
+    Note,
+    change,
+    make_notes,
+    replace_pixels,
+    seconds,
+    set_fields,
+    sort,
+    write_log,
+    write_plain,
+)
+
+FORMS = ("bag", "bag_bz2", "bag_lz4", "db3", "db3_v8", "db3_v5", "db3_zstd", "mcap", "mcap_zstd", "mcap_lz4")
+WITH_TRUTH = {**CONFIG, "pose": {"topic": TRUTH}, "drive": {"spacing_m": 0.1, "held_out": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def notes() -> list[Note]:
+    return make_notes("image/jpeg")
+
+
+def configure(**groups: Any) -> RobotConfig:
+    """The configuration with some settings of its groups replaced."""
+    values = dict(WITH_TRUTH)
+    for name, given in groups.items():
+        values[name] = {**values.get(name, {}), **given} if isinstance(given, dict) else given
+    return RobotConfig.model_validate(values)
+
+
+def bring_in(log: Path, tmp_path: Path, config: RobotConfig | None = None) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path / "recording"
+    about = import_log(log, config or configure(), folder, ignore)
+    check_recording(folder)
+    return folder, about
+
+
+def measure(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Length of each segment by ticks and by the truth (S,), (S,) [m]."""
+    recording, pose = open_recording(folder), open_truth(folder).pose
+    lengths = []
+    for number in np.unique(recording.reading[:, 0]):
+        rows = recording.reading[recording.reading[:, 0] == number]
+        by_ticks = (rows[-1, 2:] - rows[0, 2:]).mean() * TICK * RADIUS_M
+        lengths.append((by_ticks, np.linalg.norm(pose[rows[-1, 1], :2] - pose[rows[0, 1], :2])))
+    by_ticks, true = np.array(lengths).T
+    return by_ticks, true
+
+
+def check_complete(folder: Path, within_m: float = 0.003) -> None:
+    """Every segment and turn of the drive is there, and its length is right."""
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, LENGTHS_M, atol=within_m)
+    np.testing.assert_allclose(by_ticks, true, atol=within_m)
+    turns = open_recording(folder).turns
+    assert turns is not None and turns.kind.tolist() == [0] * len(TURNS) and (turns.image >= 0).all()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_container_gives_the_same_recording(form: str, notes: list[Note], tmp_path: Path) -> None:
+    folder, about = bring_in(write_log(tmp_path / "log", notes, form), tmp_path)
+    check_complete(folder)
+    assert about["notes"] == [] and open_recording(folder).manifest.source == "log"
+    images = open_recording(folder).observation
+    assert images.shape == (len(images), 16, 64, 3) and images.std() > 20
+
+
+def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    config = configure(
+        wheels={"topic": "wheels.csv", "left": "left", "right": "right", "lag_s": 0.0},
+        camera={"topic": "images", "info": None, "circle_px": 38.0, "field_of_view_deg": 136.1},
+        pose={"topic": "poses.csv"},
+    )
+    folder, _ = bring_in(log, tmp_path, config)
+    check_complete(folder)
+    (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,nan\n")
+    with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
+        bring_in(log, tmp_path / "again", config)
+
+
+def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    for number, part in enumerate(np.array_split(np.arange(len(notes)), 11)):
+        some = [notes[row] for row in part]
+        write_log(tmp_path / "log" / f"drive_{number}", some, "mcap_lz4")
+    folder, _ = bring_in(tmp_path / "log", tmp_path)
+    check_complete(folder)
+
+
+@pytest.mark.parametrize("form", ["bag_lz4", "mcap_lz4", "db3"])
+def test_a_log_that_was_cut_off_gives_what_is_complete_and_says_so(
+    form: str, notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", notes, form)
+    file = next(log.glob("*.db3")) if log.is_dir() else log
+    with file.open("r+b") as stream:
+        stream.truncate(file.stat().st_size * 7 // 10)
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    assert 3 <= len(by_ticks) < len(LENGTHS_M)  # a bag is written in pieces of 1 MB, and the last one is lost
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    np.testing.assert_allclose(by_ticks[:2], LENGTHS_M[:2], atol=0.003)
+    assert about["notes"][0] == f"{file.name} is cut off: what is complete is read"
+
+
+def swap(_: int, note: Note) -> Note:
+    return set_fields(note, name=note.fields["name"][::-1], position=note.fields["position"][::-1].copy())
+
+
+def prefix(_: int, note: Note) -> Note:
+    return set_fields(note, name=[f"tb3_0/{name}" for name in note.fields["name"]])
+
+
+def wrap_angle(_: int, note: Note) -> Note:
+    return set_fields(note, position=(note.fields["position"] + np.pi) % (2 * np.pi) - np.pi)
+
+
+def in_bursts(number: int, note: Note) -> Note:
+    """The messages of 0.8 s arrive together, in reverse order."""
+    return replace(note, log_ns=note.log_ns + (15 - number % 16) * 51_000_000)
+
+
+def lose_some(number: int, note: Note) -> Note:
+    """Some messages hold one wheel, none, or a name too many."""
+    name, position = note.fields["name"], note.fields["position"]
+    cut = {3: position[:1], 7: position[:0]}.get(number % 11, position)
+    return (
+        set_fields(note, name=[*name, "arm"], position=cut)
+        if number % 11 != 5
+        else set_fields(note, name=["arm"], position=[0.3])
+    )
+
+
+def no_stamp(_: int, note: Note) -> Note:
+    return replace(note, stamp_ns=0)
+
+
+@pytest.mark.parametrize(
+    ("topic", "fault", "within_m", "note"),
+    [
+        (JOINTS, swap, 0.003, ""),
+        (JOINTS, prefix, 0.003, ""),
+        (JOINTS, wrap_angle, 0.003, "a counter wrapped around"),
+        (JOINTS, in_bursts, 0.003, ""),
+        (JOINTS, lose_some, 0.004, "messages hold neither wheel"),
+        (CAMERA, no_stamp, 0.005, "most messages have no stamp, so the times of logging count"),
+    ],
+    ids=["swapped", "namespace", "wraps", "out of order", "partial", "zero stamps"],
+)
+def test_habits_of_real_robots_change_nothing(
+    topic: str,
+    fault: Callable[[int, Note], Note],
+    within_m: float,
+    note: str,
+    notes: list[Note],
+    tmp_path: Path,
+) -> None:
+    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    check_complete(folder, within_m)
+    assert note in " ".join(about["notes"])
+
+
+def test_clocks_that_differ_are_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
+    def late(_: int, note: Note) -> Note:
+        return replace(note, stamp_ns=note.stamp_ns + 3_200_000_000)
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, late), "mcap_lz4")
+    with pytest.raises(InputError, match=r"clock of /camera/image_raw differs from that of /joint_states by \+3\.1"):
+        bring_in(log, tmp_path)
+    config = configure(clocks="align", wheels={"lag_s": "estimate"})
+    folder, about = bring_in(log, tmp_path, config)
+    assert abs(about["lag_s"] - 0.043) < 0.008  # images are logged 10 ms after their stamps, wheels 3 ms
+    check_complete(folder, 0.005)
+
+
+def test_a_clock_that_is_set_back_is_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
+    def set_back(_: int, note: Note) -> Note:
+        back = 400_000_000 if seconds(note) > 15.0 else 0
+        return replace(note, stamp_ns=note.stamp_ns - back)
+
+    changed = change(notes, JOINTS, set_back)
+    log = write_log(tmp_path / "log", changed, "mcap_lz4")
+    with pytest.raises(InputError, match=r"clock of /joint_states is set back by 0\.400 s at 1[45]\.\d s; clocks:"):
+        bring_in(log, tmp_path)
+    folder, _ = bring_in(log, tmp_path, configure(clocks="align"))
+    by_ticks, true = measure(folder)
+    assert len(by_ticks) >= len(LENGTHS_M) - 1
+    np.testing.assert_allclose(by_ticks, true, atol=0.005)
+
+
+def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    assert abs(about["lag_s"] - 0.05) <= 0.008
+    _, about = bring_in(log, tmp_path / "again", configure(wheels={"lag_s": 0.3}))
+    assert any("wheels.lag_s is 0.3 s, but the turns show 0.0" in note for note in about["notes"])
+
+
+def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
+    mirrored = replace_pixels(notes, lambda image: image[:, ::-1])
+    log = write_log(tmp_path / "log", mirrored, "mcap_lz4")
+    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, or wheels\.left"):
+        bring_in(log, tmp_path)
+    folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
+    check_complete(folder)
+
+
+def test_a_gap_of_the_wheels_divides_a_segment(notes: list[Note], tmp_path: Path) -> None:
+    def lose(_: int, note: Note) -> Note | None:
+        return None if 1.4 < seconds(note) < 3.18 else note
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, lose), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    assert by_ticks[-4:].sum() == pytest.approx(sum(LENGTHS_M[-4:]), abs=0.01)
+    (note,) = [note for note in about["notes"] if "s while the robot moved" in note]
+    assert note.startswith("/joint_states at 1.") and "no message for 1.9 s" in note
+
+
+def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: Path) -> None:
+    def lose(_: int, note: Note) -> Note | None:
+        return None if 6.5 < seconds(note) < 8.3 else note
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, lose), "mcap_lz4")
+    folder, _ = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+
+
+def test_a_counter_that_restarts_divides_the_drive(notes: list[Note], tmp_path: Path) -> None:
+    last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
+
+    def restart(_: int, note: Note) -> Note:
+        return set_fields(note, position=note.fields["position"] - last * (seconds(note) >= 14.0))
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, restart), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    assert any(note.startswith("/joint_states at 13.9") and "the counter restarted" in note for note in about["notes"])
+    turns = open_recording(folder).turns
+    assert turns is not None and (turns.kind == 2).sum() == 1
+
+
+def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", make_notes("image/jpeg", odometry=True), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    check_complete(folder)
+    assert any("wheels are computed from the odometry" in note for note in about["notes"])
+
+
+def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    folder, _ = bring_in(log, tmp_path, configure(pose={"use": "labels"}))
+    labels = open_labels(folder)
+    assert not has_truth(folder) and labels is not None and np.isfinite(labels.pose).all()
+
+
+def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    folder, _ = bring_in(log, tmp_path, configure(pose=None))
+    assert not has_truth(folder) and not open_labels(folder)
+    folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
+    recording, truth = open_recording(folder), open_truth(folder)
+    assert len(recording.test_observation) == len(truth.test_pose) == about["held_out"] > 5
+    assert recording.manifest.segments == len(LENGTHS_M) - 2
+
+
+def test_damaged_images_are_left_out_unless_they_are_many(notes: list[Note], tmp_path: Path) -> None:
+    def damage(every: int) -> Sequence[Note]:
+        def one(number: int, note: Note) -> Note:
+            return set_fields(note, data=note.fields["data"][:20]) if number % every == 20 else note
+
+        return change(notes, CAMERA, one)
+
+    folder, _ = bring_in(write_log(tmp_path / "log", damage(100), "mcap_lz4"), tmp_path)
+    check_complete(folder)
+    with pytest.raises(InputError, match=r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged images: "):
+        bring_in(write_log(tmp_path / "many", damage(21), "mcap_lz4"), tmp_path / "again")
+
+
+def test_two_publishers_of_the_wheels_are_refused(notes: list[Note], tmp_path: Path) -> None:
+    zeros = [
+        set_fields(replace(note, log_ns=note.log_ns + 10**7, stamp_ns=note.stamp_ns + 10**7), position=np.zeros(2))
+        for note in notes
+        if note.topic == JOINTS
+    ]
+    log = write_log(tmp_path / "log", sort([*notes, *zeros]), "mcap_lz4")
+    with pytest.raises(InputError, match=r"/joint_states at \d+\.\d\d s: .* more than one program published"):
+        bring_in(log, tmp_path)
+
+
+def info(**fields: Any) -> Callable[[int, Note], Note]:
+    return lambda _, note: set_fields(note, **fields)
+
+
+@pytest.mark.parametrize(
+    ("topic", "fault", "message"),
+    [
+        (CAMERA_INFO, info(focal=0.0), "/camera/camera_info: the camera is not calibrated .K is 0.; give camera"),
+        (CAMERA_INFO, info(model="omni"), "/camera/camera_info: distortion model 'omni': must be equidistant"),
+        (CAMERA_INFO, info(height=81), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
+        (CAMERA_INFO, lambda _, note: None, "camera.info /camera/camera_info: .* has no such topic; it has none of"),
+        (CAMERA, lambda _, note: None, "camera.topic /camera/image_raw: .* has no such topic; it has none of"),
+        (JOINTS, info(name=["a", "b"]), "/joint_states has no position of a joint 'wheel_left_joint'; its joints"),
+        (JOINTS, info(position=np.zeros(2)), "no straight segment with two images was found .motions: 0 straight"),
+        (JOINTS, lambda n, note: note if n < 5 else None, "/joint_states has 5 messages with both wheels; a"),
+        (TRUTH, lambda _, note: None, "pose.topic /mocap/pose: .* has no such topic; it has none of type"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_refused_in_one_line(
+    topic: str, fault: Callable[[int, Note], Note | None], message: str, notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
+    with pytest.raises(InputError, match=message) as caught:
+        bring_in(log, tmp_path)
+    assert "\n" not in str(caught.value) and not (tmp_path / "recording").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_a_topic_without_messages_is_refused(notes: list[Note], tmp_path: Path) -> None:
+    others = [note for note in notes if note.topic != CAMERA]
+    log = write_log(tmp_path / "log", others, "db3", empty=[(CAMERA, COMPRESSED)])
+    with pytest.raises(InputError, match=r"camera\.topic /camera/image_raw holds no image"):
+        bring_in(log, tmp_path)
+
+
+def test_strange_files_are_refused(tmp_path: Path) -> None:
+    for name, data, message in (
+        ("a.txt", b"x", "a log is a .bag, .mcap or .db3 file, or a folder"),
+        ("a.mcap", b"no log at all", "cannot be read as a log: File magic is invalid"),
+        ("a.bag", b"", "cannot be read as a log: "),
+        ("a.db3", b"SQLite format 3\0" + b"\1" * 200, "cut off so early that it names no topic"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            bring_in(tmp_path / name, tmp_path)
+    with pytest.raises(InputError, match="there is no such log"):
+        bring_in(tmp_path / "none.mcap", tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"holds no log: neither \.bag, \.mcap or \.db3 files nor images"):
+        bring_in(tmp_path / "empty", tmp_path)
+
+
+def test_a_folder_with_files_is_not_written_to(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    (tmp_path / "recording").mkdir()
+    (tmp_path / "recording" / "mine").write_text("mine")
+    with pytest.raises(InputError, match="is not empty"):
+        bring_in(log, tmp_path)
