@@ -428,7 +428,8 @@ def replace_pixels(notes: Sequence[Note], how: Callable[[np.ndarray], np.ndarray
     """The messages with each image, compressed as JPEG, replaced by a function of its pixels."""
 
     def one(_: int, note: Note) -> Note:
-        image = cv2.imdecode(note.fields["data"], cv2.IMREAD_COLOR)[..., ::-1]
-        return replace(note, fields=encode(np.ascontiguousarray(how(image)), "image/jpeg"))
+        image = cv2.imdecode(note.fields["data"], cv2.IMREAD_COLOR)
+        assert image is not None
+        return replace(note, fields=encode(np.ascontiguousarray(how(image[..., ::-1])), "image/jpeg"))
 
     return change(notes, CAMERA, one)
