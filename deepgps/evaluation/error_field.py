@@ -1,7 +1,7 @@
 """The error field: predictions at each test position and heading, with the truth."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +65,12 @@ class ErrorField:
     def is_accepted(self) -> np.ndarray:
         """Whether each image is accepted (C, H) bool; a method that refuses none accepts all."""
         return np.ones(self.predicted.shape[:2], bool) if self.accepted is None else self.accepted
+
+    def take(self, chosen: slice) -> "ErrorField":
+        """The field at some of its positions."""
+        heading = self.heading if self.heading.ndim == 1 else self.heading[chosen]
+        parts = {name: part[chosen] for name in OPTIONAL if (part := getattr(self, name)) is not None}
+        return replace(self, truth=self.truth[chosen], heading=heading, predicted=self.predicted[chosen], **parts)
 
 
 def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:

@@ -4,42 +4,55 @@ The viewer's tooltip lists up to three components that differ between the arrows
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyarrow as pa
 import rerun as rr
+from matplotlib.colors import to_rgb
 
-from deepgps.evaluation.error_field import ErrorField, WorstField
-from deepgps.figures.field_plot import colours_of
+from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
+from deepgps.figures.field_plot import REFUSED, colours_of
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.scene import LAYER_M, Places, lift, put
 
 LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
-"""Entities of the worst headings: switching the second one off leaves the large errors."""
+"""Entities of the worst accepted headings: switching the second one off leaves the large errors."""
+REFUSED_PART = "refused"
+"""Entity of the worst refused headings, in grey."""
 DENSE_M = 0.05  # test positions with smaller spacing get thinner arrows
 HEIGHT_M = 3 * LAYER_M  # high enough for coverage and density to be drawn below
 HEAD_M = 0.05
 HEAD_SHARE = 0.35
 """Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's."""
-NO_PLACES = WorstField(np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0), np.zeros(0))
+NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
-def log_field(stream: rr.RecordingStream, name: str, field: WorstField, at: Places = (), root: str = "world") -> None:
-    """Log a method's errors at the worst heading of each place, large and small ones as separate entities."""
-    path = f"{root}/error_field/{name}"
-    large = field.error > LARGE_M
+def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Places = (), root: str = "world") -> None:
+    """Log a method's errors at the worst heading of each place: large, small and refused ones as separate entities."""
+    path, thin = f"{root}/error_field/{name}", find_thinness(field.truth)
+    accepted, refused = split_by_acceptance(field)
+    large = accepted.error > LARGE_M
     for part, chosen in zip(PARTS, (large, ~large), strict=True):
-        _log_arrows(stream, f"{path}/worst/{part}", name, take(field, chosen), find_thinness(field.truth), at)
+        some = accepted.take(chosen)
+        _log_arrows(stream, f"{path}/worst/{part}", name, some, colours_of(some.error), describe_errors(some), thin, at)
+    grey = np.array([[*(round(255 * one) for one in to_rgb(REFUSED)), 255]], np.uint8)
+    said = [f"refused: {one}" for one in describe_errors(refused)]
+    _log_arrows(stream, f"{path}/worst/{REFUSED_PART}", name, refused, grey, said, thin, at)
     if not at:
-        put(stream, path, _list_values(field))
+        put(stream, path, _list_values(find_worst(field)))
 
 
 def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField, root: str = "world") -> None:
     """Log a method's errors at each heading that all places share, if there are several."""
     for number, path in enumerate(list_headings(name, field, root)):
-        predicted, heading = field.predicted[:, number], np.full(len(field.truth), field.heading[number])
-        one = WorstField(field.truth, predicted, field.error[:, number], heading)
-        _log_arrows(stream, path, name, one, find_thinness(field.truth))
+        chosen = np.zeros(field.predicted.shape[:2], bool)
+        chosen[:, number] = True
+        one = find_worst(field, chosen)
+        words = np.where(field.is_accepted[:, number], "", "refused: ")
+        said = [f"{word}{error}" for word, error in zip(words, describe_errors(one), strict=True)]
+        _log_arrows(stream, path, name, one, colours_of(one.error), said, find_thinness(field.truth))
 
 
 def list_headings(name: str, field: ErrorField, root: str = "world") -> list[str]:
@@ -50,9 +63,13 @@ def list_headings(name: str, field: ErrorField, root: str = "world") -> list[str
 
 
 def describe_errors(field: WorstField) -> list[str]:
-    """Error, heading and predicted position of each place, short enough for one line of a tooltip."""
+    """Error, radius, heading and predicted position of each place, short enough for one line of a tooltip."""
     rows = zip(100 * field.error, _degrees(field.heading), *field.predicted.T, strict=True)
-    return [f"{error:.1f} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}" for error, heading, x, y in rows]
+    radius = [""] * len(field.error) if field.radius is None else [f" (± {100 * one:.1f})" for one in field.radius]
+    return [
+        f"{error:.1f}{within} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}"
+        for within, (error, heading, x, y) in zip(radius, rows, strict=True)
+    ]
 
 
 def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> np.ndarray:
@@ -71,23 +88,23 @@ def find_thinness(places: np.ndarray) -> float:
     return min(1.0, float(np.sqrt(area / len(places))) / DENSE_M) if area > 0 else 1.0
 
 
-def take(field: WorstField, chosen: np.ndarray | slice) -> WorstField:
-    """The error field at some of its places."""
-    return WorstField(field.truth[chosen], field.predicted[chosen], field.error[chosen], field.heading[chosen])
-
-
 def _log_arrows(
-    stream: rr.RecordingStream, path: str, name: str, field: WorstField, thin: float, at: Places = ()
+    stream: rr.RecordingStream,
+    path: str,
+    name: str,
+    field: WorstField,
+    colours: np.ndarray,
+    said: Sequence[str],
+    thin: float,
+    at: Places = (),
 ) -> None:
-    colours, said = (
-        colours_of(field.error),
-        rr.AnyValues(error=pa.array(describe_errors(field), pa.utf8()), method=[title_of(name)]),
-    )
+    """Log arrows and dots in these colours (n or 1, 4), each with what is said of it in its tooltip."""
+    words = rr.AnyValues(error=pa.array(said, pa.utf8()), method=[title_of(name)])
     lines = rr.LineStrips3D(draw_arrows(field.truth, field.predicted), radii=0.007 * thin, colors=colours)
     dots = rr.Points3D(lift(field.truth, HEIGHT_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
     for below, shape in (("arrows", lines), ("places", dots)):
         put(stream, f"{path}/{below}", shape, at)
-        put(stream, f"{path}/{below}", said, at)
+        put(stream, f"{path}/{below}", words, at)
 
 
 def _list_values(field: WorstField) -> rr.AnyValues:

@@ -12,7 +12,7 @@ import numpy as np
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.figures import field_plot
+from deepgps.evaluation.error_field import read_all_headings
 from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
 from deepgps.methods.catalog import title_of
 from deepgps.scenario import Scenario
@@ -85,7 +85,7 @@ class LiveView:
 
     def _send_results(self, space: FreeSpace) -> list[str]:
         """Send the error fields and the figures; return the measured methods."""
-        fields, metrics = field_plot.read_fields(self._folder), read_metrics(self._folder)
+        fields, metrics = read_all_headings(self._folder), read_metrics(self._folder)
         for name, field in fields.items():
             log_field(self._stream, name, field)
         log_scale(self._stream, space)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
-from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.figures.field_plot import SCALE_M
 from deepgps.figures.run_report import COLUMNS, Column, read_metrics
 from deepgps.methods.catalog import title_of
@@ -45,7 +45,7 @@ class Side:
 
     folder: Path
     metrics: Mapping[str, Any]
-    fields: Mapping[str, WorstField]
+    fields: Mapping[str, ErrorField]
     space: FreeSpace
 
 
@@ -84,7 +84,7 @@ def open_pair(folders: Sequence[Path]) -> Pair:
 
 def measure_change(pair: Pair, method: str) -> np.ndarray:
     """Error of B minus error of A at each test position (C,) [m]."""
-    return pair.b.fields[method].error - pair.a.fields[method].error
+    return pair.b.fields[method].worst - pair.a.fields[method].worst
 
 
 def scale_change(change: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def describe_pair(pair: Pair) -> str:
 
 
 def _open_side(folder: Path) -> Side:
-    return Side(folder, read_metrics(folder), read_fields(folder), open_truth(folder / "recording").free_space)
+    return Side(folder, read_metrics(folder), read_all_headings(folder), open_truth(folder / "recording").free_space)
 
 
 def _name(folder: Path) -> str:

@@ -69,7 +69,7 @@ def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
         for name in pair.methods:
             _log_change(stream, name, pair)
     stream.log("report/pair", rr.TextDocument(describe_pair(pair), media_type="text/markdown"), static=True)
-    errors = {name: [side.fields[name].error for side in (pair.a, pair.b)] for name in pair.methods}
+    errors = {name: [side.fields[name].worst for side in (pair.a, pair.b)] for name in pair.methods}
     log_distribution(stream, errors, ("A", "B"))
 
 
@@ -90,7 +90,7 @@ def _log_change(stream: rr.RecordingStream, name: str, pair: Pair) -> None:
         colors=colours_of_change(scale_change(change)),
         point_shading="Flat",
     )
-    rows = zip(100 * change, 100 * a.error, 100 * b.error, strict=True)
+    rows = zip(100 * change, 100 * a.worst, 100 * b.worst, strict=True)
     said = [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]
     stream.log(f"change/field/{name}/places", dots, rr.AnyValues(change=said), static=True)
     stream.log(f"change/field/{name}", rr.AnyValues(change_m=change), static=True)

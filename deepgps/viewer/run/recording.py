@@ -13,7 +13,7 @@ import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
-from deepgps.evaluation.error_field import find_worst, read_all_headings
+from deepgps.evaluation.error_field import read_all_headings
 from deepgps.evaluation.map_errors import locate_camera
 from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
@@ -74,7 +74,7 @@ def write_recording(run: Path) -> Path:
         log_room(stream, recording.folder / "scene.glb", space)
         log_scale(stream, space)
         for name, field in fields.items():
-            log_field(stream, name, find_worst(field))
+            log_field(stream, name, field)
             log_headings(stream, name, field)
             log_yaws(stream, name, field)
             log_expected(stream, name, field)
@@ -89,7 +89,7 @@ def write_recording(run: Path) -> Path:
             log_training(stream, name, history, driven)
         _log_report(stream, metrics)
         log_diagnosis(stream, run)
-        log_distribution(stream, {name: [find_worst(field).error] for name, field in fields.items()})
+        log_distribution(stream, {name: [field.worst] for name, field in fields.items()})
 
     path = run / RECORDING
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)

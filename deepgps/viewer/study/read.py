@@ -7,7 +7,7 @@ from pathlib import Path
 import pyarrow as pa
 from pydantic import ValidationError
 
-from deepgps.evaluation.error_field import WorstField, read_fields
+from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.run_folder import is_study
 from deepgps.scenario import describe_problems, load_scenario, read_yaml
 from deepgps.studies.catalog import REPORTS
@@ -62,8 +62,8 @@ def open_space(folder: Path, row: Row) -> FreeSpace:
     return open_truth(folder / "runs" / row["run"] / "recording").free_space
 
 
-def read_step(folder: Path, step: Step) -> dict[str, WorstField]:
-    return read_fields(folder / "runs" / step.rows[0]["run"])
+def read_step(folder: Path, step: Step) -> dict[str, ErrorField]:
+    return read_all_headings(folder / "runs" / step.rows[0]["run"])
 
 
 def count_arrows(folder: Path, step: Step) -> int:

@@ -11,7 +11,7 @@ import rerun as rr
 
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, varied_in
-from deepgps.viewer.error_field import NO_PLACES, log_field, take
+from deepgps.viewer.error_field import NO_PLACES, log_field
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import Places, log_scale_below, put
@@ -71,7 +71,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
                 at = [rr.TimeColumn(slider.timeline, sequence=[place])]
                 fields = read_step(folder, step) if step.done else {}
                 for method in methods:
-                    log_field(stream, method, take(fields.get(method, NO_PLACES), slice(None, None, every)), at)
+                    log_field(stream, method, fields.get(method, NO_PLACES).take(slice(None, None, every)), at)
                     log_heading(stream, method, slider, step, frame, at)
                 _log_text(stream, "here", study_text.describe_step(slider, step), at)
             log_curves(stream, slider)

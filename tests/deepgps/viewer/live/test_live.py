@@ -18,7 +18,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.progress import Look, ignore
 from deepgps.scenario import Scenario
 from deepgps.viewer.error_field import PARTS
@@ -87,14 +87,15 @@ def test_the_viewer_gets_the_whole_run(watched: tuple[Path, Path]) -> None:
 def test_the_viewer_ends_with_the_error_fields(watched: tuple[Path, Path]) -> None:
     run, got = watched
     static = {chunk.entity_path: chunk for chunk in RrdReader(got).stream() if not chunk.timeline_names}
-    for name, field in read_fields(run).items():
+    for name, whole in read_all_headings(run).items():
+        field, accepted = find_worst(whole), whole.is_accepted.any(axis=1)
         batch = static[f"/world/error_field/{name}"].to_record_batch()
         shown = [batch.column(f"predicted_{axis}_m").flatten().to_numpy() for axis in "xy"]
         np.testing.assert_allclose(np.transpose(shown), field.predicted, atol=1e-6)
         paths = {f"/world/error_field/{name}/worst/{part}/arrows" for part in PARTS}
         batches = [chunk.to_record_batch() for chunk in RrdReader(got).stream() if chunk.entity_path in paths]
         said = [batch.column("error")[0] for batch in batches if "error" in batch.schema.names]
-        assert sum(map(len, said)) == len(field.error)
+        assert sum(map(len, said)) == accepted.sum()
     assert {"/world/room", "/world/floor_plan", "/report/figures", "/steps"} <= set(static)
     assert find_missing(got) == []
 

@@ -14,7 +14,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
-from deepgps.evaluation.error_field import read_all_headings, read_fields
+from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
@@ -33,7 +33,7 @@ from sim.recording.format import finish_recording, read_manifest
 from sim.sensors.lens import make_lens, project_polar
 from sim.settings import CameraSettings
 from tests.helpers.blueprints import find_missing, read_layout
-from tests.helpers.synthetic_run import METHODS, write_synthetic_run
+from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run
 
 SAMPLES = 60
 ROOT = Path(__file__).parents[4]
@@ -167,12 +167,18 @@ def test_ticks_are_counted_from_reading_to_reading_of_a_segment(run: Path) -> No
 @pytest.mark.parametrize("method", METHODS)
 def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: str) -> None:
     """The viewer lists at most three components that differ from arrow to arrow."""
-    field = read_fields(run)[method]
-    for part, large in (("above_10_cm", True), ("below_10_cm", False)):
-        chosen = (field.error > 0.1) == large
+    accepted, refused = split_by_acceptance(read_all_headings(run)[method])
+    large = accepted.error > 0.1
+    assert (len(refused.error) > 0) == (method in REFUSING)
+    for part, field, before in (
+        ("above_10_cm", accepted.take(large), ""),
+        ("below_10_cm", accepted.take(~large), ""),
+        ("refused", refused, "refused: "),
+    ):
+        radii = [""] * len(field.error) if field.radius is None else [f" (± {100 * one:.1f})" for one in field.radius]
         expected = [
-            f"{100 * error:.1f} cm, {round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
-            for error, heading, (x, y) in zip(field.error, field.heading, field.predicted, strict=True)
+            f"{before}{100 * error:.1f}{within} cm, {round(np.degrees(heading)) % 360}° → {x:z.2f}, {y:z.2f}"
+            for error, within, heading, (x, y) in zip(field.error, radii, field.heading, field.predicted, strict=True)
         ]
         for shape, position in (("arrows", "LineStrips3D:strips"), ("places", "Points3D:positions")):
             rows = read_entity(run / RECORDING, f"world/error_field/{method}/worst/{part}/{shape}")
@@ -180,8 +186,9 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: st
                 name: column.combine_chunks().flatten()
                 for name, column in zip(rows.column_names, rows.columns, strict=True)
             }
-            assert values["error"].to_pylist() == [text for text, one in zip(expected, chosen, strict=True) if one]
-            assert len(values[position]) == chosen.sum()
+            assert values["error"].to_pylist() == expected
+            assert values["method"].to_pylist() == [title_of(method)]
+            assert len(values[position]) == len(expected)
             assert sum(len(column) > 1 for column in values.values()) <= 3
 
 
