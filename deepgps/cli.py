@@ -4,6 +4,7 @@ After a signal the exit code is 128 plus the signal's number. Output that nobody
 change the exit code: the work in progress is worth more than the pipe.
 """
 
+import json
 import os
 import sys
 import time
@@ -17,7 +18,9 @@ from deepgps.cli_arguments import (
     BenchArguments,
     CompletionArguments,
     DiagnoseArguments,
+    ExportArguments,
     ImportArguments,
+    LocateArguments,
     NoArguments,
     RoomsArguments,
     RunArguments,
@@ -28,6 +31,7 @@ from deepgps.cli_arguments import (
     list_words,
     parse,
     parse_kinds,
+    parse_round_image,
     parse_scenario,
     parse_seeds,
 )
@@ -248,6 +252,48 @@ def import_command(words: Sequence[str]) -> None:
     console.print(f"\nimported: {arguments.out}; train on it: deepgps train {arguments.out}", soft_wrap=True)
 
 
+def export_command(words: Sequence[str]) -> None:
+    """Write trajectories for other tools, or a trained method as a folder for a robot."""
+    arguments = parse(ExportArguments, "export", words, export_command.__doc__)
+    raw = parse_round_image(arguments)
+    if not (arguments.onnx or arguments.list_formats()):
+        raise InputError("deepgps export needs at least one of --tum, --csv, --onnx")
+    if raw is not None and not arguments.onnx:
+        raise InputError("--centre and --radius-px are for --onnx")
+    from deepgps.api.run import load
+    from deepgps.export.command import default_folder, export_onnx, export_trajectories
+
+    run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
+    folder, written = arguments.out or default_folder(arguments.run), []
+    with working_in(folder), show_progress(errors) as progress:
+        if formats := arguments.list_formats():
+            written += export_trajectories(run, folder, method, frame, formats, progress)
+        if arguments.onnx:
+            written += export_onnx(run, folder, method, frame, raw, progress)
+    for path in written:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def locate_command(words: Sequence[str]) -> None:
+    """Say where images were taken: one line of JSON for each, as they come; exit code 1 if one could not be read."""
+    arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
+    circle = parse_round_image(arguments)
+    from deepgps.api.run import load
+    from deepgps.learning.trainer import use_threads
+    from deepgps.locate.locate import describe, locate
+    from deepgps.locate.pictures import open_pictures
+
+    run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
+    frame = arguments.frame or run.choose_frame(arguments.method)
+    pictures = open_pictures(arguments.source, sys.stdin.buffer)
+    with use_threads(run.scenario.learn.train.threads):
+        for one in locate(run, pictures, arguments.method, frame, circle):
+            print(json.dumps(describe(one, frame)), flush=True)
+            wrong, total = wrong + (one.pose is None), total + 1
+    if wrong:
+        raise WorkError(f"{wrong} of {total} images could not be located; their lines say why")
+
+
 def runs_command(words: Sequence[str]) -> None:
     """List runs: what each changes in its scenario, its errors, and its age."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
@@ -331,6 +377,8 @@ COMMANDS: dict[str, Callable[[Sequence[str]], None]] = {
     "diagnose": diagnose_command,
     "track": track_command,
     "import": import_command,
+    "export": export_command,
+    "locate": locate_command,
     "runs": runs_command,
     "rooms": rooms_command,
     "bench": bench_command,
@@ -348,6 +396,8 @@ SUMMARIES = {
     "import": "make a recording from the log of a robot",
     "diagnose": "say what is wrong with the wheels, and what to set",
     "track": "track the robot through a drive, by images and odometry",
+    "export": "write trajectories for other tools, or a method for a robot",
+    "locate": "say where images were taken, as they come",
     "runs": "list runs by what they change, with their errors",
     "rooms": "draw a contact sheet of generated rooms",
     "bench": "measure speed, latency and memory beside naive baselines",

@@ -5,7 +5,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -30,6 +30,9 @@ from sim.paths import SCENARIOS, STUDIES
 from sim.renamed import explain_setting
 from sim.settings import Group, RoomKind
 from sim.user_input import shorten
+
+if TYPE_CHECKING:
+    from sim.sensors.unwrap import RoundImage
 
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
@@ -126,6 +129,58 @@ class ImportArguments:
 
 
 @dataclass(frozen=True)
+class ExportArguments:
+    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    """The folder of a run."""
+    out: OptionalFolder = None
+    """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>."""
+    tum: bool = False
+    """Write trajectories as TUM files, which evo reads: each method's and the true one, of both drives."""
+    csv: bool = False
+    """Write the same trajectories as CSV, with everything that a method tells of a pose."""
+    onnx: bool = False
+    """Write one method as a model in ONNX with an example; needs the extra deepgps[onnx]."""
+    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    """The method; none: the run's first as ONNX, all as trajectories."""
+    frame: Literal["world", "map"] | None = None
+    """Frame of the poses: the world's, or the map's own; none: the world's where evaluation has placed the map."""
+    centre: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None
+    """Optical axis in raw images [px], from which the exported model then takes raw images too."""
+    radius_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Radius of the image circle in raw images [px]."""
+    forward_deg: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Direction of the robot's forward axis in raw images, clockwise from the top [deg]."""
+    plugin: Plugins = ()
+    """Files of plugins that define methods of the run."""
+
+    def list_formats(self) -> "list[Literal['tum', 'csv']]":
+        """The formats of trajectories that are asked for."""
+        chosen = {"tum": self.tum, "csv": self.csv}
+        return [name for name in ("tum", "csv") if chosen[name]]
+
+
+@dataclass(frozen=True)
+class LocateArguments:
+    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    """The folder of a run."""
+    source: Annotated[str, tyro.conf.arg(metavar="SOURCE"), tyro.conf.Positional]
+    """An image, a folder of images, or - for standard input: each image after its length in four bytes, the most
+    significant first. Images of the recording's rings and sectors are polar, others raw."""
+    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    """The method; none: the run's first."""
+    frame: Literal["world", "map"] | None = None
+    """Frame of the poses: the world's, or the map's own; none: the world's where evaluation has placed the map."""
+    centre: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None
+    """Optical axis in raw images [px]; none: raw images are square, and the image circle fills them."""
+    radius_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    """Radius of the image circle in raw images [px]."""
+    forward_deg: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    """Direction of the robot's forward axis in raw images, clockwise from the top [deg]; needs --centre."""
+    plugin: Plugins = ()
+    """Files of plugins that define methods of the run."""
+
+
+@dataclass(frozen=True)
 class RoomsArguments:
     kinds: Annotated[str, tyro.conf.arg(metavar="KIND,KIND")] = "all"
     """Kinds of room, separated by commas, or all."""
@@ -171,6 +226,8 @@ ARGUMENTS: dict[str, Any] = {
     "diagnose": DiagnoseArguments,
     "track": TrackArguments,
     "import": ImportArguments,
+    "export": ExportArguments,
+    "locate": LocateArguments,
     "runs": RunsArguments,
     "rooms": RoomsArguments,
     "bench": BenchArguments,
@@ -240,6 +297,19 @@ def _list_values(annotation: Any) -> tuple[str, ...] | None:
     if bool in parts:
         return None
     return next((tuple(map(str, get_args(part))) for part in parts if get_origin(part) is Literal), ())
+
+
+def parse_round_image(arguments: ExportArguments | LocateArguments) -> "RoundImage | None":
+    """Where the image circle is in raw images; None: it is not given."""
+    if arguments.centre is None and arguments.radius_px is None:
+        if arguments.forward_deg:
+            raise InputError("--forward-deg needs --centre and --radius-px")
+        return None
+    if arguments.centre is None or arguments.radius_px is None:
+        raise InputError("--centre and --radius-px: give both, or neither")
+    from sim.sensors.unwrap import RoundImage
+
+    return RoundImage(arguments.centre, arguments.radius_px, arguments.forward_deg)
 
 
 def parse_kinds(text: str) -> list[Any]:

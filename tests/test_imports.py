@@ -50,6 +50,7 @@ ORDER = (
     ("deepgps.begin",),
     ("deepgps.api",),
     ("deepgps.logs",),
+    ("deepgps.export", "deepgps.locate"),
     ("deepgps.__init__",),
     ("deepgps.cli_arguments",),
     ("deepgps.cli",),
@@ -99,6 +100,7 @@ ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "d
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
+    "deepgps.export.trajectories",  # which writes the true one beside those of the methods
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *(f"deepgps.studies.reports.{name}" for name in ("mds", "concave", "corridors")),
 )

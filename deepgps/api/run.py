@@ -92,8 +92,8 @@ class Run:
 
         name, batch, single = self._take(observations, method)
         with use_threads(self.scenario.learn.train.threads):  # as in evaluation: to the last bit the same
-            found = self._positioner(name)(batch)
-        alignment = self._find_alignment(name, frame)
+            found = self.positioner(name)(batch)
+        alignment = self.alignment(name, frame)
         found = found if alignment is None else alignment.apply(found)
         return found[0] if single else found
 
@@ -117,8 +117,8 @@ class Run:
 
         name, batch, single = self._take(observations, method)
         with use_threads(self.scenario.learn.train.threads):
-            found = find_poses(self._positioner(name), batch)
-        if alignment := self._find_alignment(name, frame):
+            found = find_poses(self.positioner(name), batch)
+        if alignment := self.alignment(name, frame):
             found = found.align(alignment)
         return found.take(0) if single else found
 
@@ -139,6 +139,28 @@ class Run:
         from deepgps.evaluation.track_run import track_run
 
         return track_run(self.folder, method, None if drive is None else Path(drive), ignore).track
+
+    def alignment(self, method: str | None = None, frame: Frame = "world") -> "Alignment | None":
+        """The transform from a method's map to a frame; None: none is needed. Raises InputError as ``position``."""
+        from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
+
+        if frame == "map":
+            return None
+        if frame != "world":
+            raise InputError(f"frame {quote(frame)}: must be 'world' or 'map'")
+        folder = folder_of(self.folder, self.choose(method))
+        if not has_alignment(folder) and not has_truth(self.folder / "recording"):
+            raise InputError(
+                f"{self.folder} has no truth, so its maps have no place in the world; frame='map' gives positions in "
+                "the method's own frame"
+            )
+        return read_alignment(folder)
+
+    def choose_frame(self, method: str | None = None) -> Frame:
+        """The world's frame if evaluation has placed the method's map in it, else the map's own."""
+        from deepgps.evaluation.stored_alignment import has_alignment
+
+        return "world" if has_alignment(folder_of(self.folder, self.choose(method))) else "map"
 
     def errors(self, method: str | None = None) -> "pa.Table":
         """Errors at the test positions, one row for each method, position and heading.
@@ -170,7 +192,8 @@ class Run:
             raise InputError(f"{self.folder} has not been evaluated: it has no error_field.npz")
         return read_all_headings(self.folder)
 
-    def _choose(self, method: str | None) -> str:
+    def choose(self, method: str | None) -> str:
+        """The name of a trained method; None: the first of the run. Raises InputError if it is not trained."""
         if not self.methods:
             raise InputError(f"{self.folder} holds no trained method")
         if method is None:
@@ -201,34 +224,20 @@ class Run:
         """The methods that have been loaded so far."""
         return {}
 
-    def _positioner(self, name: str) -> "Positioner":
+    def positioner(self, method: str | None = None) -> "Positioner":
+        """The map from observations to positions that a method has learned; None: the first of the run."""
         from deepgps.methods.positioner import load_positioner
 
+        name = self.choose(method)
         if name not in self._positioners:
             self._positioners[name] = load_positioner(folder_of(self.folder, name))
         return self._positioners[name]
 
     def _take(self, observations: np.ndarray, method: str | None) -> tuple[str, np.ndarray, bool]:
         """The method's name, an array of observations, and whether only one was given."""
-        name, array = self._choose(method), self._as_recorded(observations)
+        name, array = self.choose(method), self._as_recorded(observations)
         single = array.ndim == DIMENSIONS[self._kind] - 1
         return name, array[None] if single else array, single
-
-    def _find_alignment(self, name: str, frame: Frame) -> "Alignment | None":
-        """The transform from a method's map to a frame; None: none is needed."""
-        from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
-
-        if frame == "map":
-            return None
-        if frame != "world":
-            raise InputError(f"frame {quote(frame)}: must be 'world' or 'map'")
-        folder = folder_of(self.folder, name)
-        if not has_alignment(folder) and not has_truth(self.folder / "recording"):
-            raise InputError(
-                f"{self.folder} has no truth, so its maps have no place in the world; frame='map' gives positions in "
-                "the method's own frame"
-            )
-        return read_alignment(folder)
 
 
 def load(folder: str | Path, plugins: Sequence[str | Path] = ()) -> Run:

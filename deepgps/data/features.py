@@ -34,6 +34,8 @@ log = logging.getLogger(__name__)
 CHUNK = 64  # fits a processor's cache
 LARGEST = 1e9
 """Larger numbers are refused as observations: their squares could exceed the range of float32."""
+LEAST = 1e-8
+"""Added to the product of two magnitudes, so that the phase of an empty pair is not noise."""
 ALIKE = 1e-6
 """Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
 TABLE, KEY = "features.safetensors", "features.key"
@@ -133,13 +135,12 @@ def describe(
             f"observations must be (N, rings, sectors, colours), (N, headings, rays) or (N, M), not {array.shape}"
         )
     count, rings, colours, sectors = image.shape
-    wave = _waves(sectors, min(frequencies, sectors // 2))
+    wave = make_waves(sectors, min(frequencies, sectors // 2))
     real, imaginary = (image.view(-1, sectors) @ wave).view(count, rings, colours, 2, -1).unbind(dim=3)
     size = (real.square() + imaginary.square()).sqrt_()
     a, b, c, d = real[:, :-1, :, 1:], imaginary[:, :-1, :, 1:], real[:, 1:, :, 1:], imaginary[:, 1:, :, 1:]
-    # A product's amplitude to the power 1/4 is comparable to a magnitude's square root; its phase is kept. The small
-    # constant keeps the phase of an empty pair from being noise.
-    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(1e-8).sqrt_()
+    # A product's amplitude to the power 1/4 is comparable to a magnitude's square root; its phase is kept.
+    half = (size[:, :-1, :, 1:] * size[:, 1:, :, 1:]).add_(LEAST).sqrt_()
     shrink = (half * half.sqrt()).reciprocal_()
     described = torch.empty((count, size[0].numel() + 2 * shrink[0].numel()))
     magnitude, product = described.split([size[0].numel(), 2 * shrink[0].numel()], dim=1)
@@ -148,6 +149,18 @@ def describe(
     torch.mul(a * c + b * d, shrink, out=product[..., 0])
     torch.mul(b * c - a * d, shrink, out=product[..., 1])
     return described
+
+
+@lru_cache(maxsize=8)
+def make_waves(sectors: int, frequencies: int) -> torch.Tensor:
+    """Cosines, then sines, of each frequency (sectors, 2 frequencies + 2).
+
+    For a few frequencies a product with these is faster than a Fourier transform. The coefficients are means over the
+    circle of an image between 0 and 1.
+    """
+    angle = 2.0 * np.pi / sectors * np.outer(np.arange(sectors), np.arange(frequencies + 1))
+    wave = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) / (255.0 * sectors)
+    return torch.from_numpy(wave.astype(np.float32))
 
 
 def draw_rings(scan: torch.Tensor, edges: torch.Tensor) -> torch.Tensor:
@@ -274,15 +287,6 @@ def _check_variety(centred: torch.Tensor, mean: torch.Tensor) -> None:
     apart, size = torch.linalg.vector_norm(centred), torch.linalg.vector_norm(mean) * len(centred) ** 0.5
     if apart <= ALIKE * size:
         raise InputError(f"all {len(centred)} observations look alike, so none tells where it was")
-
-
-@lru_cache(maxsize=8)
-def _waves(sectors: int, frequencies: int) -> torch.Tensor:
-    # Cosines, then sines, of each frequency (sectors, 2 frequencies + 2): for a few frequencies a product with these is
-    # faster than a Fourier transform. The coefficients are means over the circle of an image between 0 and 1.
-    angle = 2.0 * np.pi / sectors * np.outer(np.arange(sectors), np.arange(frequencies + 1))
-    wave = np.concatenate([np.cos(angle), -np.sin(angle)], axis=1) / (255.0 * sectors)
-    return torch.from_numpy(wave.astype(np.float32))
 
 
 def _principal_axes(centred: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:

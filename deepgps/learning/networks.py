@@ -73,7 +73,7 @@ class ResNet(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Positions (B, outputs) [m]."""
-        images = len(x)
+        images = x.shape[0]  # and not len(x), which an export to ONNX would take for a constant
         x = functional.relu(self.first_norm(self.first(self._turn(x))))
         # After a ReLU nothing is below zero, so zero padding never wins the maximum.
         x = functional.max_pool2d(pad(self._turn(x), 1, self.padding), 3, 2)

@@ -162,17 +162,27 @@ def take_phases(images: np.ndarray) -> np.ndarray:
     Rings count by their circumference, and frequencies are filtered as by the compass. Zeros for a blank image.
     """
     rings, sectors = images.shape[1:3]
-    first = np.arange(min(RINGS, rings)) * rings // min(RINGS, rings)
+    first = choose_rings(rings)
     pooled = np.add.reduceat(images.astype(np.float32), first, axis=1)
     pooled /= np.diff(np.append(first, rings)).astype(np.float32)[:, None, None]
-    frequency = np.arange(1, min(FREQUENCIES, sectors // 2 - 1) + 1)
-    passed = np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + SMOOTH)
-    found = np.asarray(fft.rfft(np.moveaxis(pooled, 3, 1)))[..., 1 : len(frequency) + 1]
+    passed = filter_frequencies(sectors)
+    found = np.asarray(fft.rfft(np.moveaxis(pooled, 3, 1)))[..., 1 : len(passed) + 1]
     found = found * (passed * np.sqrt(np.arange(len(first)) + 0.5)[:, None]).astype(np.float32)
     size = np.square(pooled).sum(axis=(1, 2, 3)) * sectors  # not exactly the energy, but of its order
     blank = np.square(np.abs(found)).sum(axis=(1, 2, 3)) <= LEAST_CONTRAST * size
     found[blank] = 0.0
-    return _normalise(found.reshape(len(images), -1, len(frequency)))
+    return _normalise(found.reshape(len(images), -1, len(passed)))
+
+
+def choose_rings(rings: int) -> np.ndarray:
+    """First ring of an image of each ring that the table keeps."""
+    return np.arange(min(RINGS, rings)) * rings // min(RINGS, rings)
+
+
+def filter_frequencies(sectors: int) -> np.ndarray:
+    """Factor of each frequency that the table keeps, from one cycle per turn on."""
+    frequency = np.arange(1, min(FREQUENCIES, sectors // 2 - 1) + 1)
+    return np.exp(-((frequency / (CUTOFF * sectors)) ** 2)) * frequency / (frequency + SMOOTH)
 
 
 def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -56,8 +56,8 @@ class Poses:
         yaw, other = (None if one is None else alignment.turn(one) for one in (self.yaw, self.other_yaw))
         return replace(self, position=alignment.apply(self.position), yaw=yaw, other_yaw=other)
 
-    def take(self, index: int) -> "Poses":
-        """One of the poses, without the axis B."""
+    def take(self, index: int | np.ndarray) -> "Poses":
+        """One of the poses, without the axis B, or some."""
         return replace(self, **{name: part[index] for name, part in vars(self).items() if part is not None})
 
 

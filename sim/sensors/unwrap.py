@@ -1,5 +1,7 @@
 """The polar image of a raw fisheye image: rings from the centre to the rim, sectors once around."""
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 
@@ -105,3 +107,28 @@ def _check(images: np.ndarray, centre: tuple[float, float], radius_px: float, ri
         raise InputError(f"radius_px {radius_px}: must be from 1 to {LARGEST_PX}")
     if not (1 <= rings <= 1024 and 1 <= sectors <= 4096):
         raise InputError(f"rings {rings} and sectors {sectors}: must be from 1 to 1024, and from 1 to 4096")
+
+
+@dataclass(frozen=True)
+class RoundImage:
+    """Where the image circle is in the raw images of a camera that looks up, as for ``unwrap_fisheye``.
+
+    Attributes:
+        centre: Column and row of the optical axis [px].
+        radius_px: Distance of the rim from the centre [px].
+        forward_deg: Direction of the robot's forward axis, clockwise from the image's top [deg].
+    """
+
+    centre: tuple[float, float]
+    radius_px: float
+    forward_deg: float = 0.0
+
+    def find_points(self, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
+        """Columns and rows that ``draw_polar`` takes, the same for all images of the camera."""
+        across, around = oversample(self.radius_px, rings, sectors)
+        size = (rings * across, sectors * around)
+        return _make_warp(self.centre, self.radius_px, *size, self.forward_deg, None, None)
+
+    def check(self, image: np.ndarray, rings: int, sectors: int) -> None:
+        """Raise InputError if this cannot be the circle in a raw image (height, width, 3) uint8."""
+        _check(image, self.centre, self.radius_px, rings, sectors)

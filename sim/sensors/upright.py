@@ -39,10 +39,10 @@ class Upright:
         """
         if not any(self.lean):
             return images
-        maps = _map_pixels(self, *images.shape[1:3])
+        maps = map_pixels(self, *images.shape[1:3])
         upright = np.empty_like(images)
         for image, out in zip(images, upright, strict=True):
-            cv2.remap(_pad(image), *maps, cv2.INTER_LANCZOS4, dst=out)
+            cv2.remap(pad(image), *maps, cv2.INTER_LANCZOS4, dst=out)
         return upright
 
     def copy(self, images: np.ndarray, folder: Path) -> np.ndarray:
@@ -58,7 +58,7 @@ class Upright:
 
 
 @lru_cache(maxsize=8)
-def _map_pixels(upright: Upright, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
+def map_pixels(upright: Upright, rings: int, sectors: int) -> tuple[np.ndarray, np.ndarray]:
     """Column and row (rings, sectors) float32 of the padded image of the leaning camera, for each upright pixel."""
     seen = polar_rays(upright.lens, rings, sectors) @ tilt(np.array(upright.lean))
     row, column = np.moveaxis(project_polar(upright.lens, seen, rings, sectors), -1, 0)
@@ -66,7 +66,7 @@ def _map_pixels(upright: Upright, rings: int, sectors: int) -> tuple[np.ndarray,
     return (column + PAD).astype(np.float32), (row + PAD).astype(np.float32)
 
 
-def _pad(image: np.ndarray) -> np.ndarray:
+def pad(image: np.ndarray) -> np.ndarray:
     """The image (rings + 2 PAD, sectors + 2 PAD, channels), continued around the circle and across the zenith."""
     across = np.roll(image[PAD - 1 :: -1], image.shape[1] // 2, axis=1)
     whole = np.concatenate([across, image, np.repeat(image[-1:], PAD, axis=0)])

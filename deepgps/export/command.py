@@ -1,0 +1,66 @@
+"""What ``deepgps export`` does: writes the chosen formats into one folder of its own."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from deepgps.api.run import Frame, Run
+from deepgps.export.onnx_folder import write_onnx
+from deepgps.export.trajectories import WRITE, Format, write_trajectories
+from deepgps.owned_folder import Kind, hold
+from deepgps.progress import Report
+from sim.files import sweep
+from sim.sensors.unwrap import RoundImage
+
+FILES = re.compile(
+    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)"
+)
+EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
+
+
+def default_folder(run: Path) -> Path:
+    """Folder of a run's export if the user names none: export/<name of the run's folder>."""
+    return Path("export") / run.resolve().name
+
+
+def export_trajectories(
+    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[Format], progress: Report
+) -> list[Path]:
+    """Write trajectories in these formats into a folder; return its subfolders.
+
+    Args:
+        run: The run.
+        folder: The export's folder.
+        method: The only method; None: all.
+        frame: Frame of the poses; None: the world's where the map has a place in it.
+        formats: What to write.
+        progress: Called with the trajectories done and their number.
+    """
+    methods = run.methods if method is None else (run.choose(method),)
+    with hold(folder, EXPORT):
+        sweep(folder, FILES)
+        write_trajectories(folder, run, methods, frame, formats, progress)
+    return [folder / name for name in formats]
+
+
+def export_onnx(
+    run: Run, folder: Path, method: str | None, frame: Frame | None, raw: RoundImage | None, progress: Report
+) -> list[Path]:
+    """Write a method as a model in ONNX into a folder; return its subfolder.
+
+    Args:
+        run: The run.
+        folder: The export's folder.
+        method: The method; None: the first of the run.
+        frame: Frame of the poses; None: the world's where the map has a place in it.
+        raw: Where the image circle is in raw images; None: the model takes polar images alone.
+        progress: Called with the steps done and their number.
+    """
+    name = run.choose(method)
+    alignment = run.alignment(name, frame or run.choose_frame(name))
+    with hold(folder, EXPORT):
+        sweep(folder, FILES)
+        progress("onnx", 0, 1)
+        write_onnx(folder / "onnx", name, run.positioner(name), alignment, raw)
+        progress("onnx", 1, 1)
+    return [folder / "onnx"]

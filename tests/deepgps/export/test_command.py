@@ -1,0 +1,49 @@
+"""The command deepgps export: what it writes, where, and what it refuses in one line."""
+
+from pathlib import Path
+
+import pytest
+
+from deepgps.export import onnx_folder
+from tests.helpers.command import assert_one_clear_line, deepgps_here
+
+
+def test_trajectories_go_into_a_folder_of_their_own_again_and_again(finished_run: Path, tmp_path: Path):
+    (tmp_path / "first").symlink_to(finished_run)
+    words = ("export", "first", "--tum", "--csv", "--method", "posenet", "--out", "given")
+    for _ in range(2):
+        done = deepgps_here(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == "wrote given/tum\nwrote given/csv\n"
+    written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
+    assert written == [f"{kind}/training/{name}.{kind}" for kind in ("csv", "tum") for name in ("posenet", "truth")]
+
+
+def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(onnx_folder, "build_model", lambda *_: (b"a model", ["position"]))  # which takes its time
+    words = ("--onnx", "--frame", "map", "--centre", "60", "58", "--radius-px", "50", "--out", "robot")
+    done = deepgps_here("export", str(finished_run), *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "wrote robot/onnx\n"), done.stderr
+    names = {path.name for path in (tmp_path / "robot" / "onnx").iterdir()}
+    assert names == {"model.onnx", "meta.json", "tables.npz", "example.py"}
+    assert '"frame": "map"' in (tmp_path / "robot" / "onnx" / "meta.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "needs at least one of --tum, --csv, --onnx"),
+        (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both, or neither"),
+        (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
+        (("--tum", "--method", "knn"), "method 'knn': "),
+    ],
+)
+def test_wrong_words_are_refused(words: tuple[str, ...], message: str, finished_run: Path, tmp_path: Path):
+    assert_one_clear_line(deepgps_here("export", str(finished_run), *words, cwd=tmp_path), 2, message, tmp_path)
+
+
+def test_a_folder_of_the_user_s_is_left_alone(finished_run: Path, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    done = deepgps_here("export", str(finished_run), "--tum", "--out", ".", cwd=tmp_path)
+    assert done.returncode == 2 and "is neither empty nor a export folder of deepgps" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
