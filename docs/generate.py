@@ -16,6 +16,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 import deepgps
 from deepgps.cli import COMMANDS
+from deepgps.logs.robot_config import CameraConfig, DriveConfig, Intrinsics, PoseConfig, RobotConfig, WheelConfig
 from deepgps.methods.catalog import METHODS
 from deepgps.scenario import Scenario
 from deepgps.studies.catalog import REPORTS
@@ -26,6 +27,15 @@ ROOT = Path(__file__).parents[1]
 Schema = Mapping[str, Any]
 NAMES = {"methods": METHODS, "report": REPORTS}
 """Names that a setting allows, where the JSON schema of the settings does not tell them."""
+ROBOT: Mapping[str, type[Group]] = {
+    "": RobotConfig,
+    "wheels": WheelConfig,
+    "camera": CameraConfig,
+    "camera.intrinsics": Intrinsics,
+    "pose": PoseConfig,
+    "drive": DriveConfig,
+}
+"""Groups of a robot's file; some may be missing in it."""
 COLUMNS = 100
 """Width of the commands' help."""
 IN_MODULES = {
@@ -40,7 +50,13 @@ def fill_in(text: str, page: str = "") -> str:
     """A page's text with its generated parts and a study's figures; "RMS / median / max" stays on one line."""
     text += show_figures(page) if page.startswith("results/") else ""
     text = re.sub(r"(?<=\d) / (?=\d)", "\u00a0/\u00a0", text)
-    parts = {"settings": describe_settings, "study": describe_study, "commands": describe_commands, "api": describe_api}
+    parts = {
+        "settings": describe_settings,
+        "study": describe_study,
+        "robot": describe_robot,
+        "commands": describe_commands,
+        "api": describe_api,
+    }
     return re.sub(r"^<!-- generated: (\w+) -->$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
 
 
@@ -63,6 +79,16 @@ def describe_settings() -> str:
 def describe_study() -> str:
     """Every key of a study's file."""
     return "\n".join(_describe_fields(Study, "", "study."))
+
+
+def describe_robot() -> str:
+    """Every key of a robot's file: a section for each group."""
+    parts = []
+    for name, group in ROBOT.items():
+        if name:
+            parts.append(f"## `{name}`\n\n{_markdown(cleandoc(group.__doc__ or ''))}\n")
+        parts += _describe_fields(group, f"{name}." if name else "", "robot.")
+    return "\n".join(parts)
 
 
 def describe_commands() -> str:
@@ -106,7 +132,8 @@ def _describe_fields(group: type[Group], prefix: str, label: str = "") -> Iterat
     schema = group.model_json_schema()
     for key, field in group.model_fields.items():
         details = schema["properties"][key]
-        if "$ref" in details and group is not Study:  # a group, which has a section of its own
+        choices = [details, *details.get("anyOf", [])]
+        if any("$ref" in one for one in choices) and group is not Study:  # a group, which has a section of its own
             continue
         default = (
             "none, it must be given"
@@ -124,6 +151,8 @@ def _name_type(key: str, schema: Schema) -> str:
     kind = schema.get("type")
     if "anyOf" in schema:
         return " or ".join(_name_type(key, one) for one in schema["anyOf"])
+    if "const" in schema:
+        schema = {**schema, "enum": [schema["const"]]}
     if names := schema.get("enum") or (kind == "string" and NAMES.get(key)):
         return "one of " + ", ".join(f"`{name}`" for name in names)
     if "$ref" in schema:

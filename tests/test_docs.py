@@ -12,7 +12,14 @@ from deepgps.evaluation.error_field import read_fields
 from deepgps.methods.catalog import METHODS
 from deepgps.scenario import Scenario, names_in
 from deepgps.studies.study import Study
-from docs.generate import describe_commands, describe_settings, describe_study, list_groups
+from docs.generate import (
+    ROBOT,
+    describe_commands,
+    describe_robot,
+    describe_settings,
+    describe_study,
+    list_groups,
+)
 from sim.files import read_json
 from sim.paths import SCENARIOS, STUDIES
 from sim.settings import EncoderSettings
@@ -74,6 +81,15 @@ def test_limits_and_choices_of_settings_are_told() -> None:
 
 def test_every_key_of_a_study_is_described() -> None:
     assert set(re.findall(r"confval\} study\.(\S+)", describe_study())) == set(Study.model_fields)
+
+
+def test_every_key_of_a_robot_s_file_is_described() -> None:
+    page = describe_robot()
+    described = set(re.findall(r"confval\} robot\.(\S+)", page))
+    groups = {name for name in ROBOT if name}
+    wanted = {f"{name}.{key}".lstrip(".") for name, group in ROBOT.items() for key in group.model_fields}
+    assert described | groups == wanted | groups
+    assert "confval} robot.wheels.lag_s\n:type: number or one of `estimate`\n:default: `0.0`" in page
 
 
 def test_every_command_is_described_by_its_own_help() -> None:

@@ -17,6 +17,7 @@ from unittest.mock import patch
 import yaml
 
 from deepgps.cli_arguments import StudyArguments, parse, parse_scenario
+from deepgps.logs.robot_config import load_config
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import ignore
 from deepgps.scenario import load_scenario
@@ -37,6 +38,8 @@ SMALL = "mini.yaml"
 """The scenario that every long run becomes."""
 SMALLER = ("--drive.samples", "60", "--learn.train.steps", "20", "--learn.fold.restarts", "0")
 """Settings of runs with settings of their own, which cannot be copies of the finished run."""
+IMPORTED = "runs/my_drive"
+"""A recording that a page imports, on which a run is trained briefly."""
 IN_USE = "--deployment.drive-samples"
 """The length of a drive in use, which becomes a small one."""
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
@@ -171,6 +174,8 @@ class Reader:
             stage = "collect"
         if words != [SMALL] and not is_folder(words):
             words += SMALLER
+        elif words[:1] == [IMPORTED]:
+            words += SMALLER[2:]
         if IN_USE in words:
             words += (IN_USE, "30")
         key = (stage, *words)
@@ -233,7 +238,9 @@ class Reader:
         path = self.folder / "block.yaml"
         path.write_text(block.text)
         with chdir(self.folder):
-            if "scenario" in read_yaml(path, 1000):
+            if "wheels" in read_yaml(path, 1000):
+                load_config(path)
+            elif "scenario" in read_yaml(path, 1000):
                 plan_runs(load_study(str(path), tiny=False, full=False), ignore)
             else:
                 load_scenario(str(path), {})
