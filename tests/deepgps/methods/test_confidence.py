@@ -128,6 +128,19 @@ def test_bars_measure_the_error_whatever_their_place_heading_and_length() -> Non
     assert np.nanmax(measure_bars(segments, 1.02 * place @ [[0.0, 1.0], [-1.0, 0.0]] + 5.0, held)) < 1e-6
 
 
+def test_bars_do_not_mistake_errors_of_the_encoders_or_a_curve_for_errors_of_the_network() -> None:
+    segments, place = drive(2000)
+    held = find_held_out(segments, len(place)).numpy()
+    clean = np.nanmedian(measure_bars(segments, err(place, 0.01, 1), held))
+    rng = np.random.default_rng(2)
+    noisy = replace(segments, distance=segments.distance + torch.from_numpy(rng.normal(0.0, 0.05, (2000, 12))).float())
+    assert np.nanmedian(measure_bars(noisy, err(place, 0.01, 1), held)) == pytest.approx(clean, rel=0.1)
+    way = place.reshape(2000, READINGS, 2) - place.reshape(2000, READINGS, 2)[:, :1]
+    left = np.stack([-way[..., 1], way[..., 0]], axis=-1) * np.linalg.norm(way, axis=-1, keepdims=True)
+    bent = place + 0.05 / 2.0 * left.reshape(-1, 2)
+    assert np.nanmax(measure_bars(segments, bent, held)) < 1e-5
+
+
 def test_quantiles_are_found_where_errors_grow_with_novelty() -> None:
     rng = np.random.default_rng(0)
     novelty = rng.uniform(1.0, 4.0, 3000)
