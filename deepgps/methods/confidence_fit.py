@@ -35,8 +35,8 @@ LEAST_READINGS, LEAST_ERRORS, MOST_ERRORS = 4, 20, 4000
 
 def make_confidence(
     segments: Segments, features: np.ndarray, positions: np.ndarray, map_std: np.ndarray | None = None
-) -> Confidence:
-    """Make the table, its threshold and its radii.
+) -> Confidence | None:
+    """Make the table, its threshold and its radii; None where all images are of one segment, or nearly so.
 
     Args:
         segments: Segments of the drive.
@@ -46,9 +46,11 @@ def make_confidence(
     """
     held = find_held_out(segments, len(positions)).numpy()
     std = np.zeros(len(positions)) if map_std is None else np.nan_to_num(map_std)
+    apart = _leave_segments_out(segments, features, positions, std)
+    if not len(apart):
+        return None
     table = _make_table(features, positions, std, np.flatnonzero(~held))
-    across = _leave_segments_out(segments, features, positions, std)
-    table = replace(table, threshold_m=float(np.quantile(across, 1.0 - REFUSED, method="higher")))
+    table = replace(table, threshold_m=float(np.quantile(apart, 1.0 - REFUSED, method="higher")))
     error = measure_bars(segments, positions, held)
     measured = np.isfinite(error)
     if measured.sum() < LEAST_ERRORS:
@@ -174,7 +176,7 @@ def _convert(known: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 def _leave_segments_out(segments: Segments, features: np.ndarray, positions: np.ndarray, std: np.ndarray) -> np.ndarray:
     """Novelties of images, each against a table without the segments of its fold."""
-    found = []
+    found = [np.empty(0)]
     for inside, others in _split(segments, len(positions)):
         table = _make_table(features, positions, std, others)
         found.append(table.measure(features[inside], positions[inside])[0])

@@ -93,4 +93,4 @@ def learn_confidence(positioner: Any, recording: Recording, folder: Path, reads_
     stored = read_map(folder)
     map_std = None if stored is None else stored.expected / np.sqrt(2.0)
     table = make_confidence(segments, features.numpy(), positioner.locate_features(features), map_std)
-    return add_confidence(positioner, table)
+    return positioner if table is None else add_confidence(positioner, table)

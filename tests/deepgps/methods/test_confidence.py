@@ -37,10 +37,16 @@ def err(place: np.ndarray, std: np.ndarray | float, seed: int) -> np.ndarray:
     return place + np.random.default_rng(seed).normal(size=place.shape) * np.reshape(std, (-1, 1))
 
 
+def make(segments: Segments, features: np.ndarray, positions: np.ndarray) -> Confidence:
+    made = make_confidence(segments, features, positions)
+    assert made is not None
+    return made
+
+
 @pytest.fixture(scope="module")
 def table() -> Confidence:
     segments, place = drive(600)
-    return make_confidence(segments, lift(place), err(place, 0.01, 1))
+    return make(segments, lift(place), err(place, 0.01, 1))
 
 
 def test_the_radii_hold_the_true_place_as_often_as_they_say(table: Confidence) -> None:
@@ -99,10 +105,15 @@ def test_packing_keeps_every_bit(table: Confidence) -> None:
 
 def test_without_segments_held_out_radii_are_unknown_and_images_are_refused_all_the_same() -> None:
     segments, place = drive(LEAST_SEGMENTS - 1)
-    table = unpack(*make_confidence(segments, lift(place), place).pack())
+    table = unpack(*make(segments, lift(place), place).pack())
     found = table.find(lift(place + 50.0), place)
     assert not found.accepted.any()
     assert np.isnan(found.radius).all()
+
+
+def test_one_segment_tells_nothing() -> None:
+    segments, place = drive(1)
+    assert make_confidence(segments, lift(place), place) is None
 
 
 def test_one_image_at_a_time_gives_the_same(table: Confidence) -> None:
@@ -114,7 +125,7 @@ def test_one_image_at_a_time_gives_the_same(table: Confidence) -> None:
 
 
 def test_the_table_grows_with_the_area_and_not_with_the_images() -> None:
-    small, large = (len(make_confidence(s, lift(p), p).place) for s, p in (drive(600), drive(2400)))
+    small, large = (len(make(s, lift(p), p).place) for s, p in (drive(600), drive(2400)))
     assert large < 1.6 * small
 
 
