@@ -25,6 +25,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 
 from deepgps.data.ranks import rank_values
+from deepgps.data.relit import relight
 from deepgps.data.segments import Segments, subsample
 from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
@@ -38,6 +39,8 @@ LEAST = 1e-8
 """Added to the product of two magnitudes, so that the phase of an empty pair is not noise."""
 ALIKE = 1e-6
 """Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
+RELIT, LIGHT_WEIGHT = 1500, 0.3
+"""Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
 TABLE, KEY = "features.safetensors", "features.key"
 
 
@@ -198,7 +201,10 @@ def fit_features(
     described -= mean
     _check_variety(described, mean)
     basis = _principal_axes(described, min(settings.principal, *described.shape), generator)
-    basis = basis @ _slow_axes(described @ basis, sample, settings.components)
+    changed = None
+    if settings.values == "ranks" and observation.ndim == 4:
+        changed = _describe_changes(observation, chosen.numpy(), settings.frequencies, generator) @ basis
+    basis = basis @ _slow_axes(described @ basis, sample, settings.components, changed)
     projected = described @ basis
     size = projected.square().mean().sqrt().clamp_min(1e-12)
     shape = tuple(observation.shape[1:])
@@ -299,7 +305,21 @@ def _principal_axes(centred: torch.Tensor, count: int, generator: torch.Generato
     return (guess @ axes.T)[:, :count]
 
 
-def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
+def _describe_changes(
+    observation: np.ndarray, chosen: np.ndarray, frequencies: int, generator: torch.Generator
+) -> torch.Tensor:
+    """What another light changes in the descriptions (n, K) of some of the chosen images."""
+    some = chosen[:: -(-len(chosen) // RELIT)]
+    changes = []
+    for start in range(0, len(some), CHUNK):
+        images = np.ascontiguousarray(observation[some[start : start + CHUNK]])
+        seen, relit = (describe(one, frequencies, values="ranks") for one in (images, relight(images, generator)))
+        changes.append(relit.sub_(seen))
+    return torch.cat(changes)
+
+
+def _slow_axes(x: torch.Tensor, segments: Segments, count: int, changed: torch.Tensor | None = None) -> torch.Tensor:
+    # Besides what bends along segments, what light changes (n, K) counts as noise.
     x = x.double()
     triple = segments.valid[:, 2:]
     if triple.sum() < 2 * x.shape[1]:
@@ -308,6 +328,9 @@ def _slow_axes(x: torch.Tensor, segments: Segments, count: int) -> torch.Tensor:
     first, middle, last = (segments.index[:, k : k + triple.shape[1]][triple] for k in range(3))
     bend = x[first] - 2.0 * x[middle] + x[last]
     noise = bend.T @ bend / len(bend)
+    if changed is not None:
+        changed = changed.double()
+        noise += LIGHT_WEIGHT * (changed.T @ changed) / len(changed)
     if not noise.any():
         return torch.eye(x.shape[1])[:, :count].float()  # no component bends, so none is slower than the others
     ridge = 1e-6 * noise.diagonal().mean() * torch.eye(len(noise), dtype=noise.dtype)

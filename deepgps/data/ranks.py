@@ -4,21 +4,22 @@ import torch
 
 
 def rank_values(image: torch.Tensor) -> torch.Tensor:
-    """Replace each value by the share of the values of its image and colour that are darker; equal ones share a rank.
+    """Replace each value of an image by the share of its values, of all colours, that are darker.
 
-    Light, exposure and a lens's gain change what a pixel's value is, and rarely which of two pixels is brighter. This
-    is histogram equalisation, with its mid-ranks (Hummel, "Image enhancement by histogram transformation", 1977).
+    Equal values share the mean of their ranks. Light, exposure and gamma change what a pixel's value is, and rarely
+    which of two pixels is brighter. This is histogram equalisation (Hummel, "Image enhancement by histogram
+    transformation", Computer Graphics and Image Processing 6(2), 1977).
 
     Args:
-        image: Pixel values (N, rings, colours, sectors) uint8.
+        image: Pixel values (N, ...) uint8.
 
     Returns:
-        float32 of the same shape, between 0 and 255; each image's mean is 127.5 in every colour.
+        float32 of the same shape, between 0 and 255; the mean of each image is 127.5.
     """
-    count, rings, colours, sectors = image.shape
-    own = 256 * torch.arange(count * colours, dtype=torch.int32).view(count, 1, colours, 1)
-    place = (image.int() + own).view(-1)
-    values = torch.bincount(place, minlength=256 * count * colours).view(-1, 256)
-    darker = values.cumsum(dim=1) - values / 2
-    ranks = (darker * (255.0 / (rings * sectors))).float()
+    flat = image.flatten(1)
+    count, size = flat.shape
+    own = 256 * torch.arange(count, dtype=torch.int32)
+    place = (flat.int() + own[:, None]).view(-1)
+    values = torch.bincount(place, minlength=256 * count).view(count, 256)
+    ranks = ((values.cumsum(dim=1) - values / 2) * (255.0 / size)).float()
     return ranks.view(-1).index_select(0, place).view(image.shape)
