@@ -111,6 +111,12 @@ REPORTS: dict[str, Report] = {
             *(f"compass_{name}_{lean}_ratio" for name in ("tilted", "knocked") for lean in (2, 8)),
         ),
     ),
+    "change": Report(
+        "change:report",
+        {"change": "change:draw"},
+        "change:measure",
+        ("light_0.5_ratio", "light_0.2_ratio", "lamps_0_ratio", "mixed_ratio", "person_ratio"),
+    ),
     "corridors": Report(
         "corridors:report",
         {"corridors": "corridors:draw"},
