@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+from scipy.stats import rankdata
 
 from deepgps.bench.rows import Row
 from deepgps.learning.trainer import use_threads
@@ -49,7 +50,11 @@ def locate_naively(positioner: NetworkPositioner, images: np.ndarray) -> np.ndar
     assert features is not None
     found = [np.zeros((0, 2))]
     for start in range(0, len(images), BATCH):
-        image = torch.from_numpy(images[start : start + BATCH].transpose(0, 1, 3, 2).astype(np.float32) / 255.0)
+        some = images[start : start + BATCH].astype(np.float32) / 255.0
+        if features.values == "ranks":
+            flat = some.reshape(len(some), -1)
+            some = ((rankdata(flat, axis=1) - 0.5) / flat.shape[1]).astype(np.float32).reshape(some.shape)
+        image = torch.from_numpy(np.ascontiguousarray(some.transpose(0, 1, 3, 2)))
         spectrum = torch.fft.rfft(image, norm="forward")[..., : features.frequencies + 1]
         product = spectrum[:, :-1, :, 1:] * spectrum[:, 1:, :, 1:].conj()
         product = product / (product.abs() + 1e-8) ** 0.75

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from deepgps.data.segments import read_segments
 from deepgps.learning.networks import make_network
 from deepgps.methods.positioner import NetworkPositioner
 from deepgps.progress import ignore
-from deepgps.settings import LearnSettings, NetworkSettings
+from deepgps.settings import LearnSettings, NetworkSettings, PixelValues
 from sim.errors import InputError, WorkError
 from sim.recording.format import open_recording
 from sim.tools.render_bench import draw_poses, measure_rendering
@@ -156,8 +157,11 @@ def test_a_bench_of_another_schema_is_refused(tmp_path: Path):
         read_bench(tmp_path / "old.json")
 
 
-def test_the_naive_way_finds_the_same_positions():
+@pytest.mark.parametrize("values", ["pixels", "ranks"])
+def test_the_naive_way_finds_the_same_positions(values: PixelValues):
     positioner, seen = make_positioner(), images(7)
+    assert positioner.features is not None
+    positioner = replace(positioner, features=replace(positioner.features, values=values))
     ours, naive = positioner(seen), locate_naively(positioner, seen)
     assert np.abs(ours - naive).max() < 1e-4 * np.abs(naive).max()
     latency, rate = measure_speed(positioner, seen, 1)
