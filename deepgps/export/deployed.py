@@ -102,11 +102,10 @@ class FeatureModule(nn.Module):
 
 def _rank_values(image: torch.Tensor) -> torch.Tensor:
     """``data.ranks.rank_values`` of images (B, rings, colours, sectors)."""
-    values = image.transpose(1, 2)
-    place = values.long().flatten(2)
-    count = torch.zeros((*place.shape[:2], 256)).scatter_add(2, place, torch.ones(place.shape))
-    darker = (count.cumsum(dim=2) - count / 2) * (255.0 / place.shape[2])
-    return darker.gather(2, place).view(values.shape).transpose(1, 2)
+    place = image.long().flatten(1)
+    count = torch.zeros((len(place), 256)).scatter_add(1, place, torch.ones(place.shape))
+    darker = (count.cumsum(dim=1) - count / 2) * (255.0 / place.shape[1])
+    return darker.gather(1, place).view(image.shape)
 
 
 class FrameModule(nn.Module):
