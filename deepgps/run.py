@@ -10,6 +10,7 @@ from deepgps.scenario import Scenario
 from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
 from deepgps.timing import timed
 from sim.files import is_intact
+from sim.recording.format import has_truth
 
 
 def run(
@@ -42,10 +43,14 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.figures.run_figures import draw_figures
     from deepgps.viewer.run.pictures import PICTURES, choose_views, write_pictures
-    from deepgps.viewer.run.recording import write_recording
+    from deepgps.viewer.run.recording import find_recording, write_recording
 
     path = folder / "run.rrd"
-    if not is_intact(path):
+    if is_intact(path):
+        return
+    if not has_truth(folder / "recording"):
+        find_recording(folder)
+    else:
         with timed(folder, "show"):
             progress("show", 0, 3)
             draw_figures(folder)

@@ -18,7 +18,7 @@ from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import drop_sum, read_arrays, read_json, write_json
 from sim.recording.derive import derive
-from sim.recording.format import is_whole
+from sim.recording.format import has_truth, is_whole
 from sim.renamed import name_methods
 from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import WorldName
@@ -120,7 +120,10 @@ def training_seed(scenario: Scenario) -> int:
 
 
 def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
-    """Measure all methods; write ``metrics.json``, ``error_field.npz`` and each method's alignment."""
+    """Measure all methods; write ``metrics.json``, ``error_field.npz`` and each method's alignment.
+
+    On a recording without truth, ``without_truth.json`` is written in their place.
+    """
     from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
 
@@ -129,6 +132,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         if not is_older(folder, RUN):
             align_methods(folder, scenario)
         return metrics
+    if not has_truth(folder / "recording"):
+        return evaluate_without_truth(scenario, folder, progress)
     with timed(folder, "evaluate"):
         progress("evaluate", 0, 1)
         measured = measure(folder, scenario)
@@ -138,6 +143,22 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")
+
+
+def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
+    """Write what can be said of all methods without the truth: ``without_truth.json``."""
+    from deepgps.evaluation.without_truth import FILE, judge, read_judged
+
+    judged = read_judged(folder)
+    if judged and set(scenario.methods) <= set(judged["methods"]):
+        return judged
+    with timed(folder, "evaluate"):
+        progress("evaluate", 0, 1)
+        judged = judge(folder, scenario)
+        progress("evaluate", 1, 1)
+    remove_recording_of_run(folder)
+    write_json(folder / FILE, judged)
+    return judged
 
 
 def remove_recording_of_run(folder: Path) -> None:

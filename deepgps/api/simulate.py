@@ -84,7 +84,7 @@ def train(
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)
         train_methods(scenario, place, report)
-        if has_truth(home) and len(open_recording(home).test_observation):
+        if not has_truth(home) or len(open_recording(home).test_observation):
             evaluate(scenario, place, report)
     return load(folder)
 

@@ -12,6 +12,7 @@ from rich.table import Table
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.figures.verdict import judge_run
+from deepgps.figures.without_truth import print_without_truth
 from deepgps.methods.catalog import folder_of, title_of
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
@@ -177,6 +178,8 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     Raises:
         InputError: The folder holds no run.
     """
+    if not (run / "metrics.json").is_file() and print_without_truth(run, console):
+        return
     metrics = read_metrics(run)
     headings, rows = tabulate(metrics)
     title = f"{metrics['scenario']}, seed {metrics['seed']}"

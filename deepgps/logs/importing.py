@@ -26,7 +26,9 @@ from deepgps.logs.summary import describe
 from deepgps.logs.turn_pairs import choose_lag, measure_lag
 from deepgps.progress import Report
 from sim.errors import InputError
-from sim.files import check_space
+from sim.files import check_space, read_json
+from sim.recording.format import finish_recording
+from sim.recording.in_use import FOLDER as IN_USE
 from sim.settings import CameraSettings
 from sim.user_input import shorten
 
@@ -34,6 +36,8 @@ MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
 ROUNDS = 3
 """Attempts at a choice of images without damaged ones."""
+WRITTEN_LAST = ("schema", "sha256", "checksum")
+"""Entries of a manifest that are written again when a drive in use is added."""
 HEIGHTS_M = (0.2, 1.5)
 """Limits of the setting camera.height_m, by which only the viewer draws [m]."""
 
@@ -44,16 +48,21 @@ class Choice:
 
     Attributes:
         train: Those of the segments to learn from.
-        test: Those of the segments that are held out (C,).
+        test: Those of the segments that are held out.
     """
 
     train: Plan
-    test: np.ndarray
+    test: Plan
+
+    @property
+    def parts(self) -> list[np.ndarray]:
+        """Images of the observations and after turns, and the same of what is held out."""
+        return [one for plan in (self.train, self.test) for one in (plan.observation, plan.turn_image)]
 
     @property
     def numbers(self) -> list[int]:
-        """All images: observations, those after turns, those held out."""
-        return [*self.train.observation.tolist(), *self.train.turn_image.tolist(), *self.test.tolist()]
+        """All images."""
+        return np.concatenate(self.parts).tolist()
 
 
 def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, config_sha256: str = "") -> dict[str, Any]:
@@ -126,7 +135,7 @@ def _write(
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
-            told = {**about, **describe(config, source, drive, choice.train, len(choice.test))}
+            told = {**about, **describe(config, source, drive, choice.train, len(choice.test.observation))}
             told["notes"] = [*notes, *([damage] if damage else [])]
             _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, told)
         return told
@@ -139,8 +148,7 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
     path = drive.path
     images = _match(config, source, drive, lag_s)
     straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
-    held_out = config.drive.held_out if config.pose and config.pose.use == "truth" else 0.0
-    count = len(straight) - round(held_out * len(straight))
+    count = len(straight) - round(config.drive.held_out * len(straight))
     end = straight[count] if count < len(straight) else len(drive.motions)
     spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
     train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)
@@ -152,7 +160,7 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
             f"{len(images.number)}); do their times overlap, and do both wheels count forward?"
         )
     test = plan_recording(drive.motions, range(end, len(drive.motions)), wheels, path, images, spacing_m, ticks)
-    return Choice(train, test.observation)
+    return Choice(train, test)
 
 
 def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Images:
@@ -189,37 +197,59 @@ def _store(
     about: Mapping[str, Any],
 ) -> None:
     """Write the recording aside and move it to its place."""
-    train, wheels = choice.train, config.wheels
-    observation, turn, test = np.split(images, np.cumsum([len(train.observation), len(train.turn_image)]))
+    observation, turn, test, test_turn = np.split(images, np.cumsum([len(part) for part in choice.parts[:-1]]))
+    known = _take_poses(config, drive, choice)
+    if "pose" in known and len(test):
+        known["test_observations"] = test
     with TemporaryDirectory(dir=out.parent, prefix=f".{out.name[:60]}.") as place:
         folder = Path(place) / "recording"
-        write_recording(
-            folder,
-            observation,
-            train.reading,
-            train.time_s,
-            {"wheel_radius_m": wheels.radius_m, "track_m": wheels.track_m, "ticks_per_rev": wheels.ticks_per_rev},
-            observation_time=drive.image_s[train.observation],
-            turns=train.turns,
-            turn_observations=turn,
-            test_observations=test if len(test) else None,
-            camera=_describe_lens(config, source),
-            about={"source": "log", "log": about},
-            **_take_poses(config, drive, choice),
-        )
+        entries = {"source": "log", "log": about}
+        _write_plan(config, source, drive, choice.train, observation, turn, folder, entries, known)
+        if "pose" not in known and len(choice.test.motions):
+            _write_plan(config, source, drive, choice.test, test, test_turn, folder / IN_USE, {"source": "log"}, {})
+            manifest = read_json(folder / "manifest.json")
+            finish_recording(folder, {name: value for name, value in manifest.items() if name not in WRITTEN_LAST})
         if out.exists():
             out.rmdir()
         folder.replace(out)
 
 
+def _write_plan(
+    config: RobotConfig,
+    source: PolarSource,
+    drive: Drive,
+    plan: Plan,
+    observation: np.ndarray,
+    turn: np.ndarray,
+    folder: Path,
+    about: Mapping[str, Any],
+    known: Mapping[str, Any],
+) -> None:
+    """Write the recording of a plan, of its images before and after turns, with what is known of poses."""
+    wheels = config.wheels
+    write_recording(
+        folder,
+        observation,
+        plan.reading,
+        plan.time_s,
+        {"wheel_radius_m": wheels.radius_m, "track_m": wheels.track_m, "ticks_per_rev": wheels.ticks_per_rev},
+        observation_time=drive.image_s[plan.observation],
+        turns=plan.turns,
+        turn_observations=turn,
+        camera=_describe_lens(config, source),
+        about=about,
+        **known,
+    )
+
+
 def _take_poses(config: RobotConfig, drive: Drive, choice: Choice) -> dict[str, Any]:
-    """Poses of observations and test observations, as truth or as labels."""
+    """Poses of observations, as truth or as labels."""
     if drive.pose is None or config.pose is None:
         return {}
     if config.pose.use == "labels":
         return {"labels": drive.pose[choice.train.observation]}
-    test = {"test_pose": drive.pose[choice.test]} if len(choice.test) else {}
-    return {"pose": drive.pose[choice.train.observation], **test}
+    test = choice.test.observation
+    return {"pose": drive.pose[choice.train.observation], **({"test_pose": drive.pose[test]} if len(test) else {})}
 
 
 def _describe_lens(config: RobotConfig, source: PolarSource) -> CameraSettings:

@@ -13,7 +13,9 @@ import rerun.blueprint as rrb
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
+from deepgps.evaluation.without_truth import FILE, read_judged
 from deepgps.figures import run_figures
+from deepgps.figures.without_truth import markdown
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.diagnosis import diagnosis_view, log_diagnosis
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
@@ -45,10 +47,16 @@ def write_without_truth(run: Path, path: Path) -> Path:
         for name, history in histories.items():
             _log_map(stream, name, history)
         log_diagnosis(stream, run)
-        stream.log("report", rr.TextDocument(NOTE, media_type="text/markdown"), static=True)
+        known = markdown(run) if read_judged(run) else ""
+        stream.log("report", rr.TextDocument(f"{NOTE}\n\n{known}", media_type="text/markdown"), static=True)
 
     blueprint = _make_blueprint(recording, {name: history["snapshot"][-1] for name, history in histories.items()})
-    shown = [run / "recording" / "manifest.json", *sorted(run.glob("*/history.npz")), *run.glob(DIAGNOSIS)]
+    shown = [
+        run / "recording" / "manifest.json",
+        *sorted(run.glob("*/history.npz")),
+        *run.glob(DIAGNOSIS),
+        *run.glob(FILE),
+    ]
     identity = hash_files(run, shown)
     save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
     return path

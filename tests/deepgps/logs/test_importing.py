@@ -285,8 +285,12 @@ def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path)
 
 def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    folder, _ = bring_in(log, tmp_path, configure(pose=None))
-    assert not has_truth(folder) and not open_labels(folder)
+    folder, about = bring_in(log, tmp_path, configure(pose=None, drive={"held_out": 0.3}))
+    assert not has_truth(folder) and not open_labels(folder) and not len(open_recording(folder).test_observation)
+    kept, held_out = open_recording(folder), open_recording(folder / "use")
+    assert (kept.manifest.segments, held_out.manifest.segments) == (len(LENGTHS_M) - 2, 2)
+    assert len(held_out.observation) == about["held_out"] > 5 and held_out.turns is not None
+    assert held_out.turns.image.tolist() == [0]
     folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
     recording, truth = open_recording(folder), open_truth(folder)
     assert len(recording.test_observation) == len(truth.test_pose) == about["held_out"] > 5

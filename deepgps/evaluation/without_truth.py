@@ -1,0 +1,165 @@
+"""What can be said of trained methods without the truth: of lengths, turns, refusals and coverage.
+
+Nothing here is an error of a position. The last segments of a drive that were held out tell most: their lengths and
+turns are known to the wheels and the compass, and no method was trained on them.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepgps.data.dead_reckoning import travel
+from deepgps.data.lean import compare_images
+from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.data.runs import find_lasts, find_starts
+from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
+from deepgps.evaluation.good_turing import expect_new, measure_new
+from deepgps.evaluation.in_use import adapt, open_drive_in_use
+from deepgps.learning.trainer import use_threads
+from deepgps.methods.catalog import folder_of
+from deepgps.methods.pose import Poses, find_poses
+from deepgps.methods.positioner import Positioner, load_positioner, read_training
+from deepgps.scenario import Scenario
+from sim.errors import DamagedError, WorkError
+from sim.files import read_json
+from sim.geometry import wrap
+from sim.recording.format import Recording, open_recording
+from sim.recording.turns import from_array
+
+FILE = "without_truth.json"
+"""Name of the file in a run's folder."""
+FEWEST = 3
+"""Fewest images of a segment that can be off a straight line."""
+
+
+def judge(run: Path, scenario: Scenario) -> dict[str, Any]:
+    """Judge all methods of a run on a recording without truth.
+
+    Args:
+        run: Run folder with a recording and the trained methods.
+        scenario: The scenario of the run.
+
+    Returns:
+        Contents of ``without_truth.json``: what was driven, and for each method what is known of it.
+    """
+    recording = keep_plausible(open_recording(run / "recording"))
+    held_out = open_drive_in_use(recording)
+    with use_threads(scenario.learn.train.threads):
+        methods = {name: _judge_method(folder_of(run, name), recording, held_out) for name in scenario.methods}
+    return {
+        "samples": len(recording.observation),
+        "segments": recording.manifest.segments,
+        "distance_driven_m": recording.manifest.distance_driven_m,
+        **count_readings(recording),
+        **({} if held_out is None else {"held_out": _describe_drive(held_out)}),
+        "methods": methods,
+    }
+
+
+def read_judged(run: Path) -> dict[str, Any] | None:
+    """The contents of a run's ``without_truth.json``; None if there is no such file or it is damaged."""
+    try:
+        return read_json(run / FILE) if (run / FILE).is_file() else None
+    except DamagedError:
+        return None
+
+
+def _describe_drive(drive: Recording) -> dict[str, Any]:
+    about = drive.manifest
+    return {"samples": about.samples, "segments": about.segments, "distance_driven_m": about.distance_driven_m}
+
+
+def _judge_method(folder: Path, recording: Recording, held_out: Recording | None) -> dict[str, Any]:
+    positioner = load_positioner(folder)
+    place = _locate(positioner, recording, folder)
+    found: dict[str, Any] = {
+        "segments": judge_segments(place, recording),
+        "new_expected": expect_new(place[recording.reading[:, 1]], recording.reading[:, 0]),
+    }
+    if held_out is not None:
+        adapted, lean = adapt(positioner, held_out)
+        poses = find_poses(adapted, held_out.observation)
+        rows = held_out.reading
+        found["held_out"] = {
+            **judge_segments(poses.position, held_out),
+            **judge_turns(adapted, held_out),
+            **_judge_trust(poses),
+            **lean,
+            "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
+        }
+    return {**found, **read_training(folder)}
+
+
+def _locate(positioner: Positioner, recording: Recording, folder: Path) -> np.ndarray:
+    place = positioner(recording.observation)
+    if wrong := int((~np.isfinite(place)).any(axis=1).sum()):
+        raise WorkError(f"{folder}: for {wrong} of {len(place)} observations it predicts no position")
+    return place
+
+
+def judge_segments(place: np.ndarray, recording: Recording) -> dict[str, Any]:
+    """How well predicted positions (N, 2) [m] agree with what the wheels say of a recording's segments.
+
+    Returns:
+        ``length_rms_m`` and ``length_median_m``: differences of lengths from those by the wheels [m]; ``scale``: the
+        factor of all lengths that fits best; ``straight_rms_m``: distance of positions from the straight line that fits
+        those of their segment best [m]. None where there is too little.
+    """
+    reading = recording.reading
+    way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    first = np.unique(find_starts(reading[:, 0]))
+    last = find_lasts(find_starts(reading[:, 0]))
+    some = last > first
+    first, last = first[some], last[some]
+    if not len(first):
+        return dict.fromkeys(("length_rms_m", "length_median_m", "scale", "straight_rms_m"))
+    wheels = np.abs(way[last] - way[first])
+    found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
+    runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
+    off = [_measure_bend(run) for run in runs if len(run) >= FEWEST]
+    return {
+        "length_rms_m": float(np.sqrt(np.mean((found - wheels) ** 2))),
+        "length_median_m": float(np.median(np.abs(found - wheels))),
+        "scale": float((found * wheels).sum() / (wheels**2).sum()),
+        "straight_rms_m": float(np.sqrt(np.mean(np.concatenate(off) ** 2))) if off else None,
+    }
+
+
+def _measure_bend(places: np.ndarray) -> np.ndarray:
+    """Distance of each of some positions (n, 2) from the straight line that fits them best (n,)."""
+    middle = places - places.mean(axis=0)
+    return middle @ np.linalg.svd(middle, full_matrices=False)[2][1]
+
+
+def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
+    """How well the yaws before and after turns in place agree with the compass, which compares both images alone.
+
+    Returns:
+        ``turns`` that were compared and ``turn_rms_deg``, the RMS difference; nothing where there is neither.
+    """
+    turns = turns_with_images(drive)
+    if turns is None or not len(rows := find_in_place(turns)):
+        return {}
+    some = from_array(turns.array[rows])
+    one, other = (find_poses(positioner, images).yaw for images in take_images(drive, some))
+    if one is None or other is None:
+        return {}
+    angle = compare_images(drive, some).hypotheses.angle[:, 0]
+    turned = other - one
+    known = np.isfinite(turned) & np.isfinite(angle)
+    if not known.any():
+        return {}
+    differ = [np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2)) for sign in (1.0, -1.0)]
+    return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(min(differ)))}  # a map may be mirrored
+
+
+def _judge_trust(poses: Poses) -> dict[str, Any]:
+    """Share of images that are accepted, and the median radii of these [m], for methods that tell them."""
+    if poses.accepted is None:
+        return {}
+    accepted = {"accepted": float(poses.accepted.mean())}
+    if poses.radius_68 is None or poses.radius_95 is None or not poses.accepted.any():
+        return accepted
+    medians = (float(np.median(radius[poses.accepted])) for radius in (poses.radius_68, poses.radius_95))
+    return {**accepted, **dict(zip(("radius_68_median_m", "radius_95_median_m"), medians, strict=True))}

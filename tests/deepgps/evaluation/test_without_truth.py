@@ -1,0 +1,86 @@
+"""What is said of a run without truth: exact on made-up positions, and complete for a run on an imported log."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.cli import main
+from deepgps.evaluation.good_turing import expect_new, measure_new
+from deepgps.evaluation.without_truth import judge_segments, read_judged
+from deepgps.figures.without_truth import describe, markdown, tabulate
+from deepgps.logs.importing import import_log
+from deepgps.logs.robot_config import RobotConfig
+from deepgps.progress import ignore
+from sim.recording.format import open_recording, open_truth
+from tests.helpers.robot_log import CONFIG, make_notes, write_log
+
+QUICK = ("--learn.train.steps", "20", "--learn.network.width", "16", "--learn.fold.restarts", "0")
+
+
+def test_true_positions_agree_with_the_wheels_and_scaled_ones_tell_their_scale(small_recording: Path) -> None:
+    recording, pose = open_recording(small_recording), open_truth(small_recording).pose
+    exact = judge_segments(pose[:, :2], recording)
+    assert exact["length_rms_m"] < 0.01 and exact["scale"] == pytest.approx(1.0, abs=0.01)
+    larger = judge_segments(1.5 * pose[:, :2] + 3.0, recording)
+    assert larger["scale"] == pytest.approx(1.5 * exact["scale"])
+    assert larger["straight_rms_m"] == pytest.approx(1.5 * exact["straight_rms_m"], rel=1e-6)
+
+
+def test_positions_beside_the_line_are_off_it(small_recording: Path) -> None:
+    recording = open_recording(small_recording)
+    rows = recording.reading[recording.reading[:, 0] == recording.reading[0, 0]]
+    line = replace(recording, reading=rows, time=recording.time[: len(rows)])
+    place = np.zeros((len(recording.observation), 2))
+    place[rows[:, 1], 0] = np.arange(len(rows)) * 0.08
+    assert judge_segments(place, line)["straight_rms_m"] == pytest.approx(0.0, abs=1e-12)
+    place[rows[:, 1], 1] = 0.01 * (-1.0) ** np.arange(len(rows))
+    assert judge_segments(place, line)["straight_rms_m"] == pytest.approx(0.01, rel=0.1)
+
+
+def test_floor_that_every_segment_passes_promises_nothing_new_and_floor_passed_once_everything() -> None:
+    along = np.column_stack([np.arange(0.1, 3.0, 0.05), np.full(58, 0.1)])
+    twice, segment = np.concatenate([along, along]), np.repeat([0, 1], 58)
+    assert expect_new(twice, segment) == 0.0
+    assert expect_new(along, np.zeros(58, int)) == 1.0
+    assert measure_new(along, np.zeros(58, int), twice) == 0.0
+    assert measure_new(along + 5.0, np.zeros(58, int), twice) == 1.0
+
+
+def test_expected_and_measured_shares_agree_on_random_floors() -> None:
+    rng = np.random.default_rng(3)
+    places, segment = rng.uniform(0, 6, (2000, 2)), np.repeat(np.arange(400), 5)
+    known = segment < 300
+    expected = expect_new(places[known], segment[known])
+    assert measure_new(places[~known], segment[~known], places[known]) == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_run_on_a_log_without_poses_says_what_it_knows(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_log(tmp_path / "log", make_notes("image/jpeg"), "mcap_lz4")
+    config = RobotConfig.model_validate({**CONFIG, "drive": {"spacing_m": 0.05, "held_out": 0.4}})
+    import_log(log, config, tmp_path / "mine", ignore)
+    run = tmp_path / "run"
+    main(["run", str(tmp_path / "mine"), "--methods", "deepgps_compass", "--out", str(run), *QUICK])
+    said = capsys.readouterr().out
+    assert "There is no ground truth, so no figure here is an error of a position." in said
+    found = read_judged(run)
+    assert found is not None and found["held_out"]["segments"] == 2
+    values = found["methods"]["deepgps_compass"]["held_out"]
+    assert {"length_rms_m", "scale", "straight_rms_m", "turn_rms_deg", "new"} <= set(values)
+    assert values["turns"] == 1 and (run / "run.rrd").stat().st_size > 10_000
+    assert markdown(run).startswith("| method | length, RMS [cm] |")
+    before = (run / "without_truth.json").read_bytes()
+    main(["run", str(run)])
+    assert (run / "without_truth.json").read_bytes() == before
+
+
+def test_without_held_out_segments_the_table_says_so() -> None:
+    segments = {"length_rms_m": 0.012, "length_median_m": 0.01, "scale": 1.0, "straight_rms_m": None}
+    method = {"segments": segments, "new_expected": 0.25, "fold": {"found": True}}
+    found = {"samples": 90, "segments": 8, "distance_driven_m": 9.6, "methods": {"deepgps": method}}
+    _, (row,) = tabulate(found)
+    assert row[:5] == ("DeepGPS", "1.2", "1.0", "-", "1.0000")
+    said = " ".join(describe(found))
+    assert "none are held out" in said and "DeepGPS 25.0 %" in said and "DeepGPS: its map looks folded." in said
