@@ -29,6 +29,8 @@ SHARED_M, SHARED_RAD = 0.1, 0.2
 """Images of places or headings that are closer share their errors of position and yaw [m], [rad]."""
 EVIDENCE_M = 0.25
 """Way after which an image is as much evidence as one of a place far away [m]."""
+REFUSED = 4.0
+"""Factor of the errors of images that their method refuses: they are alike over a long way."""
 NEAR_M, NEAR_RAD = 0.3, 0.35
 """No hypothesis begins so near to another one [m], [rad]."""
 ALIKE_M, ALIKE_RAD = 0.05, 0.1
@@ -95,7 +97,7 @@ def advance(state: State, motion: Motion | None, fix: Fix | None) -> State:
         fix: What the image says; None: there is none.
     """
     state = replace(begin(), trail=break_off(state.trail)) if motion is None else predict(state, motion)
-    return state if fix is None or not fix.accepted else see(state, fix)
+    return state if fix is None or not fix.usable else see(state, fix)
 
 
 def predict(state: State, motion: Motion) -> State:
@@ -115,7 +117,7 @@ def predict(state: State, motion: Motion) -> State:
 def see(state: State, fix: Fix) -> State:
     """The state after an image."""
     trail = add_image(state.trail, fix)
-    fix = replace(fix, position_std=fix.position_std * find_factor(trail))
+    fix = replace(fix, position_std=fix.position_std * find_factor(trail) * (1.0 if fix.accepted else REFUSED))
     moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
     updated = update(state.mean, state.covariance, _weaken(fix, moved, moved + state.turned_rad / SHARED_RAD))
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)

@@ -23,11 +23,11 @@ class Fix:
 
     Attributes:
         position: Position (2,) [m].
-        position_std: Its standard deviation along each axis [m].
+        position_std: Its standard deviation along each axis [m]; infinite: unknown, and the image is not used.
         yaw: Hypotheses of the yaw (H,) [rad]; none: the image tells no yaw.
         yaw_std: Their standard deviations (H,) [rad].
         yaw_weight: Their probabilities (H,); what is missing to 1 is that none is right.
-        accepted: Whether the position should be used.
+        accepted: Whether it is like those of the drive that was learned from; others count little.
     """
 
     position: np.ndarray
@@ -37,24 +37,34 @@ class Fix:
     yaw_weight: np.ndarray
     accepted: bool = True
 
+    @property
+    def usable(self) -> bool:
+        """Whether the image says anything of the position."""
+        return bool(np.isfinite(self.position).all() and np.isfinite(self.position_std))
+
 
 def take_fix(pose: "Poses") -> Fix:
     """The fix of a single pose, as ``Poses.take`` gives it.
 
-    The expected error of its position is that of its radius, where the method gives one.
+    The expected error of its position is that of its radius, where the method gives one. Without a radius, a refused
+    image is not used.
     """
-    if pose.radius_68 is not None:
-        std = float(pose.radius_68) / OF_RADIUS_68
-    else:
-        std = USUAL_M if pose.position_std is None else UNDERSTATED * float(pose.position_std)
     yaw, yaw_std, weight = _take_yaws(pose)
-    accepted = bool(np.isfinite(pose.position).all()) and (pose.accepted is None or bool(pose.accepted))
-    return Fix(np.asarray(pose.position, float), max(std, FLOOR_M), yaw, yaw_std, weight, accepted)
+    accepted = pose.accepted is None or bool(pose.accepted)
+    return Fix(np.asarray(pose.position, float), _find_std(pose, accepted), yaw, yaw_std, weight, accepted)
 
 
 def take_fixes(poses: "Poses") -> list[Fix]:
     """The fixes of B poses."""
     return [take_fix(poses.take(row)) for row in range(len(poses.position))]
+
+
+def _find_std(pose: "Poses", accepted: bool) -> float:
+    if pose.radius_68 is not None:
+        return max(float(pose.radius_68) / OF_RADIUS_68, FLOOR_M)
+    if not accepted:
+        return np.inf
+    return USUAL_M if pose.position_std is None else max(UNDERSTATED * float(pose.position_std), FLOOR_M)
 
 
 def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:

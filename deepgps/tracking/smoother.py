@@ -38,7 +38,7 @@ def run_backward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) 
     for motion, fix in zip([None, *reversed(motions[1:])], reversed(fixes), strict=True):
         state = advance(state, motion and invert(motion), None)
         states.append(state)
-        if fix is not None and fix.accepted:
+        if fix is not None and fix.usable:
             state = see(state, fix)
     return states[::-1]
 

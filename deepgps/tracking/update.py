@@ -50,10 +50,11 @@ def update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
 
 def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix, number: int | None, weight: float) -> Updated:
     """Update by the position, and by one of the yaws unless ``number`` is None, which has this probability."""
-    missed, variance, spread_of_lost = fix.position - mean[:, :2], np.full(2, fix.position_std**2), AREA_M2
+    missed, variance = fix.position - mean[:, :2], np.full(2, fix.position_std**2)
+    spread_of_lost = AREA_M2 + 2.0 * np.pi * fix.position_std**2
     if number is not None:
         missed = np.column_stack([missed, wrap(fix.yaw[number] - mean[:, 2])])
-        variance, spread_of_lost = np.append(variance, fix.yaw_std[number] ** 2), 2.0 * np.pi * AREA_M2
+        variance, spread_of_lost = np.append(variance, fix.yaw_std[number] ** 2), 2.0 * np.pi * spread_of_lost
     size = len(variance)
     expected = covariance[:, :size, :size] + np.diag(variance)
     squared = np.einsum("ki,ki->k", missed, np.linalg.solve(expected, missed[..., None])[..., 0])

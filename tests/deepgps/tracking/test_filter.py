@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from deepgps.methods.pose import Poses
 from deepgps.tracking.filter import State, advance, begin, estimate, weigh
-from deepgps.tracking.fix import Fix
+from deepgps.tracking.fix import Fix, take_fix
 from deepgps.tracking.motion import make_motion, mirror, rotate
 from deepgps.tracking.smoother import run_forward
 from sim.geometry import wrap
@@ -157,14 +158,29 @@ def test_errors_of_images_are_found_by_odometry():
     assert np.sqrt((error**2).mean()) < 0.12
 
 
-def test_refused_images_and_missing_ones_only_move_the_state():
+def test_images_that_say_nothing_only_move_the_state():
     state = run_forward([None], [see(np.zeros(3))])[0]
-    refused = replace(see(np.ones(3)), accepted=False)
-    moved = [advance(state, make_motion(0.1), one) for one in (None, refused)]
-    for one in moved:
-        assert np.allclose(estimate(one).position, [0.1, 0.0])
+    unknown = replace(see(np.ones(3)), position_std=np.inf)
+    nowhere = replace(see(np.ones(3)), position=np.full(2, np.nan))
+    for fix in (None, unknown, nowhere):
+        assert np.allclose(estimate(advance(state, make_motion(0.1), fix)).position, [0.1, 0.0])
     assert estimate(begin()).probability == 0.0
     assert not estimate(advance(begin(), None, None)).accepted
+
+
+def test_refused_images_count_less():
+    drive = make_drive(np.random.default_rng(13))
+    refused = replace(drive, fixes=[replace(one, accepted=False) for one in drive.fixes])
+    spread = [estimate(run_forward(one.motions, one.fixes)[-1]).position_std for one in (drive, refused)]
+    assert spread[1] > 1.5 * spread[0]
+
+
+def test_lens_that_is_covered_does_not_lead_the_track_away():
+    """All images from the 80th on show one place, which may be anywhere within metres."""
+    drive = make_drive(np.random.default_rng(14), images=160)
+    covered = Fix(np.array([3.0, 3.0]), 5.0, NO_YAW, NO_YAW, NO_YAW, accepted=False)
+    error = miss(track(replace(drive, fixes=[*drive.fixes[:80], *[covered] * 80])), drive.pose)
+    assert error[80:].max() < 1.0, "the odometry errs by decimetres after 80 images"
 
 
 def test_probabilities_leave_room_for_an_unknown_pose():
@@ -185,3 +201,12 @@ def test_fix_keeps_its_fields():
     fix: Fix = see(np.array([1.0, 2.0, 3.0]))
     state: State = advance(begin(), None, fix)
     assert estimate(state).yaw == pytest.approx(3.0)
+
+
+def test_a_method_s_radius_is_the_error_of_a_fix():
+    pose = Poses(np.zeros(2), position_std=np.array(0.01))
+    assert take_fix(pose).position_std == pytest.approx(0.02)
+    assert take_fix(replace(pose, radius_68=np.array(0.15096))).position_std == pytest.approx(0.1)
+    refused = replace(pose, accepted=np.array(False))
+    assert not take_fix(refused).usable
+    assert take_fix(replace(refused, radius_68=np.array(1.0))).usable
