@@ -124,11 +124,20 @@ def describe_folder(
         "method": method,
         "frame": "map" if alignment is None else "world",
         "image": list(positioner.shape),
+        "mirrored": is_mirrored(positioner, alignment),
         "outputs": {name: OUTPUTS[name] for name in outputs},
         "raw": raw and {"centre_px": list(raw.centre), "radius_px": raw.radius_px, "forward_deg": raw.forward_deg},
         "lean_deg": np.degrees(lean).round(4).tolist(),
         "mount_m": list(positioner.mount),
     }
+
+
+def is_mirrored(positioner: NetworkPositioner, alignment: Alignment | None) -> bool | None:
+    """Whether a turn to the left is one to the right in the frame of the poses; None: the method gives no yaw."""
+    if positioner.headings is None:
+        return None
+    turn = 1.0 if alignment is None else float(np.linalg.det(alignment.rotation))
+    return positioner.headings.chirality * turn < 0
 
 
 @contextmanager

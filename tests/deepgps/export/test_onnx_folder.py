@@ -134,12 +134,14 @@ def test_the_example_unwraps_raw_images_as_the_testbed_does(exported: Path, lean
 
 
 @pytest.mark.slow
-def test_the_folder_is_small_and_says_what_it_is(exported: Path):
+def test_the_folder_is_small_and_says_what_it_is(exported: Path, leaning: NetworkPositioner):
     assert sum(path.stat().st_size for path in exported.iterdir()) < onnx_folder.MOST_BYTES
     assert len((exported / "example.py").read_text().splitlines()) <= 40
     meta = json.loads((exported / "meta.json").read_text())
     assert (meta["method"], meta["frame"], meta["image"]) == ("deepgps", "world", [8, 32, 3])
     assert meta["raw"] == {"centre_px": [60.0, 58.0], "radius_px": 50.0, "forward_deg": 20.0}
+    chirality = leaning.headings.chirality if leaning.headings else 1
+    assert meta["mirrored"] == (chirality > 0), "the frame TURNED is mirrored"
     outputs = [one.name for one in load_example(exported).Locator().model.get_outputs()]
     assert outputs == list(meta["outputs"]) and set(outputs) <= set(OUTPUTS)
 
