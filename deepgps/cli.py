@@ -279,15 +279,17 @@ def locate_command(words: Sequence[str]) -> None:
     arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments)
     from deepgps.api.run import load
-    from deepgps.learning.trainer import use_threads
-    from deepgps.locate.locate import describe, locate
-    from deepgps.locate.pictures import open_pictures
+    from deepgps.locate.command import Wish, locate_source
+    from deepgps.locate.locate import describe
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
-    pictures = open_pictures(arguments.source, sys.stdin.buffer)
-    with use_threads(run.scenario.learn.train.threads):
-        for one in locate(run, pictures, arguments.method, frame, circle):
+    wish = Wish(arguments.method, frame, circle, arguments.config, arguments.track)
+    with (
+        show_progress(errors, quiet_s=2.0) as progress,
+        locate_source(run, arguments.source, sys.stdin.buffer, wish, progress) as found,
+    ):
+        for one in found:
             print(json.dumps(describe(one, frame)), flush=True)
             wrong, total = wrong + (one.pose is None), total + 1
     if wrong:

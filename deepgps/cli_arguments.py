@@ -164,8 +164,12 @@ class LocateArguments:
     run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
     """The folder of a run."""
     source: Annotated[str, tyro.conf.arg(metavar="SOURCE"), tyro.conf.Positional]
-    """An image, a folder of images, or - for standard input: each image after its length in four bytes, the most
-    significant first. Images of the recording's rings and sectors are polar, others raw."""
+    """An image, a folder of images, - for standard input (each image after its length in four bytes, the most
+    significant first), or, with --config, a log. Images of the recording's rings and sectors are polar, others raw."""
+    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """The robot.yaml with which a log would be imported."""
+    track: bool = False
+    """Track the robot by the images so far and the wheels of a log."""
     method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """The method; none: the run's first."""
     frame: Literal["world", "map"] | None = None

@@ -1,17 +1,20 @@
 """Poses of images by a trained method, as they come."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepgps.api.run import Frame, Run
 from deepgps.locate.pictures import Picture
-from deepgps.locate.unwrapping import Unwrapper
 from deepgps.methods.pose import Poses, find_poses
 from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
-from sim.sensors.unwrap import RoundImage
+
+Unwrap = Callable[[np.ndarray], np.ndarray]
+"""Makes a polar image (rings, sectors, 3) of what the camera gives (height, width, 3), both uint8 RGB."""
+Step = Callable[[str, Poses], Poses]
+"""(name of an image, its own pose in the map) -> its pose by all images so far."""
 
 
 class Located(NamedTuple):
@@ -29,22 +32,27 @@ class Located(NamedTuple):
 
 
 def locate(
-    run: Run, pictures: Iterable[Picture], method: str | None, frame: Frame, circle: RoundImage | None
+    run: Run,
+    pictures: Iterable[Picture],
+    unwrap: Unwrap,
+    method: str | None,
+    frame: Frame,
+    step: Step | None = None,
 ) -> Iterator[Located]:
     """Find the pose of each image when it comes.
 
     Args:
         run: A run whose methods have learned from polar images.
         pictures: The images.
+        unwrap: Makes polar images; raises InputError where it cannot.
         method: The method; None: the first of the run.
         frame: Frame of the poses.
-        circle: Where the image circle is in raw images; None: it fills them.
+        step: Tracks the robot; None: each pose is of one image alone.
 
     Raises:
-        InputError: The method has learned from something else, or its map has no place in the world.
+        InputError: The map has no place in the world.
     """
-    shape, alignment, positioner = find_shape(run), run.alignment(method, frame), run.positioner(method)
-    unwrap = Unwrapper(shape, circle)
+    alignment, positioner = run.alignment(method, frame), run.positioner(method)
 
     def find(picture: Picture) -> Located:
         if picture.image is None:
@@ -53,8 +61,9 @@ def locate(
             polar = unwrap(picture.image)
         except InputError as error:
             return Located(picture._replace(image=None, error=one_line(error)))
-        found = find_poses(positioner, polar[None])
-        return Located(picture, polar, (found if alignment is None else found.align(alignment)).take(0))
+        pose = find_poses(positioner, polar[None]).take(0)
+        pose = pose if step is None else step(picture.name, pose)
+        return Located(picture, polar, pose if alignment is None else pose.align(alignment))
 
     return map(find, pictures)
 
@@ -69,14 +78,13 @@ def find_shape(run: Run) -> tuple[int, ...]:
 
 def describe(one: Located, frame: Frame) -> dict[str, Any]:
     """What is said of an image: numbers in metres, radians and seconds, null where a method does not know."""
-    name, pose = {"image": one.picture.name}, one.pose
+    time = {} if one.picture.time_s is None else {"time": round(one.picture.time_s, 6)}
+    name, pose = {"image": one.picture.name, **time}, one.pose
     if pose is None:
         return {**name, "error": one.picture.error}
-    time = {} if one.picture.time_s is None else {"time": round(one.picture.time_s, 6)}
     x, y = pose.position.tolist()
     return {
         **name,
-        **time,
         "x": _round(x),
         "y": _round(y),
         "yaw": _round(pose.yaw),

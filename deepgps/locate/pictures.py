@@ -11,6 +11,7 @@ from sim.errors import InputError, one_line
 from sim.user_input import read_file, shorten
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
+LOGS = (".bag", ".db3", ".mcap")
 LARGEST_BYTES = 100_000_000
 """Largest encoded image that is read."""
 STDIN = "-"
@@ -47,6 +48,8 @@ def open_pictures(source: str, stdin: BinaryIO) -> Iterator[Picture]:
     if source == STDIN:
         return read_stream(stdin)
     path = Path(source)
+    if path.suffix in LOGS or (path / "metadata.yaml").is_file():
+        raise InputError(f"{shorten(source, 300)} is a log: it needs --config; deepgps import LOG --look proposes one")
     if not path.is_dir():
         if not path.exists():
             raise InputError(f"{shorten(source, 300)}: no such file or folder")

@@ -1,0 +1,91 @@
+"""What ``deepgps locate`` does: opens the source, finds poses, and hands them on as they come."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from deepgps.api.run import Frame, Run
+from deepgps.learning.trainer import use_threads
+from deepgps.locate.locate import Located, Step, find_shape, locate
+from deepgps.locate.log_source import Odometry, check_shape, open_source
+from deepgps.locate.pictures import open_pictures
+from deepgps.locate.tracker import Tracker
+from deepgps.locate.unwrapping import Unwrapper
+from deepgps.methods.pose import Poses
+from deepgps.methods.positioner import headings_of
+from deepgps.progress import Report
+from sim.errors import InputError
+from sim.sensors.unwrap import RoundImage
+
+
+@dataclass(frozen=True)
+class Wish:
+    """How images are located.
+
+    Attributes:
+        method: The method; None: the first of the run.
+        frame: Frame of the poses.
+        circle: Where the image circle is in raw images; None: it fills them.
+        config: The robot.yaml of a log; None: the source is no log.
+        track: Whether the robot is tracked, by a log's wheels.
+    """
+
+    method: str | None
+    frame: Frame
+    circle: RoundImage | None = None
+    config: Path | None = None
+    track: bool = False
+
+
+@contextmanager
+def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: Report) -> Iterator[Iterator[Located]]:
+    """Locate the images of a source.
+
+    Args:
+        run: The run.
+        source: An image, a folder, ``-``, or, with ``config``, a log.
+        stdin: Standard input.
+        wish: How.
+        progress: Called with what is done before the first image.
+
+    Yields:
+        The images with their poses, each when it is asked for.
+
+    Raises:
+        InputError: The run, the source or the options cannot be used.
+    """
+    shape = find_shape(run)
+    with use_threads(run.scenario.learn.train.threads):
+        if wish.config is None:
+            if wish.track:
+                raise InputError("--track needs the wheels of a log: --config robot.yaml")
+            pictures = open_pictures(source, stdin)
+            yield locate(run, pictures, Unwrapper(shape, wish.circle), wish.method, wish.frame)
+            return
+        if wish.circle is not None:
+            raise InputError("--centre and --radius-px: a log's camera is described by --config")
+        mirrored = wish.track and is_mirrored(run, wish.method)
+        with open_source(Path(source), wish.config, wish.track, progress) as log:
+            check_shape(log.polar, shape)
+            step = None if log.odometry is None else make_step(mirrored, log.odometry)
+            yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step)
+
+
+def make_step(mirrored: bool, odometry: Odometry) -> Step:
+    """What tracks the robot through the images of a log, by the odometry at each."""
+    tracker = Tracker(mirrored)
+
+    def step(name: str, pose: Poses) -> Poses:
+        return tracker.step(pose, float(odometry.travelled_m[int(name)]), float(odometry.yaw[int(name)]))
+
+    return step
+
+
+def is_mirrored(run: Run, method: str | None) -> bool:
+    """Whether turns are mirrored in a method's map; raises InputError if nothing tells, as the method gives no yaw."""
+    headings = headings_of(run.positioner(method))
+    if headings is None:
+        raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
+    return headings.chirality < 0
