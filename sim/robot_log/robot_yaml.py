@@ -8,7 +8,6 @@ from sim.files import write_text
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot_log.check import ROBOT_HEAD, robot_file
 from sim.robot_log.content import JOINTS
-from sim.robot_log.observe import JOINT_S
 from sim.robot_log.pictures import ROWS
 from sim.sensors.encoder import describe_odometry
 from sim.settings import SimSettings
@@ -26,7 +25,7 @@ def write_robot(log: Path, settings: SimSettings) -> None:
             "radius_m": odometry["wheel_radius_m"],
             "track_m": odometry["track_m"],
             "ticks_per_rev": odometry["ticks_per_rev"],
-            "lag_s": JOINT_S,  # a message holds the angles of the period before
+            "lag_s": "estimate",  # half of it is the period that messages are late; the rest, how clocks are aligned
         },
         "camera": {
             "topic": "/camera/image_raw/compressed",
