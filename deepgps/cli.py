@@ -256,18 +256,20 @@ def export_command(words: Sequence[str]) -> None:
     """Write trajectories for other tools, or a trained method as a folder for a robot."""
     arguments = parse(ExportArguments, "export", words, export_command.__doc__)
     raw = parse_round_image(arguments)
-    if not (arguments.onnx or arguments.list_formats()):
-        raise InputError("deepgps export needs at least one of --tum, --csv, --onnx")
+    if not (arguments.onnx or arguments.mcap or arguments.list_formats()):
+        raise InputError("deepgps export needs at least one of --tum, --csv, --mcap, --onnx")
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.export.command import default_folder, export_onnx, export_trajectories
+    from deepgps.export.command import default_folder, export_mcap, export_onnx, export_trajectories
 
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []
     with working_in(folder), show_progress(errors) as progress:
         if formats := arguments.list_formats():
             written += export_trajectories(run, folder, method, frame, formats, progress)
+        if arguments.mcap:
+            written += export_mcap(run, folder, method, frame, progress)
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)
     for path in written:

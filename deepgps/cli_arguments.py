@@ -138,6 +138,8 @@ class ExportArguments:
     """Write trajectories as TUM files, which evo reads: each method's and the true one, of both drives."""
     csv: bool = False
     """Write the same trajectories as CSV, with everything that a method tells of a pose."""
+    mcap: bool = False
+    """Write each drive as MCAP with ROS 2 messages: images, wheels, and every method's poses with covariance."""
     onnx: bool = False
     """Write one method as a model in ONNX with an example; needs the extra deepgps[onnx]."""
     method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None

@@ -94,6 +94,10 @@ WITHOUT_MUJOCO = {
         "sim.sensors.encoder_faults",
         "sim.sensors.camera_faults",
     ),
+    *(
+        "sim.robot_log.messages",
+        "sim.robot_log.mcap_file",
+    ),
 }
 ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl", "sim.robot_log")
@@ -101,7 +105,7 @@ ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "d
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
-    "deepgps.export.trajectories",  # which writes the true one beside those of the methods
+    *("deepgps.export.trajectories", "deepgps.export.mcap"),  # which write the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *(f"deepgps.studies.reports.{name}" for name in ("mds", "concave", "corridors")),
 )

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepgps.api.run import Frame, Run
+from deepgps.export.mcap import write_drives
 from deepgps.export.onnx_folder import write_onnx
 from deepgps.export.trajectories import WRITE, Format, write_trajectories
 from deepgps.owned_folder import Kind, hold
@@ -13,7 +14,7 @@ from sim.files import sweep
 from sim.sensors.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)"
+    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
 
@@ -41,6 +42,15 @@ def export_trajectories(
         sweep(folder, FILES)
         write_trajectories(folder, run, methods, frame, formats, progress)
     return [folder / name for name in formats]
+
+
+def export_mcap(run: Run, folder: Path, method: str | None, frame: Frame | None, progress: Report) -> list[Path]:
+    """Write the drives of a run as MCAP files into a folder; return its subfolder. Arguments as above."""
+    methods = run.methods if method is None else (run.choose(method),)
+    with hold(folder, EXPORT):
+        sweep(folder, FILES)
+        write_drives(folder, run, methods, frame, progress)
+    return [folder / "mcap"]
 
 
 def export_onnx(

@@ -32,7 +32,7 @@ def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeyp
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "needs at least one of --tum, --csv, --onnx"),
+        ((), "needs at least one of --tum, --csv, --mcap, --onnx"),
         (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both, or neither"),
         (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
         (("--tum", "--method", "knn"), "method 'knn': "),
