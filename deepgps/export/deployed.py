@@ -26,6 +26,7 @@ class Deployed(nn.Module):
         super().__init__()
         rings, sectors, _ = positioner.shape
         self.features = None if positioner.features is None else FeatureModule(positioner.features)
+        self.likeness = None if positioner.likeness is None else FeatureModule(positioner.likeness)
         self.network, self.mount = positioner.network, positioner.mount
         self.register_buffer("centre", positioner.centre)
         self.register_buffer("axes", positioner.axes.double())
@@ -40,7 +41,8 @@ class Deployed(nn.Module):
         image = image.float()
         inputs = image.permute(0, 3, 1, 2) / 255.0 if self.features is None else self.features(image)
         position = (self.network(inputs) - self.centre).double() @ self.axes
-        found = {} if self.confidence is None else self.confidence(inputs, position)
+        features = inputs if self.likeness is None else self.likeness(image)
+        found = {} if self.confidence is None else self.confidence(features, position)
         if self.yaws is not None:
             yaw, std, weight, position_std = self.yaws(image, position)
             position = self._leave_camera(position, yaw[:, 0])

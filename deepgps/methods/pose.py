@@ -66,9 +66,8 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     table = confidence_of(positioner)
     if table is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
         return _add_yaw(positioner, observations, _locate(positioner, observations))
-    features = positioner.take_features(observations)
-    camera = positioner.locate_features(features)
-    trust = table.find(features.numpy(), camera)
+    camera, features = positioner.locate_with_features(observations)
+    trust = table.find(features, camera)
     known = np.isfinite(trust.radius).all()
     return replace(
         _add_yaw(positioner, observations, camera),

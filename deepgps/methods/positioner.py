@@ -56,6 +56,7 @@ class NetworkPositioner:
         mount: Camera ahead of the axle and to its left [m]. Positions are the axle's if a yaw is found and this is not
             zero, else the camera's.
         confidence: Table from which novelty and radii are found; none: positions are given without.
+        likeness: The map from observations to the features that this table compares, of a network that takes images.
     """
 
     shape: tuple[int, ...]
@@ -68,6 +69,7 @@ class NetworkPositioner:
     headings: HeadingTable | None = None
     mount: tuple[float, float] = (0.0, 0.0)
     confidence: Confidence | None = None
+    likeness: Features | None = None
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
@@ -82,16 +84,18 @@ class NetworkPositioner:
         """Positions of the camera (B, 2) float64 [m]."""
         return self.embed(observations) @ self.axes.double().numpy()
 
-    def take_features(self, observations: np.ndarray) -> torch.Tensor:
-        """Features (B, components) of observations (B, ...); only of a network that takes features."""
+    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of the camera (B, 2) float64 [m], and the features (B, components) that confidence compares."""
         check_shape(observations, self.shape)
-        assert self.features is not None
+        projection = self.likeness if self.features is None else self.features
+        assert projection is not None
         chunks = [slice(start, start + CHUNK) for start in range(0, len(observations), CHUNK)]
-        found = [self.features.apply(self._set_upright(observations[chunk])) for chunk in chunks]
-        return torch.cat([torch.empty((0, self.features.basis.shape[1])), *found])
+        found = [projection.apply(self._set_upright(observations[chunk])) for chunk in chunks]
+        features = torch.cat([torch.empty((0, projection.basis.shape[1])), *found])
+        camera = self.locate_camera(observations) if self.features is None else self._locate(features)
+        return camera, features.numpy()
 
-    def locate_features(self, features: torch.Tensor) -> np.ndarray:
-        """Positions of the camera (B, 2) float64 [m] where images have these features (B, components)."""
+    def _locate(self, features: torch.Tensor) -> np.ndarray:
         with torch.inference_mode():
             found = [(self.network(part) - self.centre).numpy() for part in features.split(CHUNK)]
         return np.concatenate([np.empty((0, len(self.centre))), *found]) @ self.axes.double().numpy()
@@ -150,17 +154,14 @@ class NeighbourPositioner:
 
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m] of observations (B, ...)."""
-        return self.locate_features(self.features.apply(observations))
+        return self.locate_with_features(observations)[0]
 
-    def take_features(self, observations: np.ndarray) -> torch.Tensor:
-        """Features (B, components) of observations (B, ...)."""
-        return self.features.apply(observations)
-
-    def locate_features(self, features: torch.Tensor) -> np.ndarray:
-        """Positions (B, 2) float64 [m] of observations with these features (B, components)."""
+    def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Positions (B, 2) float64 [m] of observations (B, ...), and their features (B, components)."""
+        features = self.features.apply(observations)
         chunk = max(1, min(CHUNK, LARGEST_TABLE // max(1, len(self.known))))
         found = [self._position(part) for part in features.split(chunk)]
-        return np.concatenate([np.zeros((0, 2)), *found])
+        return np.concatenate([np.zeros((0, 2)), *found]), features.numpy()
 
     def _position(self, features: torch.Tensor) -> np.ndarray:
         nearest = torch.cdist(features, self.known).topk(min(self.neighbours, len(self.known)), largest=False)
@@ -338,6 +339,9 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
         kind = {"kind": "network", "network": network, "shape": list(positioner.shape)}
         if positioner.upright is not None:
             kind["upright"] = asdict(positioner.upright)
+        if (likeness := positioner.likeness) is not None:
+            tensors |= {"likeness.mean": likeness.mean, "likeness.basis": likeness.basis}
+            kind["likeness"] = {"frequencies": likeness.frequencies, "values": likeness.values}
         if any(positioner.mount):
             kind["mount_m"] = list(positioner.mount)
     return tensors, {**kind, "frequencies": frequencies, **values}
@@ -368,9 +372,13 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
     network.load_state_dict(own)
     upright = _read_upright(description.get("upright"))
     ahead, left = description.get("mount_m", (0.0, 0.0))
-    centre, axes = tensors["centre"], tensors["axes"]
+    centre, axes, likeness = tensors["centre"], tensors["axes"], None
+    if (stored := description.get("likeness")) is not None:
+        mean, basis = tensors["likeness.mean"], tensors["likeness.basis"]
+        likeness = Features(shape, stored["frequencies"], mean, basis, values=stored["values"])
+    mount = (float(ahead), float(left))
     return NetworkPositioner(
-        shape, features, settings, network.eval(), centre, axes, upright, mount=(float(ahead), float(left))
+        shape, features, settings, network.eval(), centre, axes, upright, mount=mount, likeness=likeness
     )
 
 

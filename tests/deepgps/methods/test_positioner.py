@@ -1,11 +1,16 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from deepgps.alignment import Alignment
 from deepgps.data.features import Features
+from deepgps.data.segments import Segments
 from deepgps.learning.networks import make_network
+from deepgps.methods.confidence_fit import make_confidence
+from deepgps.methods.pose import find_poses
 from deepgps.methods.positioner import (
     NeighbourPositioner,
     NetworkPositioner,
@@ -66,6 +71,51 @@ def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
     assert np.array_equal(there, back)
     assert loaded(images(0)).shape == (0, 2)
     assert read_training(tmp_path) == {"steps": 3}
+
+
+def trusting(positioner: NetworkPositioner | NeighbourPositioner) -> NetworkPositioner | NeighbourPositioner:
+    """The positioner with a table of confidence of some images."""
+    if isinstance(positioner, NetworkPositioner) and positioner.features is None:
+        positioner = replace(positioner, likeness=spectral().features)
+    camera, features = positioner.locate_with_features(images(30, 2))
+    index = torch.arange(30).reshape(5, 6)
+    segments = Segments(index, 0.1 * (index % 6), torch.full((5,), 6), 0)
+    table = make_confidence(segments, features, camera)
+    assert table is not None
+    return replace(positioner, confidence=replace(table, slope=np.array([[0.01, 1.0], [0.02, 2.0]])))
+
+
+@pytest.mark.parametrize("make", [spectral, ranked, resnet, neighbour])
+def test_saved_and_loaded_it_trusts_the_same_positions(tmp_path: Path, make):
+    positioner = trusting(make())
+    save_positioner(tmp_path, positioner, {})
+    there, back = (find_poses(one, images(9, 1)) for one in (positioner, load_positioner(tmp_path)))
+    assert there.novelty is not None and there.novelty.shape == (9,) and (there.novelty > 0.0).all()
+    for name in ("position", "novelty", "accepted", "radius_68", "radius_95"):
+        assert np.array_equal(getattr(there, name), getattr(back, name))
+    assert np.array_equal(there.position, positioner(images(9, 1)))
+    assert find_poses(positioner, images(0)).accepted is not None
+
+
+@pytest.mark.parametrize("make", [spectral, neighbour])
+def test_trust_does_not_depend_on_the_heading_or_on_the_frame(make):
+    positioner = trusting(make())
+    there = find_poses(positioner, images(9, 1))
+    turned = find_poses(positioner, np.roll(images(9, 1), 5, axis=2))
+    moved = there.align(Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([1.0, 2.0]), 1.0))
+    for name in ("novelty", "radius_68", "radius_95"):
+        assert np.allclose(getattr(there, name), getattr(turned, name), rtol=1e-3)
+        assert np.array_equal(getattr(there, name), getattr(moved, name))
+
+
+def test_a_positioner_of_an_earlier_version_gives_positions_without_trust(tmp_path: Path):
+    positioner = trusting(spectral())
+    save_positioner(tmp_path, positioner, {})
+    stored = read_json(tmp_path / "positioner.json")
+    write_json(tmp_path / "positioner.json", {name: stored[name] for name in stored if name != "confidence"})
+    found = find_poses(load_positioner(tmp_path), images(9, 1))
+    assert np.array_equal(found.position, positioner(images(9, 1)))
+    assert found.novelty is found.accepted is found.radius_68 is found.radius_95 is None
 
 
 @pytest.mark.parametrize("make", [spectral, neighbour])
