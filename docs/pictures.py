@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from deepgps.alignment import fit_alignment
+from deepgps.data.encoder_noise import keep_inliers
 from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.segment_errors import reckon_path
 from deepgps.figures.field_plot import add_scale, draw_field, draw_room
@@ -23,7 +24,7 @@ from deepgps.figures.style import PAPER, count_by_decades, to_png
 from deepgps.learning.trainer import use_threads
 from deepgps.learning.training_data import prepare
 from deepgps.methods.catalog import colour_of
-from deepgps.methods.deepgps import make_initial_map, take_sample
+from deepgps.methods.deepgps import make_initial_map
 from deepgps.methods.fit import fit_method
 from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario
@@ -126,12 +127,12 @@ def draw_maps(run: Path, scenario: Scenario, recording: Recording, truth: Truth)
     """The initial map, and the network's map at three steps of the training."""
     history = read_histories(run)["deepgps"]
     data = prepare(recording, scenario.learn, scenario.seed, run)
-    sample = take_sample(data)
+    segments = keep_inliers(data.segments)
     with use_threads(1):
-        initial = make_initial_map(sample, "paths", scenario.seed, 0).numpy()
+        initial = make_initial_map(data.features, segments, "paths", scenario.seed, 0).numpy()
     mapped = np.isfinite(initial).all(axis=1)
     place = truth.pose[history["snapshot_index"], :2]
-    maps = [("1. initial map, without a network", initial[mapped], truth.pose[sample.chosen.numpy()[mapped], :2])]
+    maps = [("1. initial map, without a network", initial[mapped], truth.pose[mapped, :2])]
     steps = ((0, "2. the network before training"), (3, "3. imitating it"), (-1, "4. refined by distances"))
     for number, words in steps:
         step = int(history["snapshot_step"][number])

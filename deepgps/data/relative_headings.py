@@ -87,10 +87,12 @@ def _describe_all(images: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 def _describe(images: np.ndarray) -> np.ndarray:
     """Waves (n, RINGS, WAVES + 1) around the rings, weighted by their circumference in a fisheye image."""
     rings, sectors = images.shape[1:3]
-    grey = np.asarray(images).mean(axis=3, dtype=np.float32)
-    edges = np.linspace(0, rings, min(RINGS, rings) + 1).astype(int)
-    weight = np.sqrt(np.arange(rings) + 0.5).astype(np.float32)[:, None]
-    blocks = np.add.reduceat(grey * weight, edges[:-1], axis=1)
+    channels = images.reshape(-1, images.shape[3]).astype(np.float32)
+    grey = (channels @ np.full(images.shape[3], 1.0 / images.shape[3], np.float32)).reshape(images.shape[:3])
+    ring = np.arange(rings)
+    block = min(RINGS, rings) * ring // rings
+    gather = np.where(block == np.unique(block)[:, None], np.sqrt(ring + 0.5), 0.0).astype(np.float32)
+    blocks = gather @ grey
     wave = np.arange(min(WAVES, sectors // 2 - 1) + 1)
     return (np.asarray(fft.rfft(blocks))[..., : len(wave)] * (wave / (wave + SMOOTH))).astype(np.complex64)
 

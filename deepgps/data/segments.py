@@ -13,8 +13,8 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 
 MOST_FITTED = 16_000
-"""Most observations that features, initial map and fold detector use: all pairs are compared, so memory and time grow
-with the square."""
+"""Most observations on which features are fitted, for which a sample is as good, and of which the initial map by
+distances alone is made, which was not tried with more. The map by compass is of all observations."""
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 HELD_OUT, LEAST_SEGMENTS = 0.04, 50
 """Share of the segments that no network learns from, since they show its errors; of few segments it learns from all."""
@@ -63,6 +63,10 @@ class Segments:
         """Return the segments ``rows`` (n,) int64, with their observations numbered as before."""
         tensors = {name: value[rows] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         return replace(self, **tensors)
+
+    def through(self, observations: torch.Tensor) -> "Segments":
+        """Return the segments through any of the observations marked (N,) bool."""
+        return self.take((observations[self.index] & self.valid).any(dim=1).nonzero()[:, 0])
 
 
 def read_segments(recording: Recording) -> Segments:

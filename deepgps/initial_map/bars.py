@@ -6,6 +6,7 @@ axle. Where gaps between readings are noisy, a segment is several bars that cont
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,22 @@ largest: a wheel that sticks halves the length."""
 SHORTEST_M = 0.001
 OF_AXLE, OF_CAMERA = slice(0, 4), slice(0, 6)
 """Unknowns, in the order of ``derive``, on which the places of the axle and of the camera depend."""
+
+
+class Located(NamedTuple):
+    """Readings on the map.
+
+    Attributes:
+        way: Distance of each from the beginning of its bar (n,) [m].
+        heading: Heading of the robot (n,) [rad].
+        axle: Position of the axle's centre (n, 2) [m].
+        camera: Position of the camera (n, 2) [m].
+    """
+
+    way: np.ndarray
+    heading: np.ndarray
+    axle: np.ndarray
+    camera: np.ndarray
 
 
 @dataclass
@@ -58,24 +75,27 @@ class Bars:
         return self.unknown.size + SHARED
 
     @property
-    def way(self) -> np.ndarray:
-        """Distance of each reading from the beginning of its bar, on the map (r,) [m]."""
-        return self.along * np.exp(self.unknown[self.row, 3])
-
-    @property
     def heading(self) -> np.ndarray:
         """Heading of the robot at each reading (r,) [rad]."""
-        return self.unknown[self.row, 2] + self.shared[0] * self.way
+        return self.locate(slice(None)).heading
 
     @property
     def axle(self) -> np.ndarray:
         """Position of the axle's centre at each reading (r, 2) [m]."""
-        return self.unknown[self.row, :2] + turn(self.unknown[self.row, 2], follow_arc(self.way, self.shared[0]))
+        return self.locate(slice(None)).axle
 
     @property
     def camera(self) -> np.ndarray:
         """Position of the camera at each reading (r, 2) [m]."""
-        return self.axle + turn(self.heading, np.broadcast_to(self.shared[1:], (len(self.row), 2)))
+        return self.locate(slice(None)).camera
+
+    def locate(self, reading: np.ndarray | slice) -> Located:
+        """Where readings (n,) are on the map."""
+        x_y, begin, scale = np.split(self.unknown[self.row[reading]], [2, 3], axis=1)
+        way = self.along[reading] * np.exp(scale[:, 0])
+        heading = begin[:, 0] + self.shared[0] * way
+        axle = x_y + turn(begin[:, 0], follow_arc(way, self.shared[0]))
+        return Located(way, heading, axle, axle + turn(heading, np.broadcast_to(self.shared[1:], axle.shape)))
 
     def move(self, step: np.ndarray) -> None:
         """Add a step (count,) to the unknowns."""
@@ -84,8 +104,8 @@ class Bars:
 
     def derive(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and values (n, 2, 6) of the derivatives of cameras' positions, to first order in the curvature."""
-        bar, way, heading = self.row[reading], self.way[reading], self.heading[reading]
-        arm = self.camera[reading] - self.unknown[bar, :2]
+        bar, (way, heading, _, camera) = self.row[reading], self.locate(reading)
+        arm = camera - self.unknown[bar, :2]
         one = np.ones(len(reading))
         cos, sin = np.cos(heading), np.sin(heading)
         along = way[:, None] * np.stack([cos, sin], axis=1)
@@ -106,7 +126,7 @@ class Bars:
     def derive_heading(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and values (n, 2) of the derivatives of headings."""
         columns = np.column_stack([4 * self.row[reading] + 2, np.full(len(reading), self.unknown.size)])
-        return columns, np.column_stack([np.ones(len(reading)), self.way[reading]])
+        return columns, np.column_stack([np.ones(len(reading)), self.locate(reading).way])
 
 
 def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:

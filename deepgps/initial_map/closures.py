@@ -115,10 +115,10 @@ def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narro
         links: The loop closures.
         narrow: Whether only gates below ``SURE_M`` count, which need not know after what distance the world repeats.
     """
-    point = bars.camera
+    _, heading, _, point = bars.locate(slice(None))
     squared = ((point[links.one] - point[links.other]) ** 2).sum(axis=1)
     known = ((error[links.one] - error[links.other]) ** 2).mean(axis=2).sum(axis=1) / 2.0
-    away = np.nan_to_num(wrap(bars.heading[links.other] - bars.heading[links.one] - links.turn))
+    away = np.nan_to_num(wrap(heading[links.other] - heading[links.one] - links.turn))
     possible = (part[bars.row[links.one]] == part[bars.row[links.other]]) & (np.abs(away) < ASIDE_RAD)
     gate = GATE * np.sqrt(2.0 * known)
     sure = np.concatenate([np.sqrt(squared[possible & (gate < SURE_M)]), _measure_twins(error, point, links)])

@@ -39,9 +39,11 @@ from deepgps.initial_map.odometry import (
 )
 
 NEIGHBOURS = 3
-ROUNDS = 20
-SETTLED_M = 0.001
-"""The map is finished once no round moves it further than this [m]."""
+ROUNDS, LATELY, GROWN = 20, 5, 0.1
+"""Most rounds after the map has grown. It grows while this part more loop closures are believed than ``LATELY`` rounds
+before: in a long drive, each drift can be seen only after shorter ones are mended."""
+SETTLED_M, SETTLED = 0.001, 0.001
+"""The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
 CUT_RAD, CUT_M = 0.15, 0.5
 """A turn, or a way between two segments, that is known less well cuts the drive into parts."""
 RECUTS = 3
@@ -197,8 +199,8 @@ def _refine(
     rng: np.random.Generator,
 ) -> None:
     """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
-    narrow = True
-    for _ in range(ROUNDS):
+    narrow, believed, left = True, [0], ROUNDS
+    while left > 0:
         fit.part = find_parts(bars, links, cut, fit.belief)
         equations = Equations()
         add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
@@ -206,15 +208,18 @@ def _refine(
         move, fit.samples = equations.solve(*hold_length(bars), rng)
         angles = move[:-SHARED].reshape(-1, 4)[:, 2:]
         angles[...] = angles.clip(-LARGEST_TURN, LARGEST_TURN)
-        before, number = bars.camera, fit.belief.believed.sum()
+        before = bars.camera
         bars.move(move)
         fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
         fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
         fit.keep(bars)
-        if np.abs(bars.camera - before).max() < SETTLED_M and fit.belief.believed.sum() == number:
-            if not narrow:
-                break
-            narrow = False
+        believed.append(int(fit.belief.believed.sum()))
+        grows = believed[-1] > (1.0 + GROWN) * believed[max(-1 - LATELY, -len(believed))]
+        rests = np.abs(bars.camera - before).max() < SETTLED_M and abs(np.diff(believed[-2:])) <= SETTLED * believed[-1]
+        if rests and not narrow:
+            break
+        narrow = narrow and grows and not rests
+        left = ROUNDS if grows else left - 1
 
 
 def _describe(bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int) -> CompassMap:

@@ -16,13 +16,14 @@ from scipy.sparse import csc_array, csr_array, diags_array, eye_array, kron, vst
 from scipy.sparse.linalg import cg
 
 from deepgps.data.segments import Segments, find_owners
-from deepgps.initial_map.isomap import CHUNK, LoopClosures, find_steps, map_by_paths
+from deepgps.initial_map.isomap import LoopClosures, find_steps, map_by_paths
 from sim.errors import InputError
 
 NEIGHBOURS = (5, 8, 12)
 """Neighbours in feature space of each place, for each map that is tried; the map that fits best is kept."""
 NEAR_M, SAME_M, SHORT_M = 0.3, 0.02, 0.5
 """Largest estimated distance of a loop closure, its smallest standard deviation, and the longest short segment [m]."""
+CHUNK = 1000
 ROUNDS = 25
 BELIEVED_M = (1.0, 0.08)
 """Scale of the robust weights in the first and the last round [m]."""

@@ -17,7 +17,8 @@ from sim.errors import InputError
 
 LANDMARKS = 300
 LONGEST_LINK = 2.0
-CHUNK = 1000
+PAIRS = 2**23
+"""Pairs of observations that are compared at a time."""
 
 LoopClosures = tuple[np.ndarray, np.ndarray, np.ndarray]
 """First (n,) and second (n,) observations of the loop closures, and their estimated distances (n,) [m]."""
@@ -65,18 +66,7 @@ def find_loop_closures(features: torch.Tensor, segments: Segments, neighbours: t
     """
     rate, spacing = _rate_of_change(features, segments)
     before, after = find_owners(segments, len(features))
-    most = min(max(neighbours), len(features))
-    second, apart = [], []
-    for chunk in torch.arange(len(features)).split(CHUNK):
-        difference = torch.cdist(features[chunk], features)
-        same = torch.zeros(difference.shape, dtype=torch.bool)
-        for own in (before, after):
-            same |= (own[chunk][:, None] == before) | (own[chunk][:, None] == after)
-        difference.masked_fill_(same | (after < 0), torch.inf)
-        nearest = difference.topk(most, largest=False)
-        second.append(nearest.indices)
-        apart.append(nearest.values)
-    j, difference = torch.cat(second), torch.cat(apart)
+    j, difference = _find_nearest(features, segments, (before, after), min(max(neighbours), len(features)))
     i = torch.arange(len(features))[:, None].expand_as(j)
     length = difference / ((rate[i] + rate[j]) / 2.0)
     near = (length < LONGEST_LINK * spacing) & (after[i] >= 0)
@@ -120,6 +110,29 @@ def join_closures(segments: Segments, closures: LoopClosures) -> LoopClosures:
     """Steps along the segments together with loop closures: first and second observations, distances [m]."""
     first, second, length = (np.concatenate(pair) for pair in zip(find_steps(segments), closures, strict=True))
     return first, second, length
+
+
+def _find_nearest(
+    features: torch.Tensor, segments: Segments, owners: tuple[torch.Tensor, torch.Tensor], most: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The ``most`` nearest observations of other segments and their differences (N, most), the nearest first.
+
+    All pairs are compared, ``PAIRS`` at a time: memory stays bounded, and a product of matrices is fast.
+    """
+    squared = features.square().sum(dim=1).masked_fill(owners[1] < 0, torch.inf)
+    valid, nearest, difference = segments.valid, [], []
+    size = max(1, PAIRS // len(features))
+    table = torch.empty(size, len(features))  # used again, since memory that is returned in pieces is not used again
+    for chunk in torch.arange(len(features)).split(size):
+        apart = torch.addmm(squared, features[chunk], features.T, alpha=-2.0, out=table[: len(chunk)])
+        for own in owners:
+            same = torch.where(valid[own[chunk]], segments.index[own[chunk]], chunk[:, None])
+            apart.scatter_(1, same, torch.inf)
+        least, found = apart.topk(most, largest=False)
+        nearest.append(found)
+        exact = (features[chunk, None] - features[found]).norm(dim=2)
+        difference.append(exact.masked_fill(least.isinf(), torch.inf))
+    return torch.cat(nearest), torch.cat(difference)
 
 
 def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.Tensor, float]:

@@ -84,8 +84,9 @@ def add_odometry(
     before, after = joints.before[used], joints.after[used]
     turn_std = joints.angle_std[used] * np.where(joints.new[used], scale.turn, 1.0)
     _add_turns(equations, bars, before, after, joints.angle[used], 1.0 / turn_std)
-    axle, jump = bars.axle, turn(bars.heading[before], joints.jump[used])
-    _add_pairs(equations, bars, after, before, axle[after] - axle[before] - jump, 1.0 / joints.jump_std[used], OF_AXLE)
+    begin, end = bars.locate(after), bars.locate(before)
+    apart = begin.axle - end.axle - turn(end.heading, joints.jump[used])
+    _add_pairs(equations, bars, after, before, apart, 1.0 / joints.jump_std[used], OF_AXLE)
     lengths = 4 * np.arange(len(bars.unknown))[:, None] + 3
     equations.add(lengths, np.ones(1), bars.unknown[:, 3], 1.0 / (bars.scale_std * scale.length))
     _, held = np.unique(part, return_index=True)
@@ -99,9 +100,10 @@ def add_odometry(
 def add_links(equations: Equations, bars: Bars, links: Links, belief: Belief) -> None:
     """Add the positions and relative headings of the loop closures that are believed."""
     used = np.flatnonzero(belief.believed)
-    one, other, camera = links.one[used], links.other[used], bars.camera
+    one, other = links.one[used], links.other[used]
     weight = np.sqrt(belief.place[used] / links.variance[used])
-    _add_pairs(equations, bars, one, other, camera[one] - camera[other], weight, OF_CAMERA)
+    apart = bars.locate(one).camera - bars.locate(other).camera
+    _add_pairs(equations, bars, one, other, apart, weight, OF_CAMERA)
     used = used[np.isfinite(links.turn[used])]
     weight = np.sqrt(belief.turn[used]) / links.turn_std[used]
     _add_turns(equations, bars, links.one[used], links.other[used], links.turn[used], weight)
@@ -115,7 +117,7 @@ def rescale(bars: Bars, joints: Joints, part: np.ndarray, cut: np.ndarray, sampl
     """
     used = np.flatnonzero((np.diff(part) == 0) & ~cut & joints.new)
     before, after = joints.before[used], joints.after[used]
-    residual = wrap(bars.heading[after] - bars.heading[before] - joints.angle[used])
+    residual = wrap(bars.locate(after).heading - bars.locate(before).heading - joints.angle[used])
     left = _carry_headings(bars, samples, after) - _carry_headings(bars, samples, before)
     turn_scale = _rescale(residual, left, joints.angle_std[used], scale.turn)
     moved = samples[:-SHARED].reshape(*bars.unknown.shape, -1)[:, 3]
@@ -145,8 +147,12 @@ def hold_length(bars: Bars) -> tuple[np.ndarray, float]:
 
 def carry(bars: Bars, samples: np.ndarray) -> np.ndarray:
     """Samples of the errors of readings' positions (r, 2, SAMPLES) [m] from those of the unknowns."""
-    columns, values = bars.derive(np.arange(len(bars.row)))
-    return np.einsum("rak,raks->ras", values, samples[columns])
+    values = bars.derive(np.arange(len(bars.row)))[1][..., None]
+    moved, shared = samples[:-SHARED].reshape(*bars.unknown.shape, -1), samples[-SHARED:]
+    error = moved[bars.row, :2] + values[:, :, 3:, 0] @ shared
+    for number in (2, 3):
+        error += values[:, :, number - 1] * moved[bars.row, None, number]
+    return error
 
 
 def _carry_headings(bars: Bars, samples: np.ndarray, reading: np.ndarray) -> np.ndarray:
@@ -159,7 +165,7 @@ def _add_turns(
 ) -> None:
     """Add the angles from the readings ``one`` to ``other`` (n,) minus ``angle`` (n,) [rad]."""
     (columns, values), (columns_other, values_other) = bars.derive_heading(one), bars.derive_heading(other)
-    residual = wrap(bars.heading[other] - bars.heading[one] - angle)
+    residual = wrap(bars.locate(other).heading - bars.locate(one).heading - angle)
     equations.add(
         np.concatenate([columns_other, columns], axis=1),
         np.concatenate([values_other, -values], axis=1),

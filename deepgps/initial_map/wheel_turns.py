@@ -40,16 +40,15 @@ def read_turns(recording: Recording) -> WheelTurns:
     return WheelTurns(path, np.diff(heading))
 
 
-def straighten(turns: WheelTurns, chosen: torch.Tensor, features: torch.Tensor, segments: Segments) -> np.ndarray:
-    """Positions (n, 2) [m] of the chosen observations: the path, relaxed until segments and loop closures fit.
+def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments) -> np.ndarray:
+    """Positions (N, 2) [m] of the observations: the path, relaxed until segments and loop closures fit.
 
     Args:
         turns: The wheels' path.
-        chosen: Observations (n,).
-        features: Features of them (n, K).
-        segments: Weak constraints, which number them from 0.
+        features: Features of the observations (N, K).
+        segments: Weak constraints.
     """
-    return relax(turns.path[chosen.numpy()], segments, find_loop_closures(features, segments, NEIGHBOURS[:1])[0])[0]
+    return relax(turns.path, segments, find_loop_closures(features, segments, NEIGHBOURS[:1])[0])[0]
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:

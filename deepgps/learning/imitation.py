@@ -1,7 +1,5 @@
 """Unfolding by imitation: the network first learns an initial map, and later is only kept near it."""
 
-from dataclasses import replace
-
 import torch
 
 from deepgps.learning import losses
@@ -33,19 +31,15 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
     return both
 
 
-def sample_mapped_first(draw: Draw, sample_mapped: Draw, chosen: torch.Tensor) -> Draw:
-    """Draw batches of mapped observations while the initial map is imitated, and of all observations afterwards.
+def sample_mapped_first(draw: Draw, sample_mapped: Draw) -> Draw:
+    """Draw batches of mapped segments while the initial map is imitated, and of all segments afterwards.
 
     Args:
-        draw: Draws batches of all observations.
-        sample_mapped: Draws batches of the observations on the map, numbered from 0.
-        chosen: Indices of these among all observations (n,).
+        draw: Draws batches of all segments.
+        sample_mapped: Draws batches of the segments on the map.
     """
 
     def draw_in_turn(generator: torch.Generator, done: float) -> Batch:
-        if done >= IMITATE:
-            return draw(generator, done)
-        batch = sample_mapped(generator, done)
-        return replace(batch, index=chosen[batch.index])
+        return (draw if done >= IMITATE else sample_mapped)(generator, done)
 
     return draw_in_turn

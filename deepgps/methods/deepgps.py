@@ -39,25 +39,16 @@ SLACK_M = {"paths": 0.03, "ends": 1.0}
 """Distance from the initial map that is not penalised [m]: about the map's error, which is large for end points."""
 
 
-@dataclass(frozen=True)
-class Sample:
-    """The observations that get an initial map, and in which folds are searched for.
+def make_initial_map(features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int) -> torch.Tensor:
+    """Positions (N, 2) [m] without a network: from refined shortest paths, or from the segments' end points.
 
-    Attributes:
-        chosen: Their indices among the training observations (n,).
-        features: Their features (n, K).
-        segments: The segments through them, with observations numbered from 0 to n - 1.
+    NaN where they are unknown, as for what a long recording has beyond the sample that is mapped.
     """
-
-    chosen: torch.Tensor
-    features: torch.Tensor
-    segments: Segments
-
-
-def make_initial_map(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
-    """Positions (n, 2) [m] without a network: from refined shortest paths, or from the segments' end points."""
     generator = make_generator(seed, "start", number)
-    return torch.from_numpy(INITIAL_MAPS[start](sample.features, sample.segments, generator))
+    sample, chosen = subsample(segments, len(features))
+    places = torch.full((len(features), 2), torch.nan, dtype=torch.float64)
+    places[chosen] = torch.from_numpy(INITIAL_MAPS[start](features[chosen], sample, generator))
+    return places
 
 
 @dataclass(frozen=True)
@@ -73,7 +64,7 @@ class Variant:
     """
 
     weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
-    make_initial_map: Callable[[Sample, Start, int, int], torch.Tensor] = make_initial_map
+    make_initial_map: Callable[[torch.Tensor, Segments, Start, int, int], torch.Tensor] = make_initial_map
     orient: Callable[[torch.Tensor], int] | None = None
     curvature: float = 0.0
 
@@ -124,7 +115,7 @@ def train_attempt(
 ) -> Attempt:
     """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
     # 1. The input: segments of known length, and features that change slowly along them (ours).
-    sample = take_sample(data)
+    segments = keep_inliers(data.segments)
     draw = sample_from(data.segments.learned.to(data.device), settings.train)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
     start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
@@ -134,33 +125,24 @@ def train_attempt(
     # 4. An unfolded start (ours).
     if start in INITIAL_MAPS:
         progress(f"{label}: initial map", 0, 1)
-        places = variant.make_initial_map(sample, start, seed, number)
+        known = variant.make_initial_map(data.features, segments, start, seed, number).float()
         progress(f"{label}: initial map", 1, 1)
-        known = torch.full((len(data.features), 2), torch.nan)
-        known[sample.chosen] = places.float()
         loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
-        sample_mapped = sample_from(sample.segments.learned.to(data.device), settings.train)
-        draw = sample_mapped_first(draw, sample_mapped, sample.chosen.to(data.device))
+        mapped = segments.learned.through(known.isfinite().all(dim=1))
+        draw = sample_mapped_first(draw, sample_from(mapped.to(data.device), settings.train))
     elif start == "lifting":
         loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
     shuffling = derive_seed(seed, "shuffling", number)
     seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
     # 6. The map, which is a plane in the network's output, and whether it is folded (ours).
-    out = predict(network, data.inputs, sample.chosen)
+    out = predict(network, data.inputs, torch.arange(len(data.features)))
     centre, axes = find_plane(out)
-    positions = ((out - centre) @ axes).double().numpy()
-    score = score_folding(positions, sample.features, sample.segments, make_generator(seed, "fold", number))
+    places = (out - centre) @ axes
+    score = score_folding(places.double().numpy(), data.features, segments, make_generator(seed, "fold", number))
     if variant.orient:
-        out = predict(network, data.inputs, torch.arange(len(data.features)))
-        axes = axes * torch.tensor([1.0, variant.orient((out - centre) @ axes)])
+        axes = axes * torch.tensor([1.0, variant.orient(places)])
     return Attempt(as_positioner(data, settings, network, centre, axes), score, seconds)
-
-
-def take_sample(data: TrainingData) -> Sample:
-    """Observations on segments that are spread evenly over the drive, without down-weighted segments."""
-    segments, chosen = subsample(keep_inliers(data.segments), len(data.features))
-    return Sample(chosen, data.features[chosen], segments)
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:

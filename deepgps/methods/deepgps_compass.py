@@ -11,6 +11,7 @@ from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.lean import describe_lean, ignore_small
 from deepgps.data.relative_headings import compare_headings, measure_curvature
+from deepgps.data.segments import Segments
 from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.closures import Closures
 from deepgps.initial_map.compass_map import NEIGHBOURS, CompassMap, find_compass_map
@@ -18,7 +19,7 @@ from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.stored_map import write_map
 from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
+from deepgps.methods.deepgps import Variant, fit_data, make_initial_map
 from deepgps.methods.positioner import Fitted, NetworkPositioner
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings, Start
@@ -44,10 +45,12 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
 
-    def start_from_compass(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
+    def start_from_compass(
+        features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
+    ) -> torch.Tensor:
         if start != "paths" or number > 0:
-            return make_initial_map(sample, start, seed, number)
-        return torch.from_numpy(found.places)[sample.chosen]
+            return make_initial_map(features, segments, start, seed, number)
+        return torch.from_numpy(found.places)
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)

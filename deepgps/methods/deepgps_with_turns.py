@@ -4,10 +4,11 @@ from pathlib import Path
 
 import torch
 
+from deepgps.data.segments import Segments
 from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.wheel_turns import find_chirality, read_turns, straighten
 from deepgps.learning.training_data import prepare
-from deepgps.methods.deepgps import Sample, Variant, fit_data, make_initial_map
+from deepgps.methods.deepgps import Variant, fit_data, make_initial_map
 from deepgps.methods.positioner import Fitted
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings, Start
@@ -19,10 +20,12 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     recording, told = take_diagnosed(recording, folder.parent)
     data, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
 
-    def start_from_path(sample: Sample, start: Start, seed: int, number: int) -> torch.Tensor:
+    def start_from_path(
+        features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
+    ) -> torch.Tensor:
         if start != "paths" or number > 0:
-            return make_initial_map(sample, start, seed, number)
-        return torch.from_numpy(straighten(turns, sample.chosen, sample.features, sample.segments))
+            return make_initial_map(features, segments, start, seed, number)
+        return torch.from_numpy(straighten(turns, features, segments))
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)

@@ -170,6 +170,35 @@ def test_without_loop_closures_errors_are_as_large_as_their_standard_deviations(
     assert 0.5 < np.mean(ratios) < 2.0
 
 
+def begin(made: Drive, segments: int) -> Drive:
+    """The first segments of a drive."""
+    first = made.segments.take(torch.arange(segments))
+    seen = int(first.index.max()) + 1
+    turns = CompassTurns(*(values[: segments - 1] for values in list(vars(made.turns).values())[:4]))
+    closures = vars(made.closures).values()
+    within = np.maximum(made.closures.first, made.closures.second) < seen
+    return Drive(made.place[:seen], first, turns, Closures(*(values[within] for values in closures)))
+
+
+@pytest.mark.parametrize("gaps", [0.0, 0.1])
+def test_the_map_of_a_drive_agrees_with_that_of_its_beginning_within_their_standard_deviations(gaps: float):
+    ratios = []
+    for seed in range(6):
+        made = drive(160, seed, noise=1.0, gaps=gaps)
+        long, short = find_map(made), find_map(begin(made, 80))
+        seen = len(short.places)
+        expected = (short.std**2).mean() + (long.std[:seen] ** 2).mean()
+        ratios.append(error(short.places, long.places[:seen]) ** 2 / 2.0 / expected)
+    assert np.mean(ratios) < 1.0 and max(ratios) < 3.0
+
+
+def test_in_a_long_drive_all_drifts_are_mended_one_after_another():
+    made = drive(300, noise=1.0, gaps=0.1)
+    found = find_map(made)
+    assert found.believed.mean() > 0.99 and not found.undecided.any()
+    assert error(found.places, made.place) < 0.02
+
+
 def test_what_the_robot_drives_for_straight_and_where_its_camera_is_are_found():
     made = drive(150, noise=0.2, curvature=0.01, mount=(0.03, -0.02))
     found = find_map(made)

@@ -51,6 +51,20 @@ def test_links_join_places_that_lie_together(toy):
     assert all((j, i) in pairs for i, j in pairs)
 
 
+def test_chunks_find_what_a_comparison_of_all_pairs_finds(toy, monkeypatch: pytest.MonkeyPatch):
+    features, segments, _ = toy
+    monkeypatch.setattr("deepgps.initial_map.isomap.PAIRS", 7 * len(features))
+    first, second, _ = find_loop_closures(features, segments, (3,))[0]
+    apart = torch.cdist(features, features, compute_mode="donot_use_mm_for_euclid_dist")
+    for index, count in zip(segments.index, segments.count, strict=True):
+        apart[index[:count, None], index[None, :count]] = torch.inf
+    near = torch.zeros(apart.shape, dtype=torch.bool).scatter_(1, apart.topk(3, largest=False).indices, True)
+    mutual = near & near.T & (apart < torch.inf)
+    # only pairs of observations farther apart than two steps are left out
+    assert mutual[first, second].all()
+    assert len(first) > 0.95 * mutual.sum()
+
+
 def test_same_generator_same_map(toy):
     features, segments, _ = toy
     closures = find_loop_closures(features, segments, (3,))[0]

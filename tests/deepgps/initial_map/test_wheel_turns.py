@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.features import normalise
@@ -60,7 +59,7 @@ def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
     recording, place = slip(toy, 0.004), open_truth(toy.folder).pose[:, :2]
     turns, segments = read_turns(recording), read_segments(recording)
     features = normalise(recording.observation)[1]
-    found = straighten(turns, torch.arange(len(features)), features, segments)
+    found = straighten(turns, features, segments)
     drift = error(turns.path, place, "SE2")
     assert drift > 0.25
     assert error(found, place, "SE2") < drift / 4
