@@ -57,6 +57,8 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     image_s, pose = time_s[listed.topic], None
     if config.pose and pose_log is not None:
         pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
+        if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
+            notes.append(f"{config.pose.topic}: {lacking} images have no pose within half a second and are left out")
     if wheel_log.without:
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
     if wheel_log.from_odometry:

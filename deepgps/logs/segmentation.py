@@ -18,6 +18,10 @@ WINDOW_S = 0.1
 """Speeds are measured over this much before and after [s]."""
 REST_MPS = 0.005
 """Speed of both rims up to which the robot rests [m/s]."""
+DRIVING_MPS = 0.025
+"""Speed from which the usual curvature and the noise of turn rates are measured [m/s]."""
+DEVIATIONS = 3.0
+"""Standard deviations of turn rates by which a straight drive may seem to turn."""
 CURVED_PER_M = 0.25
 """Curvature from which a drive is an arc [1/m]: a radius of 4 m."""
 CURVED_RADPS = 0.02
@@ -70,37 +74,56 @@ def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
 
 def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
     """Divide a drive into motions, in order; together they cover it."""
-    kind = _judge(wheels, path, track_m)
-    motions = _group(kind)
+    path = _take_off_usual(wheels, path)
+    motions = _group(_judge(wheels, path, track_m))
     motions = [part for motion in motions for part in _divide_bent(motion, path)]
     return _join(motions, path)
 
 
+def _take_off_usual(wheels: Wheels, path: Path) -> Path:
+    """The path without the curvature that it usually has where the robot drives nearly straight."""
+    speed, rate = _find_speeds(wheels, path)
+    driving = (np.abs(speed) > DRIVING_MPS) & (np.abs(rate) < CURVED_PER_M * np.abs(speed))
+    usual = float(np.median(rate[driving] / speed[driving])) if driving.any() else 0.0
+    return Path(path.travelled_m, path.yaw - np.clip(usual, -USUAL_PER_M, USUAL_PER_M) * path.travelled_m)
+
+
+def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Speed [m/s] and turn rate [rad/s] in each interval (n - 1,), each over a window around it."""
+    time_s, middle = wheels.time_s, (wheels.time_s[1:] + wheels.time_s[:-1]) / 2
+    early, late = np.maximum(middle - WINDOW_S, time_s[0]), np.minimum(middle + WINDOW_S, time_s[-1])
+    changes = [np.interp(late, time_s, one) - np.interp(early, time_s, one) for one in (path.travelled_m, path.yaw)]
+    return changes[0] / (late - early), changes[1] / (late - early)
+
+
 def _judge(wheels: Wheels, path: Path, track_m: float) -> np.ndarray:
     """Number of the kind in each interval (n - 1,)."""
-    middle = (wheels.time_s[1:] + wheels.time_s[:-1]) / 2
-    speed, rate = (_slope(wheels.time_s, values, middle) for values in (path.travelled_m, path.yaw))
-    driving = (np.abs(speed) > 5 * REST_MPS) & (np.abs(rate) < CURVED_PER_M * np.abs(speed))
-    usual = float(np.median(rate[driving] / speed[driving])) if driving.any() else 0.0
-    bend = np.abs(rate - np.clip(usual, -USUAL_PER_M, USUAL_PER_M) * speed)
+    speed, rate = _find_speeds(wheels, path)
+    curved = CURVED_PER_M * np.abs(speed) + CURVED_RADPS + DEVIATIONS * _measure_noise(wheels.time_s, rate, speed)
     rim = np.abs(rate) * track_m / 2
-    kind = np.select(
+    return np.select(
         [
             wheels.broken | wheels.gap,
             (np.abs(speed) < REST_MPS) & (rim < REST_MPS),
             rim > 2 * np.abs(speed),
             speed < 0,
-            bend > CURVED_PER_M * np.abs(speed) + CURVED_RADPS,
+            np.abs(rate) > curved,
         ],
         [KINDS.index(name) for name in ("unknown", "rest", "turn", "back", "arc")],
         KINDS.index("straight"),
     )
-    return kind
 
 
-def _slope(time_s: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    early, late = np.maximum(at - WINDOW_S, time_s[0]), np.minimum(at + WINDOW_S, time_s[-1])
-    return (np.interp(late, time_s, values) - np.interp(early, time_s, values)) / (late - early)
+def _measure_noise(time_s: np.ndarray, rate: np.ndarray, speed: np.ndarray) -> float:
+    """Standard deviation of turn rates while the robot drives [rad/s], from rates that share no message of the wheels.
+
+    A steady turn, as on an arc, has no part in it.
+    """
+    step = max(round(2 * WINDOW_S / float(np.median(np.diff(time_s)))) + 1, 1)
+    driving = np.abs(speed) > DRIVING_MPS
+    both = driving[step:] & driving[:-step]
+    change = np.abs(rate[step:] - rate[:-step])[both]
+    return float(1.4826 * np.median(change) / np.sqrt(2)) if len(change) else 0.0
 
 
 def _group(kind: np.ndarray) -> list[Motion]:

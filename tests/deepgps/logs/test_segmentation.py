@@ -1,0 +1,107 @@
+"""Segments and turns by the wheels: all of a made-up drive are found, whatever the wheels' noise and differences."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deepgps.logs.segmentation import find_motions, find_path
+from deepgps.logs.wheels import Wheels, clean_wheels
+from sim.errors import InputError
+from tests.helpers.robot_log import LENGTHS_M, RADIUS_M, TICK, TRACK_M, TURNS, make_motion
+
+PERIOD_S = 0.05
+
+
+def sample(lengths_m=LENGTHS_M, turns=TURNS, scale=(1.0, 1.0), noise: float = 0.0, seed: int = 0) -> Wheels:
+    """Messages of the wheels, of which each step is off by a factor and by noise in proportion to it."""
+    motion = make_motion(lengths_m, turns)
+    time_s = np.arange(0.0, motion.time_s[-1], PERIOD_S)
+    angle = np.column_stack([np.interp(time_s, motion.time_s, wheel) for wheel in motion.angle.T]) * scale
+    step = np.diff(angle, axis=0)
+    step *= 1.0 + noise * np.random.default_rng(seed).standard_normal(step.shape)
+    angle = np.concatenate([angle[:1], angle[:1] + np.cumsum(step, axis=0)])
+    return clean_wheels(time_s, np.rint(angle / TICK) * TICK, 4096, "/joint_states")
+
+
+def find(wheels: Wheels) -> tuple[list[float], list[float]]:
+    """Lengths of the segments [m] and turns [rad] that are found."""
+    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
+    motions = find_motions(wheels, path, TRACK_M)
+    lengths = [path.travelled_m[one.last] - path.travelled_m[one.first] for one in motions if one.kind == "straight"]
+    turns = [path.yaw[one.last] - path.yaw[one.first] for one in motions if one.kind == "turn"]
+    return lengths, turns
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1])
+def test_all_segments_and_turns_are_found_at_any_noise(noise: float) -> None:
+    lengths, turns = find(sample(noise=noise))
+    np.testing.assert_allclose(lengths, LENGTHS_M, atol=0.002 + 0.15 * noise)
+    np.testing.assert_allclose(turns, TURNS, atol=0.02 + 2.0 * noise)
+
+
+@pytest.mark.parametrize("scale", [(1.01, 1.0), (1.0, 1.015), (0.98, 0.99)])
+def test_wheels_that_differ_bend_no_segment(scale: tuple[float, float]) -> None:
+    lengths, _ = find(sample(lengths_m=(2.0, 1.5, 1.0, 2.0, 1.5, 2.0), scale=scale))
+    np.testing.assert_allclose(lengths, np.array((2.0, 1.5, 1.0, 2.0, 1.5, 2.0)) * np.mean(scale), atol=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.lists(st.tuples(st.floats(0.15, 2.0), st.floats(0.3, 3.0), st.booleans()), min_size=2, max_size=6),
+)
+def test_any_drive_of_segments_and_turns_is_found(parts: list[tuple[float, float, bool]]) -> None:
+    lengths_m = tuple(length for length, _, _ in parts)
+    turns = tuple(turn if left else -turn for _, turn, left in parts[1:])
+    found, turned = find(sample(lengths_m, turns))
+    np.testing.assert_allclose(found, lengths_m, atol=0.002)
+    np.testing.assert_allclose(turned, turns, atol=0.02)
+
+
+def test_an_arc_is_no_segment() -> None:
+    time_s = np.arange(0.0, 20.0, PERIOD_S)
+    ahead = np.where(time_s < 10.0, 0.2, 0.0) + np.where((time_s > 11.0) & (time_s < 18.0), 0.2, 0.0)
+    rate = np.where((time_s > 11.0) & (time_s < 18.0), 0.15, 0.0)  # a radius of 1.3 m
+    rim = np.column_stack([ahead - rate * TRACK_M / 2, ahead + rate * TRACK_M / 2]) * PERIOD_S / RADIUS_M
+    wheels = clean_wheels(time_s, np.cumsum(rim, axis=0), 4096, "/joint_states")
+    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
+    motions = find_motions(wheels, path, TRACK_M)
+    driven = {
+        kind: sum(path.travelled_m[one.last] - path.travelled_m[one.first] for one in motions if one.kind == kind)
+        for kind in ("straight", "arc")
+    }
+    assert driven["straight"] == pytest.approx(2.0, abs=0.05) and driven["arc"] == pytest.approx(1.4, abs=0.05)
+
+
+def test_motions_cover_the_drive_without_overlap() -> None:
+    wheels = sample()
+    path = find_path(wheels.angle, RADIUS_M, TRACK_M)
+    motions = find_motions(wheels, path, TRACK_M)
+    assert motions[0].first == 0 and motions[-1].last == len(wheels.time_s) - 1
+    assert all(one.last == other.first for one, other in pairwise(motions))
+
+
+@pytest.mark.parametrize("bits", [16, 32])
+def test_counters_that_wrap_are_unwrapped(bits: int) -> None:
+    wheels = sample()
+    full = 2**bits * TICK
+    ticks = wheels.angle + full / 2 - 3.0
+    wrapped = clean_wheels(wheels.time_s, (ticks + full / 2) % full - full / 2, 4096, "/joint_states")
+    np.testing.assert_allclose(np.diff(wrapped.angle, axis=0), np.diff(wheels.angle, axis=0), atol=1e-6)
+    assert "wrapped around" in wrapped.notes[0]
+
+
+def test_angles_are_not_known_in_gaps_and_outside_the_log() -> None:
+    wheels = sample()
+    gap = np.zeros(len(wheels.gap), bool)
+    gap[100] = True
+    at = np.array([-1.0, 1.0, wheels.time_s[100] + 0.02, 1e6])
+    assert np.isnan(replace(wheels, gap=gap).at(at)).any(axis=1).tolist() == [True, False, True, True]
+
+
+def test_too_few_messages_are_refused() -> None:
+    with pytest.raises(InputError, match="/joint_states has 3 messages with both wheels; a drive has at least 20"):
+        clean_wheels(np.arange(3.0), np.zeros((3, 2)), 4096, "/joint_states")
