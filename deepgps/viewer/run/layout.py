@@ -62,7 +62,7 @@ def _error_fields(space: FreeSpace, headings: Headings) -> rrb.Horizontal | rrb.
     first, *others = headings
     layers = [path.removeprefix("world/") for path in (COVERAGE, DENSITY)]
     hidden = {method: [*paths, COVERAGE, DENSITY] for method, paths in headings.items()}
-    around = ["floor_plan", "scale/**", "place/test/**", *layers]
+    around = ["floor_plan", "scale/**", "place/test/**", "place/radius", *layers]
     wide = len(others) > 1  # plans below leave less height
     oblique, above = aim_eye(space, tilt=0.45, reach=1.08), aim_eye(space, reach=0.85 if wide else 1.0)
     room = rrb.Tabs(
@@ -91,7 +91,8 @@ def _worst_places(space: FreeSpace, pictures: bool) -> rrb.Container:
         name="The place, and where the training images were taken",
         origin="world",
         contents=[
-            *("world/floor_plan", "world/outline", "world/place/error", "world/place/test"),  # labels are few as it is
+            *("world/floor_plan", "world/outline", "world/place/radius"),
+            *("world/place/error", "world/place/test"),  # labels are few as it is
             *(f"world/place/{picture}/**" for picture in PICTURES[1:]),
         ],
         eye_controls=aim_eye(space, reach=0.9, before=0.0),

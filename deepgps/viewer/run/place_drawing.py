@@ -8,6 +8,7 @@ import rerun as rr
 from deepgps.viewer import playback
 from deepgps.viewer.error_field import draw_arrows
 from deepgps.viewer.run.drive import camera_of
+from deepgps.viewer.run.radii import draw_circles
 from deepgps.viewer.scene import LAYER_M, lift
 from sim.recording.format import Recording
 
@@ -24,7 +25,13 @@ Times = list[rr.TimeColumn]  # of n places
 
 
 def log_map(
-    stream: rr.RecordingStream, true: np.ndarray, predicted: np.ndarray, taken: np.ndarray, above_m: float, at: Times
+    stream: rr.RecordingStream,
+    true: np.ndarray,
+    predicted: np.ndarray,
+    refused: Sequence[bool],
+    taken: np.ndarray,
+    above_m: float,
+    at: Times,
 ) -> None:
     """Log each place's arrow above all others, and where the training images were taken.
 
@@ -32,6 +39,7 @@ def log_map(
         stream: Stream to log to.
         true: True positions (n, 2) [m].
         predicted: Predicted positions (n, 2) [m].
+        refused: Whether the method refuses each image.
         taken: Poses of the training images (n, ALIKE + 1, 3) [m, m, rad].
         above_m: How far above its place the label is [m], since the viewer draws a label below its point.
         at: The times of the n places.
@@ -40,7 +48,8 @@ def log_map(
     stream.log("world/place/error", rr.LineStrips3D.from_fields(radii=0.014, colors=[SHOWN["test"]]), static=True)
     stream.send_columns("world/place/error", at, rr.LineStrips3D.columns(strips=arrows))
     _log_dots(stream, "test", true, 0.03, 6 * LAYER_M, at)
-    labels = [f"{100 * error:.1f} cm" for error in np.linalg.norm(predicted - true, axis=1)]
+    errors = zip(np.linalg.norm(predicted - true, axis=1), refused, strict=True)
+    labels = [f"{100 * error:.1f} cm{', refused' if no else ''}" for error, no in errors]
     _log_labels(stream, "test", true + [0, above_m], labels, at)
     for number, name in enumerate(PICTURES[1:]):
         place, yaw = taken[:, number, :2], taken[:, number, 2]
@@ -54,6 +63,16 @@ def log_map(
         stream.send_columns(f"world/place/{name}/heading", at, rr.LineStrips3D.columns(strips=arrows))
         if not closest:
             _log_labels(stream, name, ahead, [name.removeprefix("alike_")] * len(true), at)
+
+
+def log_radii(stream: rr.RecordingStream, predicted: np.ndarray, radii: Sequence[Sequence[float]], at: Times) -> None:
+    """Log circles of some radii [m] around each predicted position (n, 2) [m]; a method without radii has none."""
+    counts = [len(some) for some in radii]
+    circles = draw_circles(
+        np.repeat(predicted, counts, axis=0), np.array([one for some in radii for one in some]), 5 * LAYER_M
+    )
+    stream.log("world/place/radius", rr.LineStrips3D.from_fields(radii=0.007, colors=[SHOWN["test"]]), static=True)
+    stream.send_columns("world/place/radius", at, rr.LineStrips3D.columns(strips=circles).partition(counts))
 
 
 def _log_dots(

@@ -15,7 +15,7 @@ from deepgps.evaluation.error_field import ErrorField
 from deepgps.figures.markdown import tabulate
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.run.alike import find_alike
-from deepgps.viewer.run.place_drawing import ALIKE, log_map, log_pictures
+from deepgps.viewer.run.place_drawing import ALIKE, log_map, log_pictures, log_radii
 from deepgps.viewer.timeline import place_index
 from sim.recording.format import Recording, Truth
 
@@ -80,7 +80,10 @@ def log_places(
     away, closest = KDTree(truth.pose[:, :2]).query(true)
     shown = np.column_stack([alike, closest])  # indices of training observations
     at = place_index(len(places))
-    log_map(stream, true, predicted, truth.pose[shown], LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1]), at)
+    refused = [not field.is_accepted[place.cell, place.heading] for field, place in cells]
+    above_m = LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])
+    log_map(stream, true, predicted, refused, truth.pose[shown], above_m, at)
+    log_radii(stream, predicted, [_radii_at(*one) for one in cells], at)
     texts = {
         "text": [_describe(number, places, fields, float(away[number])) for number in range(len(places))],
         "taken": [_describe_images(*one) for one in zip(true, truth.pose[shown], strict=True)],
@@ -99,15 +102,21 @@ def _headings_at(field: ErrorField, place: Place) -> np.ndarray:
     return np.broadcast_to(field.heading, field.error.shape)[place.cell]
 
 
+def _radii_at(field: ErrorField, place: Place) -> list[float]:
+    """Radii of 68 and 95 % at a place [m]; empty if the method gives none."""
+    return [float(part[place.cell, place.heading]) for part in (field.radius, field.radius_95) if part is not None]
+
+
 def _describe(number: int, places: Sequence[Place], fields: Mapping[str, ErrorField], away_m: float) -> str:
     """Describe a place in Markdown: its numbers, and what the other methods say there."""
     place = places[number]
     field = fields[place.method]
     true, predicted = field.truth[place.cell], field.predicted[place.cell, place.heading]
     heading = np.degrees(_headings_at(field, place))
-    errors = [
-        [title_of(name), *(f"{100 * error:.1f}" for error in one.error[place.cell])] for name, one in fields.items()
-    ]
+    errors = [[title_of(name), *_write_errors(one, place.cell)] for name, one in fields.items()]
+    brackets = (
+        " (in brackets: refused)" if any(not one.is_accepted[place.cell].all() for one in fields.values()) else ""
+    )
     count = sum(one.method == place.method for one in places)
     error_cm = 100 * field.error[place.cell, place.heading]
     return "\n\n".join(
@@ -116,10 +125,28 @@ def _describe(number: int, places: Sequence[Place], fields: Mapping[str, ErrorFi
             f"Worst place {place.rank} of {count} of this method; {len(places) - number} on the timeline `place`.",
             f"True position {true[0]:.2f}, {true[1]:.2f} m; predicted {predicted[0]:.2f}, {predicted[1]:.2f} m, "
             f"at heading {heading[place.heading]:.0f}°. The closest training image was taken {away_m:.2f} m away.",
-            "Errors here at each heading [cm]:",
+            *_describe_trust(field, place),
+            f"Errors here at each heading [cm]{brackets}:",
             tabulate(["method", *(f"{one:.0f}°" for one in heading)], errors),
         ]
     )
+
+
+def _describe_trust(field: ErrorField, place: Place) -> list[str]:
+    """Say whether the method accepts the image, and its radii; nothing where it gives neither."""
+    words = []
+    if field.accepted is not None:
+        words.append(f"The method {'accepts' if field.accepted[place.cell, place.heading] else 'refuses'} this image.")
+    if radii := _radii_at(field, place):
+        inner, outer = (100 * radius for radius in radii)
+        words.append(f"It expects the true position within {inner:.1f} cm (68 %) or {outer:.1f} cm (95 %).")
+    return [" ".join(words)] if words else []
+
+
+def _write_errors(field: ErrorField, cell: int) -> list[str]:
+    """Errors at each heading of a place [cm], in brackets where the method refuses the image."""
+    rows = zip(100 * field.error[cell], field.is_accepted[cell], strict=True)
+    return [f"{error:.1f}" if accepted else f"({error:.1f})" for error, accepted in rows]
 
 
 def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:

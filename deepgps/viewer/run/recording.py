@@ -17,6 +17,7 @@ from deepgps.evaluation.error_field import read_all_headings
 from deepgps.evaluation.map_errors import locate_camera
 from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
+from deepgps.figures.verdict import judge_run
 from deepgps.viewer.distribution import log_distribution
 from deepgps.viewer.error_field import list_headings, log_field, log_headings
 from deepgps.viewer.read import open_rrd
@@ -28,6 +29,7 @@ from deepgps.viewer.run.layout import make_blueprint
 from deepgps.viewer.run.making import find_map, list_expected, log_expected, log_making
 from deepgps.viewer.run.pictures import LARGE, PICTURES, log_pictures, read_pictures
 from deepgps.viewer.run.places import find_places, log_places
+from deepgps.viewer.run.radii import list_radii, log_radii
 from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
 from deepgps.viewer.run.yaw import list_yaws, log_yaws
@@ -38,11 +40,11 @@ from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
 HELP = (
-    "Point at an arrow or a dot: error, heading → predicted x, y [m].",
+    "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m].",
     "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
     "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
-    "The panel on the left (button at the top right) switches on and off: each heading, errors above or below 10 cm, "
-    "predicted yaws (arrows of 7 cm; those off by more than 5 degrees in purple), "
+    "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
+    "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in purple), "
     "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m.",
 )
 
@@ -60,7 +62,7 @@ def write_recording(run: Path) -> Path:
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
-    lists = (list_headings, list_yaws, list_expected)
+    lists = (list_headings, list_yaws, list_radii, list_expected)
     blueprint = make_blueprint(
         space,
         {name: [path for paths in lists for path in paths(name, field)] for name, field in fields.items()},
@@ -77,6 +79,7 @@ def write_recording(run: Path) -> Path:
             log_field(stream, name, field)
             log_headings(stream, name, field)
             log_yaws(stream, name, field)
+            log_radii(stream, name, field)
             log_expected(stream, name, field)
         log_coverage(stream, driven, space)
         log_places(stream, fields, find_places(fields), recording, truth)
@@ -118,10 +121,11 @@ def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
         "",
         markdown_table(metrics, OVERVIEW),
         "",
+        *(f"- **{sentence}**" for sentence in judge_run(metrics)),
         *(f"- {sentence}" for sentence in describe(metrics)),
         "",
-        "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
-        "methods share one colour scale.",
+        "Each arrow points from a true test position to the predicted position, for the worst heading there that the "
+        "method accepts; grey ones are the worst that it refuses. All methods share one colour scale.",
         "",
         *(f"- {sentence}" for sentence in HELP),
     ]

@@ -15,6 +15,7 @@ from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
 from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
+from deepgps.figures.run_report import describe
 from deepgps.methods.catalog import title_of
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
@@ -403,3 +404,54 @@ def test_a_missing_viewer_is_one_clear_line(run: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("PATH", "/nonexistent")
     with pytest.raises(WorkError, match="the Rerun viewer is missing"):
         view([run])
+
+
+def test_radii_are_circles_around_the_predictions_of_what_is_accepted(run: Path) -> None:
+    for method, field in read_all_headings(run).items():
+        if method not in REFUSING:
+            with pytest.raises(InputError, match="no entity"):
+                read_entity(run / RECORDING, f"world/error_field/{method}/radius")
+            continue
+        accepted, _ = split_by_acceptance(field)
+        rows = read_entity(run / RECORDING, f"world/error_field/{method}/radius")
+        circles = np.array(rows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())[..., :2]
+        away = np.linalg.norm(circles - accepted.predicted[:, None], axis=-1)
+        assert accepted.radius is not None
+        np.testing.assert_allclose(away, np.broadcast_to(accepted.radius[:, None], away.shape), atol=1e-5)
+        said = rows["radius"].combine_chunks().flatten().to_pylist()
+        assert said[0] == f"68 % within {100 * accepted.radius[0]:.1f} cm, off by {100 * accepted.error[0]:.1f} cm"
+
+
+def read_by_place(run: Path, entity: str, component: str) -> list[list]:
+    """What an entity shows at each of the worst places, in their order."""
+    rows = read_entity(run / RECORDING, entity)
+    (name,) = [name for name in rows.column_names if component in name]
+    return rows.filter(pc.field(PLACE).is_valid()).sort_by([(PLACE, "descending")])[name].to_pylist()
+
+
+def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path) -> None:
+    fields = read_all_headings(run)
+    places = find_places(fields)
+    texts, labels = read_by_place(run, "place/text", ":text"), read_by_place(run, "world/place/test/label", ":labels")
+    circles = read_by_place(run, "world/place/radius", ":strips")
+    assert len(texts) == len(circles) == len(places)
+    for (text,), drawn, (label,), place in zip(texts, circles, labels, places, strict=True):
+        field, at = fields[place.method], (place.cell, place.heading)
+        told = place.method in REFUSING
+        assert len(drawn) == (2 if told else 0)
+        assert ("The method refuses this image." in text) == label.endswith("refused") == (not field.is_accepted[at])
+        assert ("The method accepts this image." in text) == (told and field.is_accepted[at])
+        assert not told or f"within {100 * np.asarray(field.radius)[at]:.1f} cm (68 %)" in text
+
+
+def test_the_first_page_begins_with_what_is_wrong(copied: Path) -> None:
+    metrics = read_json(copied / "metrics.json")
+    metrics["methods"]["deepgps"]["scale"] = 0.5
+    write_json(copied / "metrics.json", metrics)
+    write_recording(copied)
+    (text,) = read_entity(copied / RECORDING, "report/figures")["TextDocument:text"].combine_chunks().flatten()
+    lines = str(text).splitlines()
+    (wrong,) = (place for place, line in enumerate(lines) if line.startswith("- **Not converged: DeepGPS (scale 0.50)"))
+    first = lines.index(f"- {describe(metrics)[0]}")
+    assert wrong < first
+    assert any("% accepted" in line for line in lines[:wrong])
