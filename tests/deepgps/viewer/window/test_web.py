@@ -21,7 +21,7 @@ import pytest
 from PIL import Image
 
 from deepgps.cli import main
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
 from deepgps.figures.field_plot import COLOURS, colours_of
 from deepgps.viewer.run.recording import RECORDING, write_recording
 from deepgps.viewer.window import screenshot
@@ -231,7 +231,7 @@ def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
 @pytest.mark.slow
 @pytest.mark.skipif(find_chromium() is None, reason=f"no Chromium: there is no command {', '.join(NAMES)}")
 def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
-    colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
+    colours = np.unique(colours_of(split_by_acceptance(read_all_headings(run)["deepgps"])[0].error)[:, :3], axis=0)
     assert len(colours) > 50
     shown, png, picture = 0.0, b"", np.zeros((1, 1, 3))
     with served(str(run), "--web") as (address, _), open_page(address, tmp_path / "profile") as take_picture:
@@ -287,5 +287,5 @@ def test_a_screenshot_shows_the_error_field(run: Path, tmp_path: Path) -> None:
     main(["view", str(run), "--screenshot", str(out)])
     picture = np.asarray(Image.open(out).convert("RGB"))
     assert picture.shape == (1000, 1600, 3)
-    colours = np.unique(colours_of(read_fields(run)["deepgps"].error)[:, :3], axis=0)
+    colours = np.unique(colours_of(split_by_acceptance(read_all_headings(run)["deepgps"])[0].error)[:, :3], axis=0)
     assert shown_colours(picture, colours) > 0.6
