@@ -14,6 +14,9 @@ from deepgps.data.lean import compare_images
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
+from deepgps.diagnosis.diagnosis import diagnose
+from deepgps.diagnosis.findings import find_faults
+from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, open_drive_in_use
 from deepgps.learning.trainer import use_threads
@@ -21,7 +24,7 @@ from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, load_positioner, read_training
 from deepgps.scenario import Scenario
-from sim.errors import DamagedError, WorkError
+from sim.errors import DamagedError, InputError, WorkError
 from sim.files import read_json
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
@@ -43,7 +46,8 @@ def judge(run: Path, scenario: Scenario) -> dict[str, Any]:
     Returns:
         Contents of ``without_truth.json``: what was driven, and for each method what is known of it.
     """
-    recording = keep_plausible(open_recording(run / "recording"))
+    opened = open_recording(run / "recording")
+    recording = keep_plausible(opened)
     held_out = open_drive_in_use(recording)
     with use_threads(scenario.learn.train.threads):
         methods = {name: _judge_method(folder_of(run, name), recording, held_out) for name in scenario.methods}
@@ -53,8 +57,17 @@ def judge(run: Path, scenario: Scenario) -> dict[str, Any]:
         "distance_driven_m": recording.manifest.distance_driven_m,
         **count_readings(recording),
         **({} if held_out is None else {"held_out": _describe_drive(held_out)}),
+        "wheels": _diagnose_wheels(run, opened),
         "methods": methods,
     }
+
+
+def _diagnose_wheels(run: Path, recording: Recording) -> list[str] | None:
+    """What is wrong with the wheels, by a method's diagnosis or a new one; None: that cannot be known."""
+    try:
+        return [fault.text for fault in find_faults(read_diagnosis(run, recording) or diagnose(recording))]
+    except InputError:
+        return None
 
 
 def read_judged(run: Path) -> dict[str, Any] | None:

@@ -92,6 +92,8 @@ def describe(found: Mapping[str, Any]) -> list[str]:
     else:
         told += "; none are held out, so the table tells only how well the segments were learned"
     sentences = [f"{told}.", NO_ERRORS, _describe_new(found["methods"])]
+    if (wheels := found.get("wheels")) is not None:
+        sentences.append("Wheels: " + (" ".join(wheels) or "nothing is wrong with them, as far as can be known."))
     if left_out := describe_readings(found.get("readings", {})):
         sentences.append(left_out)
     return [*sentences, *filter(None, (_describe_method(name, one) for name, one in found["methods"].items()))]

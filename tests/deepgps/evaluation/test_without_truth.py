@@ -83,4 +83,7 @@ def test_without_held_out_segments_the_table_says_so() -> None:
     _, (row,) = tabulate(found)
     assert row[:5] == ("DeepGPS", "1.2", "1.0", "-", "1.0000")
     said = " ".join(describe(found))
+    assert "Wheels" not in said
+    assert "Wheels: nothing is wrong" in " ".join(describe({**found, "wheels": []}))
+    assert "Wheels: The left one sticks." in describe({**found, "wheels": ["The left one sticks."]})
     assert "none are held out" in said and "DeepGPS 25.0 %" in said and "DeepGPS: its map looks folded." in said
