@@ -23,6 +23,8 @@ MOST = 12
 """Most hypotheses that are kept."""
 MOST_EVIDENCE = 4.0
 """Largest evidence of one image: more would trust the model of its errors too far."""
+MOST_BY_REFUSED = 4.0
+"""Largest evidence of a hypothesis by images that their method refuses: they alone make none certain."""
 LEAD = 30.0
 """Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time."""
 SHARED_M, SHARED_RAD = 0.1, 0.2
@@ -37,7 +39,7 @@ ALIKE_M, ALIKE_RAD = 0.05, 0.1
 """Of two hypotheses that have come so near to each other the likelier one is kept [m], [rad]."""
 FAN = 8
 """Headings at which hypotheses begin where an image tells no yaw."""
-CERTAIN = 0.99
+CERTAIN = 0.999
 """Probability from which an estimate is accepted."""
 
 
@@ -121,8 +123,9 @@ def see(state: State, fix: Fix) -> State:
     moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
     updated = update(state.mean, state.covariance, _weaken(fix, moved, moved + state.turned_rad / SHARED_RAD))
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)
+    most = LEAD if fix.accepted else max(MOST_BY_REFUSED, float(state.evidence.max(initial=0.0)))
     state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
-    return _keep_best(_add_new(state, fix))
+    return _keep_best(_add_new(state, fix), most)
 
 
 def estimate(state: State) -> Estimate:
@@ -173,8 +176,11 @@ def _add_new(state: State, fix: Fix) -> State:
     )
 
 
-def _keep_best(state: State) -> State:
-    """The likeliest hypotheses, without doubles and without those that are less likely than an unknown pose."""
+def _keep_best(state: State, most: float) -> State:
+    """The likeliest hypotheses, the first with at most this evidence.
+
+    Doubles are left out, and those that are less likely than an unknown pose.
+    """
     order = np.argsort(-state.evidence, kind="stable")
     mean, evidence = state.mean[order], state.evidence[order]
     double = np.tril(_find_near(mean, mean, ALIKE_M, ALIKE_RAD), -1).any(axis=1)
@@ -186,7 +192,7 @@ def _keep_best(state: State) -> State:
         state,
         mean=state.mean[kept],
         covariance=state.covariance[kept],
-        evidence=evidence - max(float(evidence[0]) - LEAD, 0.0),
+        evidence=evidence - max(float(evidence[0]) - most, 0.0),
     )
 
 

@@ -173,6 +173,7 @@ def test_refused_images_count_less():
     refused = replace(drive, fixes=[replace(one, accepted=False) for one in drive.fixes])
     spread = [estimate(run_forward(one.motions, one.fixes)[-1]).position_std for one in (drive, refused)]
     assert spread[1] > 1.5 * spread[0]
+    assert not any(estimate(state).accepted for state in run_forward(refused.motions, refused.fixes))
 
 
 def test_lens_that_is_covered_does_not_lead_the_track_away():
