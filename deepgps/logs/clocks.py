@@ -8,6 +8,7 @@ these delays. The shortest ones count, since messages may arrive in bursts, most
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,8 @@ class Times:
 
     Attributes:
         topic: The topic.
-        log_s: When each was logged (n,) [s].
-        stamp_s: Its stamp (n,) [s]; NaN where it is missing.
+        log_s: When each was logged (n,) [s], from the first message of the log.
+        stamp_s: Its stamp (n,) [s], from the first stamp of the log; NaN where it is missing.
     """
 
     topic: str
@@ -40,7 +41,7 @@ class Times:
 
     @property
     def late_s(self) -> np.ndarray:
-        """Logged minus stamped (n,) [s]."""
+        """Logged minus stamped (n,) [s], but for a constant of the log."""
         return self.log_s - self.stamp_s
 
     @property
@@ -49,30 +50,48 @@ class Times:
         return bool(np.isfinite(self.stamp_s).mean() > 0.5)
 
 
-def take_times(topic: str, log_ns: Sequence[int], stamp_ns: Sequence[int], start_ns: int) -> Times:
-    """Times from ``start_ns`` of messages that were logged and stamped at these times, where 0 is no stamp."""
+@dataclass(frozen=True)
+class Starts:
+    """From when the times of a log count [ns since 1970]: those of logging, and the stamps."""
+
+    log_ns: int
+    stamp_ns: int
+
+
+class Aligned(NamedTuple):
+    """Times of all topics by one clock.
+
+    Attributes:
+        time_s: Time of each message by topic (n,) [s], in the order in which they were logged; NaN: not known.
+        by_log: Whether it is the recorder's clock; otherwise, the clock of the stamps.
+        notes: What was done.
+    """
+
+    time_s: dict[str, np.ndarray]
+    by_log: bool
+    notes: list[str]
+
+
+def find_starts(logs: Sequence[Sequence[int]], stamps: Sequence[Sequence[int]]) -> Starts:
+    """The first times of several topics, of logging and of stamps; without stamps, both are those of logging."""
+    first = min(min(log) for log in logs)
+    stamped = [min(filter(None, stamp), default=None) for stamp in stamps]
+    return Starts(first, min((one for one in stamped if one is not None), default=first))
+
+
+def take_times(topic: str, log_ns: Sequence[int], stamp_ns: Sequence[int], starts: Starts) -> Times:
+    """Times of messages that were logged and stamped at these times, where 0 is no stamp."""
     logged, stamped = np.asarray(log_ns, np.int64), np.asarray(stamp_ns, np.int64)
-    stamp_s = np.where(stamped == 0, np.nan, (stamped - start_ns) * NS)
-    return Times(topic, (logged - start_ns) * NS, stamp_s)
+    stamp_s = np.where(stamped == 0, np.nan, (stamped - starts.stamp_ns) * NS)
+    return Times(topic, (logged - starts.log_ns) * NS, stamp_s)
 
 
-def find_start(stamps: Sequence[Sequence[int]], logs: Sequence[Sequence[int]]) -> int:
-    """The earliest time of several topics [ns], from which seconds are counted."""
-    found = [min(filter(None, stamp), default=None) for stamp in stamps]
-    found = [first for first in found if first] or [min(log, default=0) for log in logs]
-    return min(found)
-
-
-def align(topics: Sequence[Times], may_align: bool) -> tuple[dict[str, np.ndarray], list[str]]:
+def align(topics: Sequence[Times], may_align: bool) -> Aligned:
     """Times of all topics by one clock.
 
     Args:
         topics: Their times; the first is compared with each other one.
         may_align: Whether clocks that differ are aligned; otherwise they are refused.
-
-    Returns:
-        The time of each message by topic (n,) [s], in the order in which they were logged, NaN where it is not known,
-        and notes on what was done.
 
     Raises:
         InputError: Clocks differ by more than ``APART_S`` or jump, and may not be aligned.
@@ -83,10 +102,10 @@ def align(topics: Sequence[Times], may_align: bool) -> tuple[dict[str, np.ndarra
         raise InputError(f"{problem}; clocks: align in the robot's file aligns them by the times of logging")
     notes = [f"{topic}: most messages have no stamp, so the times of logging count" for topic in unstamped]
     if not problem and not unstamped:
-        return {one.topic: _fill(one) for one in topics}, notes
+        return Aligned({one.topic: _fill(one) for one in topics}, False, notes)
     if problem:
         notes.append(f"{problem}: aligned by the times of logging")
-    return {one.topic: _by_recorder(one) for one in topics}, notes
+    return Aligned({one.topic: _by_recorder(one) for one in topics}, True, notes)
 
 
 def compare(first: Times, second: Times) -> str | None:
@@ -120,9 +139,10 @@ def find_jump(times: Times) -> str | None:
     return None
 
 
-def list_offsets(topics: Sequence[Times]) -> Mapping[str, float]:
+def list_offsets(topics: Sequence[Times], starts: Starts) -> Mapping[str, float]:
     """Median of logged minus stamped, by topic [s]; NaN without stamps."""
-    return {one.topic: float(np.nanmedian(one.late_s)) if one.is_stamped else float("nan") for one in topics}
+    apart_s = (starts.log_ns - starts.stamp_ns) * NS
+    return {one.topic: float(np.nanmedian(one.late_s)) + apart_s if one.is_stamped else np.nan for one in topics}
 
 
 def _find_delays(times: Times, edge: np.ndarray) -> np.ndarray:

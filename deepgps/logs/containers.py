@@ -142,4 +142,5 @@ def _explained(path: Path) -> Iterator[None]:
     except (InputError, MemoryError, OSError):
         raise
     except Exception as error:
-        raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {one_line(error)}") from None
+        why = one_line(error) or type(error).__name__
+        raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None

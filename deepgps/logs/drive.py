@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.logs.clocks import align, find_start, list_offsets, take_times
+from deepgps.logs.clocks import align, find_starts, list_offsets, take_times
 from deepgps.logs.joints import WheelLog
 from deepgps.logs.pictures import ImageList
 from deepgps.logs.poses import PoseLog, find_poses
@@ -46,9 +46,10 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     logs: list[tuple[str, Any]] = [(config.wheels.topic, wheel_log), (listed.topic, listed)]
     if config.pose and pose_log is not None:
         logs.append((config.pose.topic, pose_log))
-    start_ns = find_start([one.stamp_ns for _, one in logs], [one.log_ns for _, one in logs])
-    times = [take_times(topic, one.log_ns, one.stamp_ns, start_ns) for topic, one in logs]
-    time_s, notes = align(times, config.clocks == "align")
+    starts = find_starts([one.log_ns for _, one in logs], [one.stamp_ns for _, one in logs])
+    times = [take_times(topic, one.log_ns, one.stamp_ns, starts) for topic, one in logs]
+    time_s, by_log, notes = align(times, config.clocks == "align")
+    start_ns = starts.log_ns if by_log else starts.stamp_ns
     wheels = clean_wheels(
         time_s[config.wheels.topic], wheel_log.angle, config.wheels.ticks_per_rev, config.wheels.topic
     )
@@ -63,4 +64,4 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
-    return Drive(wheels, path, motions, image_s, pose, (*notes, *wheels.notes), list_offsets(times), start_ns)
+    return Drive(wheels, path, motions, image_s, pose, (*notes, *wheels.notes), list_offsets(times, starts), start_ns)

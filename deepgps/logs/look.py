@@ -9,7 +9,7 @@ import numpy as np
 
 from deepgps.logs import plain_folder, poses
 from deepgps.logs.camera import INFO, read_info
-from deepgps.logs.clocks import APART_S, compare, take_times
+from deepgps.logs.clocks import APART_S, compare, find_starts, take_times
 from deepgps.logs.containers import Log, open_log
 from deepgps.logs.images import COMPRESSED, RAW, decoder
 from deepgps.logs.joints import JOINT_STATE, ODOMETRY
@@ -202,6 +202,7 @@ def _compare_clocks(seen: dict[str, Seen]) -> list[str]:
 def _clocks_differ(seen: dict[str, Seen], wheels: str | None, camera: str | None) -> str | None:
     if wheels is None or camera is None:
         return None
-    start = min(seen[wheels].log_ns[0], seen[camera].log_ns[0])
-    one, other = (take_times(topic, seen[topic].log_ns, seen[topic].stamp_ns, start) for topic in (wheels, camera))
+    two = [seen[topic] for topic in (wheels, camera)]
+    starts = find_starts([topic.log_ns for topic in two], [topic.stamp_ns for topic in two])
+    one, other = (take_times(topic, seen[topic].log_ns, seen[topic].stamp_ns, starts) for topic in (wheels, camera))
     return compare(one, other)

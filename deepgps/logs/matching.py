@@ -14,6 +14,8 @@ NEAR_M, NEAR_RAD = 0.003, np.radians(0.4)
 """An image shows the place and heading at which a turn begins or ends if it is as near as this [m], [rad]."""
 IN_PLACE_M, NEARBY_M = 0.02, 0.3
 """Way between two segments up to which the robot turned in place, and up to which the next one begins nearby [m]."""
+DOUBTFUL_M = 0.12
+"""Before the robot backs off, it has touched something: its wheels may have slipped over this last distance [m]."""
 CLOSE = 0.4
 """The last images of a segment are at least this part of the spacing apart."""
 IN_PLACE, BACKED_OFF, RELOCATED = (KINDS.index(name) for name in ("in_place", "backed_off", "relocated"))
@@ -71,7 +73,7 @@ def plan_recording(
         spacing_m: Distance between images on a segment [m].
         ticks: Ticks of a revolution.
     """
-    chosen = [(number, _choose(motions, number, wheels, images, spacing_m)) for number in some]
+    chosen = [(number, _choose(motions, number, wheels, path, images, spacing_m)) for number in some]
     chosen = [(number, rows) for number, rows in chosen if len(rows) >= 2]
     builder = _Builder(images, ticks)
     for (before, _), (number, rows) in pairwise([(-1, np.empty(0, int)), *chosen]):
@@ -102,12 +104,16 @@ def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
     return BACKED_OFF if way <= NEARBY_M and turned * way < IN_PLACE_M else RELOCATED
 
 
-def _choose(motions: Sequence[Motion], number: int, wheels: Wheels, images: Images, spacing_m: float) -> np.ndarray:
+def _choose(
+    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, spacing_m: float
+) -> np.ndarray:
     """Rows of the images of a segment, evenly spaced, its first and last included; none if it is no segment."""
     if motions[number].kind != "straight":
         return np.empty(0, int)
     first, last = _range_at_rest(motions, number)
     rows = np.arange(*np.searchsorted(images.time_s, (wheels.time_s[first], wheels.time_s[last])))
+    if _backs_off(motions[number + 1 :]):
+        rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_M]
     if not len(rows):
         return rows
     place = np.maximum.accumulate(images.path.travelled_m[rows])
@@ -118,6 +124,11 @@ def _choose(motions: Sequence[Motion], number: int, wheels: Wheels, images: Imag
     nearer[:1] = np.searchsorted(place, place[0] + NEAR_M / 3) - 1  # at rest, the latest
     kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= CLOSE * spacing_m], len(place) - 1))
     return rows[kept]
+
+
+def _backs_off(motions: Sequence[Motion]) -> bool:
+    """Whether the robot backs off next, at once or after a rest."""
+    return next((one.kind == "back" for one in motions if one.kind != "rest"), False)
 
 
 def _range_at_rest(motions: Sequence[Motion], number: int) -> tuple[int, int]:

@@ -7,6 +7,7 @@ import sqlite3
 import struct
 from collections.abc import Callable, Collection, Iterator
 from contextlib import closing, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
@@ -194,8 +195,6 @@ def _as_header(data: bytes) -> Header:
 
 
 def _as_stream(data: bytes) -> IO[bytes]:
-    from io import BytesIO
-
     return BytesIO(data)
 
 
