@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 from deepgps.begin import BEGUN, IS_WORKER
 from deepgps.cli_arguments import (
@@ -290,12 +291,26 @@ def locate_command(words: Sequence[str]) -> None:
     with (
         show_progress(errors, quiet_s=2.0) as progress,
         locate_source(run, arguments.source, sys.stdin.buffer, wish, progress) as found,
+        _watch_located(arguments.live, run.folder / "recording", frame == "world") as show,
     ):
         for one in found:
             print(json.dumps(describe(one, frame)), flush=True)
+            if one.pose is not None and one.polar is not None:
+                pose = one.pose
+                show(one.picture.time_s, one.polar, pose.position, pose.yaw, pose.radius_95, pose.accepted)
             wrong, total = wrong + (one.pose is None), total + 1
     if wrong:
         raise WorkError(f"{wrong} of {total} images could not be located; their lines say why")
+
+
+def _watch_located(live: tuple[str, ...] | None, recording: Path, in_world: bool) -> AbstractContextManager[Any]:
+    """What is called with each pose: it shows them in a viewer if that is asked for."""
+    if live is None:
+        return nullcontext(lambda *_: None)
+    os.environ.setdefault("RUST_LOG", "off")  # as for the live view of a run
+    from deepgps.viewer.live.located import show_located
+
+    return show_located(" ".join(live), recording, in_world, lambda text: print_error("warning", text))
 
 
 def runs_command(words: Sequence[str]) -> None:

@@ -172,6 +172,8 @@ class LocateArguments:
     """The robot.yaml with which a log would be imported."""
     track: bool = False
     """Track the robot by the images so far and the wheels of a log."""
+    live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
+    """Show poses as they come, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
     method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """The method; none: the run's first."""
     frame: Literal["world", "map"] | None = None

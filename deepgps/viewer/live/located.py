@@ -1,0 +1,132 @@
+"""Showing poses of images as they come: the robot in the room, the way it came, its circle of 95 %, the image."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from deepgps.viewer.live.layout import EYE
+from deepgps.viewer.live.live import GONE
+from deepgps.viewer.playback import enlarge
+from deepgps.viewer.scene import LAYER_M, lift, log_room
+from deepgps.viewer.views import aim_eye, arrange, hold_still
+from deepgps.viewer.window.connect import find_url, knock, open_viewer
+from sim.errors import InputError, one_line
+from sim.occupancy import FreeSpace
+from sim.recording.format import has_truth, open_truth
+
+APPLICATION = "deepgps locate"
+IMAGE, TIME = "image", "time"
+"""Timelines: the number of the image, and when it was taken, if that is known."""
+TRAIL = 2000
+"""Positions of which the way is drawn."""
+ROBOT, REFUSED, WAY = (90, 200, 250), (240, 90, 80), (150, 160, 180)
+SIDES = 64
+ARROW_M, LARGER = 0.25, 4
+FLUSH_S = 5.0
+"""How long a viewer may take for what is left at the end [s]."""
+
+Show = Callable[[float | None, np.ndarray, np.ndarray, float | None, float | None, bool | None], None]
+"""(time [s], polar image, position (2,) [m], yaw [rad], radius of 95 % [m], whether it is accepted) of an image."""
+
+
+@contextmanager
+def show_located(address: str, recording: Path, in_world: bool, warn: Callable[[str], None]) -> Iterator[Show]:
+    """Show poses in a viewer; if it goes away, the work continues.
+
+    Args:
+        address: Address of a running viewer, host:port or a Rerun URL; empty: a viewer is opened, and stays open.
+        recording: Folder of the run's recording, whose room is drawn if it is known.
+        in_world: Whether poses are in the frame of the world.
+        warn: Called with one line when the viewer is lost.
+
+    Raises:
+        InputError: The address is wrong, or no viewer answers there.
+        WorkError: No viewer can be opened.
+    """
+    url = find_url(address) if address else open_viewer()
+    if knock(url) != "viewer":
+        raise InputError(f"--live {address}: no Rerun viewer answers there; start one with: rerun")
+    stream = rr.RecordingStream(APPLICATION, send_properties=False)
+    stream.connect_grpc(url)
+    try:
+        yield LocatedView(stream, recording if in_world and has_truth(recording) else None).show
+    finally:
+        try:
+            stream.flush(timeout_sec=FLUSH_S)
+        except GONE as error:
+            warn(f"the connection to the viewer is lost ({one_line(error)})")
+        stream.disconnect()
+
+
+class LocatedView:
+    """What the viewer shows.
+
+    Args:
+        stream: Where to send it.
+        recording: The recording whose room is drawn; None: poses have no place in it.
+    """
+
+    def __init__(self, stream: rr.RecordingStream, recording: Path | None) -> None:
+        self.stream, self.number, self.trail = stream, 0, deque[np.ndarray](maxlen=TRAIL)
+        space = None if recording is None else open_truth(recording).free_space
+        if recording is not None and space is not None:
+            log_room(stream, recording / "scene.glb", space)
+        stream.send_blueprint(make_blueprint(space))
+
+    def show(
+        self,
+        time_s: float | None,
+        polar: np.ndarray,
+        position: np.ndarray,
+        yaw: float | None,
+        radius_m: float | None,
+        accepted: bool | None,
+    ) -> None:
+        """Show one image and its pose; see ``Show``."""
+        self.stream.set_time(IMAGE, sequence=self.number)
+        if time_s is not None:
+            self.stream.set_time(TIME, timestamp=time_s)
+        self.number += 1
+        self.stream.log("image", rr.Image(enlarge(polar, LARGER)).compress(jpeg_quality=85))
+        self._log_robot(np.asarray(position, float), yaw, radius_m, REFUSED if accepted is False else ROBOT)
+        if accepted is not False and np.isfinite(position).all():
+            self.trail.append(np.asarray(position, float))
+        way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
+        self.stream.log("world/located/way", rr.LineStrips3D([way], colors=[WAY], radii=0.008))
+        if radius_m is not None:
+            self.stream.log("radius", rr.Scalars(radius_m))
+
+    def _log_robot(
+        self, position: np.ndarray, yaw: float | None, radius_m: float | None, colour: tuple[int, int, int]
+    ) -> None:
+        at, root = lift(position[None], 2 * LAYER_M), "world/located"
+        self.stream.log(f"{root}/position", rr.Points3D(at, radii=0.05, colors=[colour]))
+        arrow = [] if yaw is None or np.isnan(yaw) else [[ARROW_M * np.cos(yaw), ARROW_M * np.sin(yaw), 0.0]]
+        origins = at if arrow else np.empty((0, 3))
+        self.stream.log(f"{root}/yaw", rr.Arrows3D(vectors=arrow, origins=origins, radii=0.02, colors=[colour]))
+        angle = np.linspace(0.0, 2 * np.pi, SIDES + 1)
+        circle = position + (radius_m or 0.0) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        self.stream.log(f"{root}/radius", rr.LineStrips3D([lift(circle, LAYER_M)], colors=[colour], radii=0.006))
+
+
+def make_blueprint(space: FreeSpace | None) -> rrb.Blueprint:
+    """The layout: the robot in the room, the image, and the radius over time."""
+    room = rrb.Spatial3DView(
+        name="Robot, with the circle of 95 %",
+        origin="world",
+        contents=["world/room", "world/floor_plan", "world/outline", "world/located/**"],
+        eye_controls=aim_eye(space, tilt=0.45, reach=1.3, before=-0.4) if space else EYE,
+        line_grid=space is None,
+        overrides=hold_still(),
+    )
+    beside = rrb.Vertical(
+        rrb.Spatial2DView(name="Polar image", origin="image"),
+        rrb.TimeSeriesView(name="Radius of 95 % [m]", origin="radius"),
+    )
+    time = rrb.TimePanel(state="collapsed", timeline=IMAGE, play_state="following")
+    return arrange([rrb.Horizontal(room, beside, column_shares=[5, 2], name="Located")], time)

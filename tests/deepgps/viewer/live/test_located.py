@@ -1,0 +1,55 @@
+"""Poses that are watched as they come: the viewer gets each of them, and without a viewer nothing begins."""
+
+import signal
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rerun as rr
+from rerun.chunk import RrdReader
+
+import deepgps
+from deepgps.viewer.live.located import LocatedView
+from tests.helpers.command import deepgps as deepgps_command
+from tests.helpers.command import deepgps_here
+from tests.helpers.live_server import serve_grpc
+
+
+def rows(path: Path, entity: str) -> int:
+    """Rows of an entity."""
+    return sum(chunk.num_rows for chunk in RrdReader(path).stream() if str(chunk.entity_path).strip("/") == entity)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:RRD file has no footer")  # the server is killed at last
+def test_the_viewer_gets_every_pose(finished_run: Path, tmp_path: Path):
+    images = deepgps.load(finished_run).recording.observation
+    (tmp_path / "images").mkdir()
+    for number in range(3):
+        cv2.imwrite(str(tmp_path / "images" / f"{number}.png"), np.ascontiguousarray(images[number][..., ::-1]))
+    got = tmp_path / "got.rrd"
+    with serve_grpc("--save", str(got)) as (address, server):
+        done = deepgps_command("locate", str(finished_run), "images", "--live", address, cwd=tmp_path)
+        time.sleep(1)
+        server.send_signal(signal.SIGINT)
+        server.wait(10)
+    assert (done.returncode, done.stderr, len(done.stdout.splitlines())) == (0, "", 3)
+    assert [rows(got, name) for name in ("world/located/position", "world/located/yaw", "image")] == [3, 3, 3]
+
+
+def test_refused_images_are_no_part_of_the_way(tmp_path: Path):
+    stream = rr.RecordingStream("test")
+    stream.save(str(tmp_path / "one.rrd"))
+    view, polar = LocatedView(stream, None), np.zeros((4, 8, 3), np.uint8)
+    for number, accepted in enumerate((True, False, None)):
+        view.show(1e9 + number, polar, np.array([number, 0.0]), None, None, accepted)
+    stream.flush()
+    assert [place[0] for place in view.trail] == [0.0, 2.0]
+
+
+def test_without_a_viewer_nothing_is_located(finished_run: Path, tmp_path: Path):
+    (tmp_path / "one.png").write_bytes(b"")
+    done = deepgps_here("locate", str(finished_run), "one.png", "--live", "127.0.0.1:1", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "") and "--live 127.0.0.1:1: no viewer answers there" in done.stderr
