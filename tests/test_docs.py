@@ -171,3 +171,16 @@ def test_the_error_field_is_as_the_page_of_formats_says(finished_run: Path) -> N
     assert field["deepgps"].shape == (cells, headings, 2)
     worst = np.linalg.norm(field["deepgps"] - field["truth"][:, None], axis=-1).max(axis=1)
     np.testing.assert_allclose(worst, read_fields(finished_run)["deepgps"].error)
+
+
+@pytest.mark.slow
+def test_the_script_of_the_page_on_trust_counts_what_metrics_say(
+    finished_run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (block,) = [block for block in find_blocks(ROOT / "docs" / "trust.md") if block.language == "python"]
+    exec(block.text.replace("runs/first", str(finished_run)), {})
+    measured = read_json(finished_run / "metrics.json")["methods"]["deepgps"]
+    share, *radii = map(float, re.findall(r"\d\.\d+", capsys.readouterr().out))
+    assert share == pytest.approx(measured["accepted"], abs=0.001)
+    told = [measured[name] for name in ("radius_68_holds", "radius_95_holds") if name in measured]
+    assert radii == pytest.approx(told)
