@@ -95,7 +95,7 @@ def _judge_method(folder: Path, recording: Recording, held_out: Recording | None
         poses = find_poses(adapted, held_out.observation)
         rows = held_out.reading
         found["held_out"] = {
-            **judge_segments(poses.position, held_out),
+            **judge_segments(poses.position, held_out, poses.accepted),
             **judge_turns(adapted, held_out),
             **_judge_trust(poses),
             **lean,
@@ -111,13 +111,19 @@ def _locate(positioner: Positioner, recording: Recording, folder: Path) -> np.nd
     return place
 
 
-def judge_segments(place: np.ndarray, recording: Recording) -> dict[str, Any]:
-    """How well predicted positions (N, 2) [m] agree with what the wheels say of a recording's segments.
+def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray | None = None) -> dict[str, Any]:
+    """How well predicted positions agree with what the wheels say of a recording's segments.
+
+    Args:
+        place: Positions of the observations (N, 2) [m].
+        recording: Their recording.
+        accepted: Whether each observation is accepted (N,) bool; None: that is not known.
 
     Returns:
         ``length_rms_m`` and ``length_median_m``: differences of lengths from those by the wheels [m]; ``scale``: the
         factor of all lengths that fits best; ``straight_rms_m``: distance of positions from the straight line that fits
-        those of their segment best [m]. None where there is too little.
+        those of their segment best [m]. None where there is too little. With ``accepted``, ``length_rms_accepted_m``
+        counts segments of which both ends are.
     """
     reading = recording.reading
     way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
@@ -129,14 +135,21 @@ def judge_segments(place: np.ndarray, recording: Recording) -> dict[str, Any]:
         return dict.fromkeys(("length_rms_m", "length_median_m", "scale", "straight_rms_m"))
     wheels = np.abs(way[last] - way[first])
     found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
+    both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
+    kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": _rms((found - wheels)[both])}
     runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
     off = [_measure_bend(run) for run in runs if len(run) >= FEWEST]
     return {
-        "length_rms_m": float(np.sqrt(np.mean((found - wheels) ** 2))),
+        "length_rms_m": _rms(found - wheels),
+        **kept,
         "length_median_m": float(np.median(np.abs(found - wheels))),
         "scale": float((found * wheels).sum() / (wheels**2).sum()),
-        "straight_rms_m": float(np.sqrt(np.mean(np.concatenate(off) ** 2))) if off else None,
+        "straight_rms_m": _rms(np.concatenate(off)) if off else None,
     }
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def _measure_bend(places: np.ndarray) -> np.ndarray:

@@ -23,6 +23,11 @@ def test_true_positions_agree_with_the_wheels_and_scaled_ones_tell_their_scale(s
     recording, pose = open_recording(small_recording), open_truth(small_recording).pose
     exact = judge_segments(pose[:, :2], recording)
     assert exact["length_rms_m"] < 0.01 and exact["scale"] == pytest.approx(1.0, abs=0.01)
+    lost = pose[:, :2].copy()
+    lost[recording.reading[0, 1]] += 9.0
+    accepted = np.arange(len(lost)) != recording.reading[0, 1]
+    refused = judge_segments(lost, recording, accepted)
+    assert refused["length_rms_m"] > 0.1 and refused["length_rms_accepted_m"] < 0.01
     larger = judge_segments(1.5 * pose[:, :2] + 3.0, recording)
     assert larger["scale"] == pytest.approx(1.5 * exact["scale"])
     assert larger["straight_rms_m"] == pytest.approx(1.5 * exact["straight_rms_m"], rel=1e-6)
@@ -81,7 +86,7 @@ def test_without_held_out_segments_the_table_says_so() -> None:
     method = {"segments": segments, "new_expected": 0.25, "fold": {"found": True}}
     found = {"samples": 90, "segments": 8, "distance_driven_m": 9.6, "methods": {"deepgps": method}}
     _, (row,) = tabulate(found)
-    assert row[:5] == ("DeepGPS", "1.2", "1.0", "-", "1.0000")
+    assert row[:6] == ("DeepGPS", "1.2", "-", "1.0", "-", "1.0000")
     said = " ".join(describe(found))
     assert "Wheels" not in said
     assert "Wheels: nothing is wrong" in " ".join(describe({**found, "wheels": []}))
