@@ -27,7 +27,7 @@ def _percent(value: float) -> str:
 
 COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
     ("length, RMS [cm]", "length_rms_m", _centimetres),
-    ("of accepted [cm]", "length_rms_accepted_m", _centimetres),
+    ("length, accepted [cm]", "length_rms_accepted_m", _centimetres),
     ("length, median [cm]", "length_median_m", _centimetres),
     ("off the line [cm]", "straight_rms_m", _centimetres),
     ("scale", "scale", lambda value: f"{value:.4f}"),
