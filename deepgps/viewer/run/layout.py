@@ -62,7 +62,7 @@ def _error_fields(space: FreeSpace, headings: Headings) -> rrb.Horizontal | rrb.
     first, *others = headings
     layers = [path.removeprefix("world/") for path in (COVERAGE, DENSITY)]
     hidden = {method: [*paths, COVERAGE, DENSITY] for method, paths in headings.items()}
-    around = ["floor_plan", "scale/**", "place/test/**", "place/radius", *layers]
+    around = ["floor_plan", "scale/**", "place/test/**", *layers]
     wide = len(others) > 1  # plans below leave less height
     oblique, above = aim_eye(space, tilt=0.45, reach=1.08), aim_eye(space, reach=0.85 if wide else 1.0)
     room = rrb.Tabs(

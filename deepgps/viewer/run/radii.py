@@ -9,7 +9,7 @@ from deepgps.figures.field_plot import colours_of
 from deepgps.viewer.error_field import HEIGHT_M, find_thinness
 from deepgps.viewer.scene import LAYER_M, lift, put
 
-POINTS = 25
+POINTS = 49
 
 
 def list_radii(name: str, field: ErrorField, root: str = "world") -> list[str]:

@@ -52,7 +52,7 @@ def test_it_trains_and_what_needs_the_truth_says_so(tmp_path: Path):
         forget_truth(tmp_path / "_".join(methods) / "recording")
     assert call("train", "deepgps")[0] == 0
     assert (tmp_path / "deepgps" / "deepgps" / "positioner.json").is_file()
-    for command, method in (("evaluate", "deepgps"), ("train", "posenet")):
-        code, said = call(command, method)
-        assert (code, "has no truth" in said) == (2, True), said
+    assert call("evaluate", "deepgps")[0] == 0
+    code, said = call("train", "posenet")
+    assert (code, "has no truth" in said) == (2, True), said
     assert find_recording(tmp_path / "deepgps").is_file()
