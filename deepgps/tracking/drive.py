@@ -106,21 +106,31 @@ def measure_wheel_turns(recording: Recording) -> CompassTurns:
 
 
 def _list_nodes(recording: Recording, turns: CompassTurns, curvature: float) -> list[_Node]:
-    every = find_runs(recording)
+    every, usual_m = find_runs(recording), _find_usual_gap(recording)
     numbers = [number for number, run in enumerate(every) if len(run) >= 2]
     nodes, pending = list[_Node](), None
     for row, number in enumerate(numbers):
-        _add_segment(nodes, recording, every[number], pending, curvature)
+        _add_segment(nodes, recording, every[number], pending, curvature, usual_m)
         if row + 1 < len(numbers):
             follows = numbers[row + 1] == number + 1
             pending = _add_turn(nodes, recording, turns, row, int(every[numbers[row + 1]][0]), follows)
     return nodes
 
 
+def _find_usual_gap(recording: Recording) -> float:
+    """Median distance between two readings of a segment [m]; 0 where there is none."""
+    way, inside = travel(recording.reading[:, 2:], recording.manifest.odometry), np.diff(recording.reading[:, 0]) == 0
+    gaps = np.abs(np.diff(way.mean(axis=1)))[inside]
+    return float(np.median(gaps)) if len(gaps) else 0.0
+
+
 def _add_segment(
-    nodes: list[_Node], recording: Recording, run: np.ndarray, pending: Motion | None, curvature: float
+    nodes: list[_Node], recording: Recording, run: np.ndarray, pending: Motion | None, curvature: float, usual_m: float
 ) -> None:
-    """Add the images of a segment of these readings; ``pending`` leads to its first one, None: nothing is known."""
+    """Add the images of a segment of these readings; ``pending`` leads to its first one, None: nothing is known.
+
+    Noise that grows with a gap grows with the true one: a gap that was measured too short errs no less than others.
+    """
     seen = recording.reading[run, 1].tolist()
     way, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
     if not nodes or max(nodes[-1].observation, nodes[-2:][0].observation) != seen[0]:
@@ -128,7 +138,8 @@ def _add_segment(
         pending = STILL
     for number in range(1, len(run)):
         gap, made_of = way[number] - way[number - 1], max(1, seen[number] - seen[number - 1])
-        ahead = drive_straight(gap, expect_variance(odometry, abs(float(gap.mean())), made_of), curvature)
+        long = max(abs(float(gap.mean())), usual_m)
+        ahead = drive_straight(gap, expect_variance(odometry, long, made_of), curvature)
         nodes.append(_Node(seen[number], NO_IMAGE, int(run[number]), pending and compose(pending, ahead)))
         pending = STILL
 

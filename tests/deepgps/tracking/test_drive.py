@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.segments import find_runs
 from deepgps.tracking.drive import drive_straight, mend_wheels, read_drive
 from deepgps.tracking.motion import Motion, move
 from sim.recording.format import Recording, open_recording, open_truth
@@ -86,6 +87,20 @@ def test_wheel_that_is_stuck_makes_the_way_uncertain():
     stuck = drive_straight(np.array([0.1, 0.0]), 0.0)
     assert np.sqrt(right.covariance[0, 0]) < 0.001
     assert np.sqrt(stuck.covariance[0, 0]) == pytest.approx(0.05, rel=0.01), "the way may be 10 cm as well as 0"
+
+
+def test_gap_that_was_measured_too_short_errs_no_less_than_others(recording: Recording):
+    """Noise is a part of the true gap: where the measured one is nearly zero, it is the noise that made it so."""
+    reading = recording.reading.copy()
+    run = next(run for run in find_runs(recording) if len(run) >= 6)
+    reading[run[3] :, 2:] -= reading[run[3], 2:] - reading[run[2], 2:]  # no tick from the third to the fourth
+    odometry = {**recording.manifest.odometry, "step_noise": 0.3}
+    noisy = recording.manifest.model_copy(update={"odometry": odometry})
+    drive = read_drive(replace(recording, reading=reading, manifest=noisy))
+    motions = [one for one in drive.motions if one and one.turn == 0.0]
+    spread = [float(np.sqrt(one.covariance[0, 0])) for one in motions if one.length_m < 0.001]
+    assert spread
+    assert min(spread) > 0.2 * float(np.median([one.length_m for one in motions]))
 
 
 def test_arc_has_its_chord():
