@@ -53,6 +53,8 @@ def test_it_trains_and_what_needs_the_truth_says_so(tmp_path: Path):
     assert call("train", "deepgps")[0] == 0
     assert (tmp_path / "deepgps" / "deepgps" / "positioner.json").is_file()
     assert call("evaluate", "deepgps")[0] == 0
+    assert (tmp_path / "deepgps" / "without_truth.json").is_file()
+    assert not (tmp_path / "deepgps" / "metrics.json").exists()
     code, said = call("train", "posenet")
     assert (code, "has no truth" in said) == (2, True), said
     assert find_recording(tmp_path / "deepgps").is_file()
