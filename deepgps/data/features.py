@@ -39,7 +39,7 @@ LEAST = 1e-8
 """Added to the product of two magnitudes, so that the phase of an empty pair is not noise."""
 ALIKE = 1e-6
 """Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
-RELIT, LIGHT_WEIGHT = 1500, 0.3
+RELIT, LIGHT_WEIGHT = 1500, 0.1
 """Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
 TABLE, KEY = "features.safetensors", "features.key"
 
