@@ -90,10 +90,10 @@ def _claim(work: Path, key: str) -> None:
     mark, held = work / "log.json", None
     with suppress(DamagedError):
         held = read_json(mark).get("key")
-    there = len(list_files(work, PARTS))
-    if held == key and there > 1:
+    pictures = any(path.name != mark.name for path in list_files(work, PARTS))
+    if held == key and pictures:
         log.warning("%s holds the beginning of this log: it is continued", work)
-    elif there:
+    elif held != key and pictures:
         log.warning("%s holds the beginning of another log: this one is started again", work)
         remove_files(work, PARTS)
     write_json(mark, {"key": key})
