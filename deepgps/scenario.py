@@ -233,8 +233,8 @@ def write_out(scenario: Scenario) -> str:
 
 
 def read_room(path: str) -> bytes | None:
-    """The bytes of a room's file, or None if there is no file; raises InputError if it cannot be read."""
-    return read_file(Path(path), LARGEST_MJCF, f"room.mjcf {shorten(path, 300)}") if isfile(Path(path)) else None
+    """The bytes of a room's or robot's file, or None if there is no file; raises InputError if it cannot be read."""
+    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) if isfile(Path(path)) else None
 
 
 def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
@@ -244,17 +244,18 @@ def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) 
         scenario: The scenario.
         read: Returns the bytes of the room's file; a caller that hashes many scenarios of one room can cache them.
     """
-    return _hash(scenario.model_dump_json(), scenario.room.mjcf, read)
+    return _hash(scenario.model_dump_json(), scenario, read)
 
 
 def digest_recording(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
     """The same digest of the settings that determine the recording."""
-    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario.room.mjcf, read)
+    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario, read)
 
 
-def _hash(settings: str, room: str | None, read: Callable[[str], bytes | None]) -> str:
+def _hash(settings: str, scenario: Scenario, read: Callable[[str], bytes | None]) -> str:
     state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
-    state.update((room and read(room)) or b"")
+    for path in (scenario.room.mjcf, scenario.robot.mjcf):
+        state.update((path and read(path)) or b"")
     return state.hexdigest()[:8]
 
 

@@ -21,7 +21,7 @@ def find_base(scenario: Scenario, run: Path) -> Path | None:
         scenario: The scenario of the run.
         run: The run's folder; with ``--fresh`` it is a subfolder, which shares nothing.
     """
-    if run.name == FRESH or run.parent.name != scenario.name or scenario.room.mjcf is not None:
+    if run.name == FRESH or run.parent.name != scenario.name or scenario.room.mjcf or scenario.robot.mjcf:
         return None
     for manifest in sorted(run.parent.glob("*/recording/manifest.json")):
         if manifest.parent.parent != run and _fits(manifest.parent, scenario):

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.errors import InputError, WorkError
 from sim.geometry import planar_pose
-from sim.robot.model import CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, WHEELS
+from sim.robot.model import CONTROL_PERIOD_S, WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
@@ -85,7 +85,9 @@ class RoomEnvironment(dm_env.Environment):
         self.physics = Physics.from_model(wrapper.MjModel(self._world.model))
         self._world.data = self.physics.data.ptr
         self._fisheye = Fisheye(self._world.model, settings.camera)
-        self.odometry: Constants = describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M)
+        self.odometry: Constants = describe_odometry(
+            settings.encoder, self._world.body.wheel_radius_m, self._world.body.track_m
+        )
         self._steps = round(episode_s / step_s)
         self._step: int | None = None
 

@@ -150,6 +150,25 @@ class RobotSettings(Group):
 
     wheel_radius_error: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The left wheel of the model itself is larger by this fraction, so the robot drives curves."""
+    mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
+    """Your own robot: path of an MJCF file."""
+    left_joint: str = "left_wheel"
+    """Name of its left wheel's joint."""
+    right_joint: str = "right_wheel"
+    """Name of its right wheel's joint."""
+    camera_site: str = "camera"
+    """Name of the site of its camera, which looks along the site's z axis."""
+
+    @model_serializer(mode="wrap")
+    def _write_own_robot_only_if_there_is_one(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        own = ("mjcf", "left_joint", "right_joint", "camera_site")
+        return {name: value for name, value in write(self).items() if name not in own or self.mjcf is not None}
+
+    @model_validator(mode="after")
+    def _only_our_wheel_can_be_scaled(self) -> "RobotSettings":
+        if self.mjcf is not None and self.wheel_radius_error:
+            raise ValueError(f"wheel_radius_error {self.wheel_radius_error:g} must be 0 with a robot of your own")
+        return self
 
 
 class CameraSettings(Group):
@@ -439,6 +458,15 @@ class SimSettings(Group):
             raise ValueError(
                 f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
                 f"{self.world} world, {longest:g} m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_site_places_the_camera_of_an_own_robot(self) -> "SimSettings":
+        if self.robot.mjcf is not None and self.camera.height_m != CameraSettings().height_m:
+            raise ValueError(
+                f"camera.height_m {self.camera.height_m:g} must be left out with robot.mjcf: its site "
+                f"{shorten(self.robot.camera_site)} places the camera"
             )
         return self
 

@@ -17,7 +17,6 @@ from sim.recording.format import grid_file, measure_driven, observation_file, st
 from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
-from sim.robot.model import WHEEL_RADIUS_M
 from sim.sensors.catalog import SENSORS, Measure, Measures, list_kept, load
 from sim.sensors.encoder import read_encoders, ticks_to_distance
 from sim.sensors.tag_camera import NAME, camera_matrix, mounting
@@ -40,7 +39,9 @@ class Drive(NamedTuple):
     turns: list[Path]
 
 
-def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator) -> dict[str, float]:
+def write_drive(
+    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, wheel_radius_m: float
+) -> dict[str, float]:
     """Write the drive, cut to the number of samples wanted, and return its entries for the manifest."""
     samples = settings.drive.samples
     joined = {
@@ -48,7 +49,7 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
     }
     kept = joined["observation"] < samples
     segment, angle = joined["segment"][kept], joined["wheel_angle"][kept]
-    ticks, arrived = read_encoders(angle, WHEEL_RADIUS_M, settings.encoder, rng)
+    ticks, arrived = read_encoders(angle, wheel_radius_m, settings.encoder, rng)
     reading = np.column_stack([segment, joined["observation"][kept], ticks]).astype(np.int64)
     state = joined["state"][:samples]
     for sensor in list_kept(settings):  # all observe at the same time
@@ -62,7 +63,7 @@ def write_drive(folder: Path, settings: SimSettings, drive: Drive, rng: np.rando
     write_array(folder / "truth" / "wheel_angle.npy", angle)
     write_array(folder / "truth" / "state.npy", state)
     write_array(folder / "truth" / "pose.npy", planar_pose(state))
-    travelled_m = ticks_to_distance(angle, WHEEL_RADIUS_M, 1).mean(axis=1) / (2 * np.pi)
+    travelled_m = ticks_to_distance(angle, wheel_radius_m, 1).mean(axis=1) / (2 * np.pi)
     return {
         "samples": samples,
         "segments": int(segment[-1]) + 1,

@@ -39,7 +39,6 @@ from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
 from sim.rng import stream
-from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
 from sim.sensors.camera_faults import spawn_streams
@@ -154,7 +153,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         "settings": job.settings.model_dump(mode="json"),
         "seed": job.seed,
         **counts,
-        "odometry": describe_odometry(job.settings.encoder, WHEEL_RADIUS_M, TRACK_M),
+        "odometry": describe_odometry(job.settings.encoder, job.world.body.wheel_radius_m, job.world.body.track_m),
         "renderer_deaths": deaths,
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
@@ -280,7 +279,7 @@ def _assemble(job: _Job, drive: Drive, tests: list[Path]) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
     folder, settings, test_pose = job.folder, job.settings, job.test_pose
     drawn = count_drawn(settings, [*drive.images, *drive.turns, *tests])
-    counts = write_drive(folder, settings, drive, stream(job.seed, "encoder"))
+    counts = write_drive(folder, settings, drive, stream(job.seed, "encoder"), job.world.body.wheel_radius_m)
     if settings.grid.held_out:
         test_pose, tests = take_held_out(settings, drive), drive.images
     elif not tests:

@@ -20,7 +20,7 @@ import numpy as np
 from sim.errors import WorkError
 from sim.geometry import planar_pose
 from sim.robot.gaps import Gaps
-from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, wheel_speeds
+from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,
     CLOSE_M,
@@ -224,12 +224,12 @@ def _go_straight(
     speed = travelled_m = slip_from_m = held_s = 0.0
     seen_m, length_m, gap = np.inf, _draw_length(settings, rng), 0
     if mode.kind == "search":
-        gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m), 1.0
+        gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m, robot.body.radius_m), 1.0
     else:
-        gaps, heed = Gaps((1, -1) if settings.enter > 0.0 else (), None), settings.enter
+        gaps, heed = Gaps((1, -1) if settings.enter > 0.0 else (), None, robot.body.radius_m), settings.enter
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
-    reach_m = blind_m + stop_m + RADIUS_M + SEEN_M
+    reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M
     ended: Ended | None = None
     while True:
         clear_m = look(robot, reach_m) - stop_m
@@ -244,7 +244,7 @@ def _go_straight(
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
         left, right = robot.wheel_angle() - start
         even = STRAIGHTEN_PER_S * (left - right) / 2
-        robot.step(wheel_speeds(speed, 0.0) + (-even, even))
+        robot.step(wheel_speeds(speed, 0.0, robot.body) + (-even, even))
         before_m, travelled_m = travelled_m, travelled(robot, start)
         held_s = held_s + period if travelled_m - before_m < speed * period / 2 else 0.0
         if settings.strategy == "dense" and travelled_m >= len(samples) * spacing:

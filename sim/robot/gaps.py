@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from sim.robot.model import RADIUS_M
 from sim.robot.motion import SEEN_M, Robot, look
 from sim.robot.range_finder import REACH_M
 
@@ -20,11 +19,12 @@ class Gaps:
     Args:
         sides: Where to look: 1 left, -1 right.
         enough_m: Any place counts where this much becomes clear [m]; None: only where another part of the room begins.
+        radius_m: Radius of the robot [m].
     """
 
-    def __init__(self, sides: tuple[int, ...], enough_m: float | None) -> None:
+    def __init__(self, sides: tuple[int, ...], enough_m: float | None, radius_m: float) -> None:
         self.sides, self.enough_m = sides, enough_m
-        self.reach_m = REACH_M if enough_m is None else enough_m + RADIUS_M + SEEN_M
+        self.reach_m = REACH_M if enough_m is None else enough_m + radius_m + SEEN_M
         self.before_m, self.next_m = dict.fromkeys(sides, np.inf), 0.0
 
     def find(self, robot: Robot, travelled_m: float) -> list[int]:

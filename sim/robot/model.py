@@ -1,5 +1,7 @@
 """The robot: its model, dimensions and kinematics. assets/robot/README.md gives the source of each figure."""
 
+from dataclasses import dataclass
+
 import mujoco
 import numpy as np
 
@@ -27,6 +29,36 @@ TRACK_M = 0.16
 _LENS_M = 0.35
 
 
+@dataclass(frozen=True)
+class Body:
+    """Dimensions of a robot.
+
+    Attributes:
+        radius_m: Radius of a round body around the middle of the wheel axle, in which the robot fits [m].
+        height_m: Its full height, floor to lens or body, whichever is higher [m].
+        wheel_radius_m: Effective wheel radius [m].
+        track_m: Effective track [m].
+    """
+
+    radius_m: float
+    height_m: float
+    wheel_radius_m: float
+    track_m: float
+
+
+def describe_body(camera: CameraSettings) -> Body:
+    """Dimensions of the testbed's own robot."""
+    return Body(RADIUS_M, robot_height(camera), WHEEL_RADIUS_M, TRACK_M)
+
+
+def robot_height(camera: CameraSettings) -> float:
+    """Return the full height of the robot, floor to lens [m]."""
+    return max(camera.height_m, BODY_HEIGHT_M)
+
+
+BURGER = describe_body(CameraSettings())
+
+
 def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
     """Read the robot's model and fit it to the settings: the left wheel's radius, the camera's height."""
     spec = mujoco.MjSpec.from_file(str(ROBOT / "robot.xml"))
@@ -37,15 +69,10 @@ def load_robot(robot: RobotSettings, camera: CameraSettings) -> mujoco.MjSpec:
     return spec
 
 
-def robot_height(camera: CameraSettings) -> float:
-    """Return the full height of the robot, floor to lens [m]."""
-    return max(camera.height_m, BODY_HEIGHT_M)
-
-
-def wheel_speeds(speed_mps: float, turn_rate_rps: float) -> np.ndarray:
+def wheel_speeds(speed_mps: float, turn_rate_rps: float, body: Body = BURGER) -> np.ndarray:
     """Return wheel speeds (2,) left, right [rad/s] for a speed and a turn rate: (v -+ omega track / 2) / radius."""
-    half = turn_rate_rps * TRACK_M / 2
-    return np.array([(speed_mps - half) / WHEEL_RADIUS_M, (speed_mps + half) / WHEEL_RADIUS_M])
+    half = turn_rate_rps * body.track_m / 2
+    return np.array([(speed_mps - half) / body.wheel_radius_m, (speed_mps + half) / body.wheel_radius_m])
 
 
 def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:

@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M, wheel_speeds
+from sim.robot.model import CONTROL_PERIOD_S, Body, wheel_speeds
 from sim.robot.range_finder import clear_length
 from sim.settings import DriveSettings
 
@@ -27,6 +27,8 @@ BACK_MPS = 0.08
 class Robot(Protocol):
     """What the drive needs from a robot. None of it is ground truth: the drive never reads what is in a snapshot."""
 
+    @property
+    def body(self) -> Body: ...
     def step(self, wheel_speed: np.ndarray) -> None: ...
     def wheel_angle(self) -> np.ndarray: ...
     def ranges(self, reach_m: float, turned_rad: float = 0.0) -> np.ndarray: ...
@@ -44,7 +46,7 @@ def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
         reach_m: Length of the rays [m].
         turned_rad: Angle to the left of straight ahead [rad].
     """
-    return clear_length(robot.ranges(reach_m, turned_rad))
+    return clear_length(robot.ranges(reach_m, turned_rad), robot.body.radius_m)
 
 
 def turn(
@@ -72,16 +74,16 @@ def turn(
     deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
     while robot.time() < deadline:
         left, right = robot.wheel_angle() - start
-        turned = abs(right - left) * WHEEL_RADIUS_M / TRACK_M
+        turned = abs(right - left) * robot.body.wheel_radius_m / robot.body.track_m
         if until_clear_m is not None and goal == np.inf:
-            if look(robot, until_clear_m + RADIUS_M + SEEN_M) >= until_clear_m:
+            if look(robot, until_clear_m + robot.body.radius_m + SEEN_M) >= until_clear_m:
                 goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
             elif turned > 2 * np.pi:
                 break
         if goal - turned < CLOSE_RAD:
             break
         rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
-        robot.step(wheel_speeds(0.0, np.copysign(rate, angle)))
+        robot.step(wheel_speeds(0.0, np.copysign(rate, angle), robot.body))
     halt(robot, settings)
     return goal < np.inf
 
@@ -102,11 +104,11 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
     deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
     while robot.time() < deadline and not robot.bumped():
         rest_m = length_m - travelled(robot, start)
-        clear_m = look(robot, rest_m + AHEAD_M + RADIUS_M + SEEN_M) - AHEAD_M
+        clear_m = look(robot, rest_m + AHEAD_M + robot.body.radius_m + SEEN_M) - AHEAD_M
         if min(rest_m, clear_m) < CLOSE_M:
             break
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
-        robot.step(wheel_speeds(speed, speed * curvature))
+        robot.step(wheel_speeds(speed, speed * curvature, robot.body))
     touched, moved = robot.bumped(), speed > 0.0
     halt(robot, settings)
     if touched:
@@ -118,7 +120,7 @@ def back_off(robot: Robot, settings: DriveSettings) -> None:
     """Roll back a little from the contact."""
     start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
     while travelled(robot, start) > -BACK_M and robot.time() < deadline:
-        robot.step(wheel_speeds(-BACK_MPS, 0.0))
+        robot.step(wheel_speeds(-BACK_MPS, 0.0, robot.body))
     halt(robot, settings)
 
 
@@ -139,4 +141,4 @@ def ramp(speed: float, highest: float, acceleration: float, rest: float, period:
 def travelled(robot: Robot, start: np.ndarray) -> float:
     """Return the distance travelled by the wheel angles since they were ``start`` (2,) [m]."""
     left, right = robot.wheel_angle() - start
-    return float(left + right) / 2 * WHEEL_RADIUS_M
+    return float(left + right) / 2 * robot.body.wheel_radius_m

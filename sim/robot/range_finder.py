@@ -5,6 +5,8 @@ room without the robot, so that no ray hits the robot itself; things without col
 """
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -21,31 +23,55 @@ HIGHEST_GAP_M = 0.25
 SIDE_M = 0.008
 """What is further to the side of the body than this does not count as ahead [m]."""
 
-_FRONT = np.arctan(np.linspace(-1, 1, 13) * (RADIUS_M + SIDE_M) / 0.30)
-_SIDE = np.linspace(_FRONT[-1], np.radians(85.0), 9)[1:]
-ANGLE = np.concatenate([-_SIDE[::-1], _FRONT, _SIDE])
-"""Angles of a fan's rays from straight ahead [rad]: 19 mm apart at 0.3 m in the middle; the others cover the sides."""
-_COS, _SIN = np.cos(ANGLE), np.sin(ANGLE)
-_AHEAD = np.stack([_COS, _SIN, np.zeros_like(ANGLE)], axis=1)
-# Beyond this distance a ray has left the strip that the body sweeps.
-_LEAVES_M = (RADIUS_M + SIDE_M) / np.maximum(np.abs(_SIN), 1e-9)
+
+class Fan(NamedTuple):
+    """The rays of a level fan of a robot of some radius.
+
+    Attributes:
+        angle: From straight ahead (n,) [rad]: for the testbed's own robot 19 mm apart at 0.3 m in the middle; the
+            others cover the sides.
+        cos: Their cosines (n,).
+        sin: Their sines (n,).
+        leaves_m: Beyond this distance a ray has left the strip that the body sweeps (n,) [m].
+    """
+
+    angle: np.ndarray
+    cos: np.ndarray
+    sin: np.ndarray
+    leaves_m: np.ndarray
+
+
+@lru_cache
+def lay_fan(radius_m: float) -> Fan:
+    """The rays of a robot of this radius [m]."""
+    front = np.arctan(np.linspace(-1, 1, 13) * (radius_m + SIDE_M) / 0.30)
+    side = np.linspace(front[-1], np.radians(85.0), 9)[1:]
+    angle = np.concatenate([-side[::-1], front, side])
+    cos, sin = np.cos(angle), np.sin(angle)
+    return Fan(angle, cos, sin, (radius_m + SIDE_M) / np.maximum(np.abs(sin), 1e-9))
+
+
+ANGLE = lay_fan(RADIUS_M).angle
+"""Angles of the rays of the testbed's own robot [rad]."""
 
 
 class RangeFinder:
     """Casts the rays in a room."""
 
-    def __init__(self, room: mujoco.MjSpec, height_m: float) -> None:
-        """Prepare for a room (without the robot) and a robot of the given height [m]."""
+    def __init__(self, room: mujoco.MjSpec, height_m: float, radius_m: float = RADIUS_M) -> None:
+        """Prepare for a room (without the robot) and a robot of the given height and radius [m]."""
         self._model, self._data = compile_solid(room)
         self.heights_m = fan_heights(height_m)
-        self._distance = np.empty((len(self.heights_m), len(ANGLE)))
-        self._geom = np.empty(len(ANGLE), np.int32)
-        self._ray = np.empty((len(ANGLE), 3))
+        fan = lay_fan(radius_m)
+        self._ahead = np.stack([fan.cos, fan.sin, np.zeros_like(fan.cos)], axis=1)
+        self._distance = np.empty((len(self.heights_m), len(fan.angle)))
+        self._geom = np.empty(len(fan.angle), np.int32)
+        self._ray = np.empty((len(fan.angle), 3))
 
     def measure(self, x: float, y: float, yaw: float, reach_m: float) -> np.ndarray:
         """Return distances (K,) [m] from the robot's axis at a pose, fan after fan; at most ``reach_m``."""
         cos, sin = math.cos(yaw), math.sin(yaw)
-        np.matmul(_AHEAD, ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)), out=self._ray)
+        np.matmul(self._ahead, ((cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)), out=self._ray)
         rays, model, data, geom = self._ray.reshape(-1), self._model, self._data, self._geom
         for distance, height in zip(self._distance, self.heights_m, strict=True):
             point = np.array((x, y, height))
@@ -62,14 +88,15 @@ def fan_heights(height_m: float) -> np.ndarray:
     return np.concatenate([[LOWEST_M], np.linspace(0.10, top, count)])
 
 
-def clear_length(distance: np.ndarray) -> float:
+def clear_length(distance: np.ndarray, radius_m: float = RADIUS_M) -> float:
     """Return how far the round body can go straight ahead [m] before it touches what the rays (K,) [m] met.
 
     A ray of length r at angle a met something r cos a ahead and r sin a to the side; the body's rim gets there after
     r cos a - sqrt(R^2 - (r sin a)^2).
     """
-    distance = distance.reshape(-1, len(ANGLE))
-    fan, ray = np.nonzero(distance < _LEAVES_M)
-    length = distance[fan, ray]
-    rim = np.sqrt(np.maximum(RADIUS_M**2 - (length * _SIN[ray]) ** 2, 0.0))
-    return float((length * _COS[ray] - rim).min())
+    fan = lay_fan(radius_m)
+    distance = distance.reshape(-1, len(fan.angle))
+    layer, ray = np.nonzero(distance < fan.leaves_m)
+    length = distance[layer, ray]
+    rim = np.sqrt(np.maximum(radius_m**2 - (length * fan.sin[ray]) ** 2, 0.0))
+    return float((length * fan.cos[ray] - rim).min())

@@ -4,6 +4,7 @@ import mujoco
 
 from sim.errors import InputError, one_line
 from sim.robot.model import TIMESTEP_S, load_robot
+from sim.robot.own import load_own_robot
 from sim.rooms.deployment import dim
 from sim.rooms.spec import PREFIX, freeze
 from sim.sensors.catalog import SENSORS, list_carried, load
@@ -35,7 +36,8 @@ def compile_scene(room: mujoco.MjSpec, settings: SimSettings) -> mujoco.MjModel:
     _force_picture(spec)
     if settings.deployment != DeploymentSettings():
         dim(spec, settings.deployment)
-    robot = load_robot(settings.robot, settings.camera)
+    own = settings.robot.mjcf is not None
+    robot = load_own_robot(settings.robot) if own else load_robot(settings.robot, settings.camera)
     for name in list_carried(settings):
         if mount := SENSORS[name].mount:
             load(mount)(robot, settings)

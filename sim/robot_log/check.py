@@ -21,6 +21,8 @@ def check_log(path: Path, settings: SimSettings) -> None:
     check_overwrite(robot_file(path), lambda data: data.startswith(ROBOT_HEAD.encode()))
     if settings.world != "room" or settings.sensor != "fisheye":
         raise InputError(f"--log {path}: a log needs world room and sensor fisheye, for its pictures")
+    if settings.robot.mjcf is not None:
+        raise InputError(f"--log {path}: logs are of the testbed's own robot, and robot.mjcf is another")
     faults = {
         "image_faults": settings.image_faults != ImageFaultSettings(),
         "camera_mount.driven_m": settings.camera_mount.driven_m,

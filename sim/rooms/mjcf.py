@@ -46,7 +46,7 @@ def load_room(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def vet(path: Path) -> None:
+def vet(path: Path, field: str = "room.mjcf") -> None:
     """Refuse a harmful file before MuJoCo sees it.
 
     A room must not make MuJoCo open anything outside its folder, or take more memory or time than a room needs.
@@ -54,7 +54,7 @@ def vet(path: Path) -> None:
     Raises:
         InputError: The file is refused; one line names the file, the element and what is allowed.
     """
-    files = Files(path)
+    files = Files(path, field)
     files.refuse_forbidden()
     refuse_excess(files)
 

@@ -49,13 +49,13 @@ class Files:
         documents: The main document and all models, by path.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, field: str = "room.mjcf") -> None:
         """Read a room's file and all XML files that it names.
 
         Raises:
             InputError: A file cannot be read or parsed or is outside the folder, or there are too many files.
         """
-        self.what = f"room.mjcf {shorten(str(path), 300)}"
+        self.what = f"{field} {shorten(str(path), 300)}"
         self.folder = path.resolve().parent
         self.documents: dict[Path, Document] = {}
         self._found: dict[str, list[Path]] = {}

@@ -8,7 +8,7 @@ import pytest
 
 from sim.errors import WorkError
 from sim.robot.drive import TOUCHED, UNCERTAIN_M, DriveMode, Segment, _go_straight, drive, next_segment
-from sim.robot.model import CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
@@ -48,6 +48,7 @@ class Blind:
     def __init__(self, world: RoomWorld) -> None:
         self.step, self.wheel_angle, self.ranges = world.step, world.wheel_angle, world.ranges
         self.bumped, self.time, self.carry = world.bumped, world.time, world.carry
+        self.body = world.body
 
     def snapshot(self) -> np.ndarray:
         return np.full(9, np.nan)
@@ -152,6 +153,8 @@ def test_contact_ends_a_segment_and_drops_its_last_samples():
 
 class Toy:
     """A robot on paper before a wall, whose wheels can be blocked or slip from some distance on."""
+
+    body = BURGER
 
     def __init__(self, fault: str, free_m: float) -> None:
         self.fault, self.free_m = fault, free_m

@@ -1,0 +1,129 @@
+"""A robot in a compiled scene, moved by physics: its state, its motors, wheel sensors and bumper, and its true pose."""
+
+import math
+
+import mujoco
+import numpy as np
+
+from sim.errors import InputError, WorkError
+from sim.robot.model import BASE, BUMPER, CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
+from sim.robot.scene import compile_scene
+from sim.rooms.spec import PREFIX, empty_room
+from sim.settings import SimSettings
+
+_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
+_SETTLE_S = 1.0
+LEVEL = 0.999
+"""Smallest cosine of the lean at which a user's own robot comes to rest."""
+
+
+class Chassis:
+    """A robot in a scene.
+
+    Attributes:
+        settings: With the robot.
+        model: The compiled scene.
+        data: The state of the scene.
+        body: Dimensions of the robot.
+    """
+
+    def __init__(self, settings: SimSettings, room: mujoco.MjSpec, body: Body) -> None:
+        """Put the settings' robot of these dimensions into a room without moving parts, at rest."""
+        self.settings, self.body = settings, body
+        self.model = compile_scene(room, settings)
+        self.data = mujoco.MjData(self.model)
+        self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
+        self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
+        self._bumper = self.model.sensor(PREFIX + BUMPER).adr[0]
+        self._base = self.model.body(PREFIX + BASE).id
+        self._rest = _settle(settings)
+
+    def place(self, pose: np.ndarray) -> None:
+        """Place the robot at a pose (3,) x, y [m], yaw [rad], settled and at rest, with wheel angles zero."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:] = self.rest_states(np.asarray(pose)[None])[0]
+        mujoco.mj_forward(self.model, self.data)
+
+    def rest_states(self, poses: np.ndarray) -> np.ndarray:
+        """Return full positions (n, nq) of the robot at rest at poses (n, 3), with wheel angles zero."""
+        poses = np.asarray(poses, float)
+        half = poses[:, 2] / 2
+        w, i, j, k = self._rest[3:7]
+        c, s = np.cos(half), np.sin(half)
+        states = np.tile(self._rest, (len(poses), 1))
+        states[:, :2] = poses[:, :2]
+        states[:, 3:7] = np.stack([c * w - s * k, c * i - s * j, c * j + s * i, c * k + s * w], axis=-1)
+        return states
+
+    def step(self, wheel_speed: np.ndarray) -> None:
+        """Drive the wheels at speeds (2,) left, right [rad/s] for one control period.
+
+        Raises:
+            WorkError: MuJoCo gave a warning, as it also does when the state is no longer finite.
+        """
+        data = self.data
+        data.ctrl[:] = wheel_speed
+        self.advance(self._substeps)
+        if data.warning.number.any():
+            raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
+        # After a step the sensors are one step behind the joints: evaluate them for the current state.
+        mujoco.mj_kinematics(self.model, data)
+        mujoco.mj_sensorPos(self.model, data)
+
+    def advance(self, steps: int) -> None:
+        """Let physics pass by so many of its time steps."""
+        mujoco.mj_step(self.model, self.data, steps)
+
+    def wheel_angle(self) -> np.ndarray:
+        """Return wheel-joint angles (2,) left, right [rad], from the joint-position sensors."""
+        sensor = self.data.sensordata
+        return np.array((sensor[self._left], sensor[self._right]))
+
+    def bumped(self) -> bool:
+        """Whether something presses against the body or the mast."""
+        return bool(self.data.sensordata[self._bumper] > 0.0)
+
+    def time(self) -> float:
+        """Return the time since the start [s]."""
+        return self.data.time
+
+    def snapshot(self) -> np.ndarray:
+        """Return full positions (nq,), for the camera and the ground truth; the drive does not use them."""
+        return self.data.qpos.copy()
+
+    def pose(self) -> np.ndarray:
+        """Return the true pose (3,): x, y [m], yaw [rad]."""
+        x, y, _, w, i, j, k = self.data.qpos[:7].tolist()
+        return np.array((x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))))
+
+    def state(self) -> np.ndarray:
+        """Return the full state of the simulation, on which all that follows depends, as one array."""
+        state = np.empty(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state
+
+    def set_state(self, state: np.ndarray) -> None:
+        """Restore a state exactly: the simulation continues bit for bit as it did from there."""
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+        mujoco.mj_forward(self.model, self.data)
+        # Evaluating the sensors may have touched the solver's warm start, which is part of the state.
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
+
+
+def _settle(settings: SimSettings) -> np.ndarray:
+    """Return full positions (nq,) of the robot at rest on a level floor at the origin, heading +x."""
+    model = compile_scene(empty_room(), settings)
+    data = mujoco.MjData(model)
+    mujoco.mj_step(model, data, round(_SETTLE_S / TIMESTEP_S))
+    rest = data.qpos.copy()
+    if settings.robot.mjcf is not None and 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) < LEVEL:
+        raise InputError(f"robot.mjcf {settings.robot.mjcf}: it does not stay level on a level floor")
+    rest[:2], rest[6], rest[7:] = 0.0, 0.0, 0.0
+    rest[3:7] /= np.linalg.norm(rest[3:7])
+    return rest
+
+
+def _name_warning(data: mujoco.MjData) -> str:
+    names = [mujoco.mjtWarning(kind).name for kind in np.flatnonzero(data.warning.number).tolist()]
+    return f"MuJoCo warned {', '.join(names)}"

@@ -1,0 +1,135 @@
+"""A robot of one's own: measured, driven and refused; the testbed's own robot stays as it is, byte for byte."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.scenario import digest, load_scenario
+from sim.errors import InputError
+from sim.robot.calibrate import run
+from sim.robot.drive import DriveMode, next_segment
+from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.own import describe_own
+from sim.robot.range_finder import clear_length
+from sim.robot.world import RoomWorld
+from sim.robot_log.check import check_log
+from sim.rooms.spec import empty_room
+from sim.settings import RobotSettings, RoomSettings, SimSettings
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "my_robot.xml"
+NAMES = {"left_joint": "left_drive", "right_joint": "right_drive", "camera_site": "eye"}
+
+
+def robot(path: Path = EXAMPLE, **names: str) -> RobotSettings:
+    return RobotSettings.model_validate({"mjcf": str(path), **NAMES, **names})
+
+
+@pytest.fixture(scope="module")
+def world() -> RoomWorld:
+    return RoomWorld(SimSettings(robot=robot()), empty_room())
+
+
+def test_a_robot_twice_as_large_is_measured_as_such(world: RoomWorld):
+    assert world.body.radius_m == pytest.approx(0.2, abs=1e-4)
+    assert world.body.height_m == pytest.approx(0.5)
+    assert world.body.wheel_radius_m == pytest.approx(2 * 0.033, rel=2e-3)
+    assert world.body.track_m == pytest.approx(2 * 0.16, rel=2e-3)
+
+
+def test_its_encoder_distances_and_turns_are_right_to_a_thousandth(world: RoomWorld):
+    world.place(np.zeros(3))
+    run(world, 0.15, 0.0, 10.0)
+    way_m = np.hypot(*world.pose()[:2])
+    assert world.wheel_angle().mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=1e-3)
+    world.place(np.zeros(3))
+    yaw = run(world, 0.0, 0.8, 10.0)
+    left, right = world.wheel_angle()
+    turned = (right - left) * world.body.wheel_radius_m / world.body.track_m
+    assert turned == pytest.approx(np.unwrap(yaw)[-1], rel=1e-3)
+    assert not world.bumped()
+
+
+def test_it_drives_in_a_room_and_keeps_its_own_distance_from_walls():
+    settings = SimSettings(room=RoomSettings(width_m=5.0, depth_m=4.0), robot=robot())
+    world, rng = RoomWorld(settings, drawn=False), np.random.default_rng(0)
+    world.start(rng)
+    mode = DriveMode()
+    for _ in range(4):
+        segment = next_segment(world, settings.drive, rng, mode)
+        mode = segment.mode
+        assert world.is_free(segment.pose[:, :2]).all()
+        way_m = np.linalg.norm(segment.pose[-1, :2] - segment.pose[0, :2])
+        wheels = segment.wheel_angle[-1] - segment.wheel_angle[0]
+        assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=2e-3, abs=2e-4)
+    ours = RoomWorld(SimSettings(room=settings.room), drawn=False)
+    assert world.free_space.reachable.sum() < ours.free_space.reachable.sum()
+    assert clear_length(world.ranges(), world.body.radius_m) < clear_length(world.ranges(), 0.01)
+
+
+def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
+    text = EXAMPLE.read_text()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "robot.xml").write_text(text)
+    return tmp_path / "robot.xml"
+
+
+WORLD = ("<worldbody>", '<worldbody><body name="another"/>')
+REFUSED = [
+    (
+        (),
+        {"left_joint": "wheel"},
+        r"robot\.left_joint wheel: .* no such hinge joint; it has left_drive, right_drive",
+    ),
+    ((), {"right_joint": "left_drive"}, r"robot\.right_joint left_drive is the left wheel's joint too"),
+    ((), {"camera_site": "lens"}, r"robot\.camera_site lens: .* has no such site; it has eye"),
+    ((), {"left_joint": "right_drive", "right_joint": "left_drive"}, "under the middle of its wheel axle"),
+    ([WORLD], {}, "its world must hold one body, the robot, and holds 2"),
+    ([('kv="0.6"', 'kv="0"')], {}, "no velocity actuator drives its joint left_drive"),
+    ([('name="left_drive" axis="0 1 0"', 'name="left_drive" axis="0 -1 0"')], {}, "must have the axis 0 1 0"),
+    ([('name="eye" pos="0 0 0.5"', 'name="eye" pos="0.05 0 0.5"')], {}, r"camera_mount moves and tilts it"),
+    ([("<option", '<include file="../other.xml"/><option')], {}, r"robot\.mjcf .*"),
+    ([("<option", "<extension/><option")], {}, "extensions are not allowed"),
+    ([("</mujoco>", "")], {}, "not XML"),
+]
+
+
+@pytest.mark.parametrize(("changes", "names", "message"), REFUSED)
+def test_what_is_wrong_with_it_is_said_in_one_line(changes, names, message: str, tmp_path: Path):
+    with pytest.raises(InputError, match=message) as error:
+        describe_own(robot(changed(tmp_path, *changes), **names))
+    assert "\n" not in str(error.value) and "robot." in str(error.value)
+
+
+def test_one_that_is_missing_or_falls_over_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"robot\.mjcf .*no such file"):
+        describe_own(robot(tmp_path / "nothing.xml"))
+    falls = changed(tmp_path, ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"'))
+    with pytest.raises(InputError, match="does not stay level"):
+        RoomWorld(SimSettings(robot=robot(falls)), empty_room())
+
+
+def test_settings_that_contradict_it_are_refused():
+    for overrides, message in (
+        ({"robot.wheel_radius_error": 0.01}, "wheel_radius_error 0.01 must be 0"),
+        ({"camera.height_m": 0.4}, "camera.height_m 0.4 must be left out"),
+    ):
+        with pytest.raises(InputError, match=message):
+            load_scenario("tiny", {"robot.mjcf": str(EXAMPLE), **overrides})
+
+
+def test_a_log_of_it_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match="logs are of the testbed's own robot"):
+        check_log(tmp_path / "drive.mcap", SimSettings(robot=robot()))
+
+
+def test_without_one_nothing_changes_and_with_one_its_file_counts(tmp_path: Path):
+    assert RobotSettings().model_dump() == {"wheel_radius_error": 0.0}
+    world = RoomWorld(SimSettings(), empty_room())
+    assert (world.body.radius_m, world.body.wheel_radius_m, world.body.track_m) == (RADIUS_M, WHEEL_RADIUS_M, TRACK_M)
+    path = changed(tmp_path)
+    first = digest(load_scenario("tiny", {"robot.mjcf": str(path)}))
+    path.write_text(path.read_text() + "\n")
+    assert digest(load_scenario("tiny", {"robot.mjcf": str(path)})) != first
