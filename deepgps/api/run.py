@@ -106,8 +106,8 @@ class Run:
             frame: As for ``position``.
 
         Returns:
-            Poses of N observations, or of one without the axis N. Only methods on polar images tell a yaw; for others,
-            and for methods trained by an earlier version, all but the position is None.
+            Poses of N observations, or of one without the axis N. What a method does not tell, or did not when it was
+            trained by an earlier version, is None.
 
         Raises:
             InputError: As for ``position``.
