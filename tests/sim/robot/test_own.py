@@ -30,6 +30,10 @@ def world() -> RoomWorld:
     return RoomWorld(SimSettings(robot=robot()), empty_room())
 
 
+def test_the_page_shows_the_example():
+    assert EXAMPLE.read_text() in (EXAMPLE.parents[1] / "how-to" / "robot.md").read_text()
+
+
 def test_a_robot_twice_as_large_is_measured_as_such(world: RoomWorld):
     assert world.body.radius_m == pytest.approx(0.2, abs=1e-4)
     assert world.body.height_m == pytest.approx(0.5)
