@@ -127,7 +127,8 @@ def test_errors_hold_what_a_method_accepts_and_nothing_where_it_does_not_say(tmp
     run, field = deepgps.load(folder), read_all_headings(folder)["deepgps"]
     rows = run.errors("deepgps").to_pandas()
     for column, part in (("novelty", field.novelty), ("radius_68_m", field.radius), ("accepted", field.accepted)):
-        np.testing.assert_array_equal(rows[column], np.ravel(part))
+        assert part is not None
+        np.testing.assert_array_equal(rows[column], part.ravel())
     assert rows.accepted.mean() == run.metrics["methods"]["deepgps"]["accepted"]
     silent = run.errors("knn")
     for column in ("novelty", "radius_68_m", "radius_95_m", "accepted"):
