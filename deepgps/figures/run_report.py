@@ -287,7 +287,7 @@ def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> li
     if values.get("accepted") is not None:
         accepted = ((values.get(f"{key.removesuffix('_m')}_accepted_m"), form) for _, key, form in columns)
         figures = ("" if value is None else form(value) for value, form in accepted)
-        rows.append((f"  {100 * values['accepted']:.1f} % accepted", *figures))
+        rows.append((f" {100 * values['accepted']:.3g} % accepted", *figures))
     return rows
 
 
