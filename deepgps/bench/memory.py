@@ -19,6 +19,8 @@ from sim.recording.format import Recording, grid_file, observation_file, open_re
 
 LOOK_EVERY_S = 0.01
 SPARE_BYTES = 2_000_000_000  # disk space for features and weights, and so that the disk does not fill up
+SHORTEST_MS = 0.01
+"""A step takes at least this [ms]: times of trainings are rounded, those of a small bench to zero."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +72,8 @@ def measure_memory(
     short = f"; the disk had room for no more than {count:,}" if count < samples else ""
     with_short = f"{len(recording.observation):,} samples: {peak['short'] / 1e9:.2f} GB; naive: all described at once"
     title = f"training on {count:,} samples"
-    ratio = Row("step_ratio", f"{title}, a step", ms["long"] / ms["short"], "times", 1.2, note=f"{ms['long']:.1f} ms")
+    longer = ms["long"] / max(ms["short"], SHORTEST_MS)
+    ratio = Row("step_ratio", f"{title}, a step", longer, "times", 1.2, note=f"{ms['long']:.1f} ms")
     return [
         Row("memory", f"{title}, anonymous memory", peak["long"] / 1e9, "GB", 2.0, False, whole, with_short + short),
         ratio,
