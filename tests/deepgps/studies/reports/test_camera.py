@@ -95,9 +95,10 @@ def test_every_fault_of_the_settings_has_words_and_is_in_the_study():
     known = {f"{group}.{name}" for group, kind in groups.items() for name in kind.model_fields}
     in_use = {"deployment.drive_samples", "deployment.camera_mount"}
     assert known - set(camera.TITLES) == {"image_faults.sensor_px", "deployment.seed", *in_use}
-    study = load_study("camera", tiny=False)
-    assert set(camera.TITLES) - {name for case in study.cases for name in case} == {"camera_mount.pitch_deg"}
-    assert all(len(case) <= 1 for case in study.cases)
+    cases = load_study("camera", tiny=False).cases
+    changes = load_study("change", tiny=False).cases
+    assert set(camera.TITLES) - {name for case in (*cases, *changes) for name in case} == {"camera_mount.pitch_deg"}
+    assert all(len(case) <= 1 for case in cases)
 
 
 def test_the_study_draws_nothing_again_for_faults_of_finished_images():
