@@ -12,6 +12,7 @@ import numpy as np
 
 from deepgps.api.run import Frame, Run
 from deepgps.export.trajectories import TRUTH, Trajectory, find_trajectories, open_drives
+from deepgps.methods.confidence import find_normal_radius
 from deepgps.methods.pose import Poses
 from deepgps.progress import Report
 from sim.recording.format import Recording
@@ -26,7 +27,7 @@ from sim.robot_log.messages import (
 JOINTS = ("wheel_left_joint", "wheel_right_joint")
 UNKNOWN_M2, UNKNOWN_RAD2 = 1e6, np.pi**2 / 3
 """Variances of what a method does not know: a position, and a yaw that may be any [m2, rad2]."""
-SIGMA_PER_RADIUS = 1.0 / np.sqrt(-2.0 * np.log(1.0 - 0.68))
+SIGMA_PER_RADIUS = 1.0 / find_normal_radius(0.68)
 """Standard deviation along each axis over the radius of a circle that holds 68 % of a round normal distribution."""
 
 

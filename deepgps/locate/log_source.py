@@ -82,10 +82,7 @@ def _read(log: Log, robot: RobotConfig, listed: ImageList, with_wheels: bool, pr
     wheels = open_wheels(log, robot.wheels) if with_wheels else None
     if wheels is not None:
         takers[robot.wheels.topic] = wheels.take
-    progress("read log", 0, 1)
-    for sample, part in log.read(list(takers)):
-        takers[sample.topic](sample, part)
-    progress("read log", 1, 1)
+    log.feed(takers, progress)
     listed.check()
     if wheels is None:
         return None

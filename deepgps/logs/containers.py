@@ -5,7 +5,7 @@ complete message is read. A log is read in parts: a folder with its metadata.yam
 """
 
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from deepgps.logs.plain_folder import PlainFolder, is_plain
 from deepgps.logs.sample import Part, Sample, read_stamp
 from deepgps.logs.truncated import is_truncated, salvage
+from deepgps.progress import Report
 from sim.errors import InputError, one_line
 from sim.user_input import shorten
 
@@ -47,6 +48,13 @@ class Log:
                 with _explained(self.path):
                     for sample in part.read(wanted):
                         yield sample, part
+
+    def feed(self, takers: Mapping[str, Callable[[Sample, Part], None]], progress: Report) -> None:
+        """Read some topics once, and give each message to what takes its topic."""
+        progress("read log", 0, 1)
+        for sample, part in self.read(takers):
+            takers[sample.topic](sample, part)
+        progress("read log", 1, 1)
 
     def check_topic(self, topic: str, name: str, kinds: Collection[str]) -> str:
         """The type of a topic; raises InputError that names the setting unless it is one of ``kinds``."""

@@ -28,7 +28,6 @@ class Drive:
         notes: What the user should know.
         offset_s: Median of logged minus stamped, by topic [s].
         start_ns: From when times count [ns since 1970].
-        start_ns: From when times count [ns since 1970].
     """
 
     wheels: Wheels

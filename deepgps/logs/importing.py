@@ -103,10 +103,7 @@ def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, Im
         if config.pose.topic in takers:
             raise InputError(f"pose.topic {config.pose.topic}: is the topic of the wheels or of the camera")
         takers[config.pose.topic] = poses.take
-    progress("read log", 0, 1)
-    for sample, part in log.read(list(takers)):
-        takers[sample.topic](sample, part)
-    progress("read log", 1, 1)
+    log.feed(takers, progress)
     wheels.check()
     images.check()
     if poses is not None and config.pose:

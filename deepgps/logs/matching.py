@@ -82,8 +82,8 @@ def plan_recording(
             continue
         kind = judge_turn(motions[before + 1 : number], wheels, path)
         last, after = builder.rows[-1], _find_after(motions, number, wheels, path, images)
-        stands = _is_near(images, last, path, motions[before].last)
-        if kind == IN_PLACE and stands and after is not None:
+        at_rest = _is_near(images, last, path, motions[before].last)
+        if kind == IN_PLACE and at_rest and after is not None:
             builder.turn_in_place(rows, after, spacing_m)
         else:
             builder.begin(rows, kind)

@@ -121,6 +121,6 @@ def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Conf
     )
 
 
-def find_normal_radius(probability: np.ndarray) -> np.ndarray:
+def find_normal_radius(probability: float | np.ndarray) -> np.ndarray:
     """Radius within which a vector in the plane lies with a probability, in standard deviations along one axis."""
     return np.sqrt(-2.0 * np.log1p(-probability))
