@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from deepgps.alignment import Alignment, fit_alignment
+from deepgps.alignment import Alignment, fit_alignment, fit_robust_alignment
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
@@ -178,7 +178,7 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
     When measured against labels, training and test samples without a label are left out.
     """
     known = np.isfinite(truth.pose).all(axis=1)
-    alignment = fit_alignment(maps.training[known], truth.pose[known, :2], METHODS[method].alignment)
+    alignment = fit_robust_alignment(maps.training[known], truth.pose[known, :2], METHODS[method].alignment)
     predicted = alignment.apply(maps.test.reshape(-1, 2)).reshape(maps.test.shape)
     known = np.isfinite(truth.test_pose).all(axis=(1, 2))
     pose, predicted = truth.test_pose[known], predicted[known]

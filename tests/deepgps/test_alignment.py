@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepgps.alignment import fit_alignment
+from deepgps.alignment import fit_alignment, fit_robust_alignment
 
 points = np.random.default_rng(0).normal(size=(60, 2)) * [2.0, 1.0]
 
@@ -53,3 +53,32 @@ def test_a_yaw_is_turned_as_the_step_between_two_points(angle, yaw, mirrored):
     np.testing.assert_allclose(
         [np.cos(turned), np.sin(turned)], alignment.apply(step) - alignment.apply(np.zeros(2)), atol=1e-9
     )
+
+
+@given(st.floats(-3.2, 3.2), st.booleans())
+def test_a_robust_alignment_undoes_a_rigid_motion_and_turns_with_it(angle, mirrored):
+    noisy = points + np.random.default_rng(2).standard_cauchy(points.shape) / 50
+    moved = (noisy * [1.0, -1.0] if mirrored else noisy) @ rotation(angle).T + [3.0, -1.0]
+    expected = fit_robust_alignment(noisy, points, "E2").apply(noisy)
+    np.testing.assert_allclose(fit_robust_alignment(moved, points, "E2").apply(moved), expected, atol=1e-9)
+
+
+def test_what_is_metres_off_does_not_move_the_rest():
+    random = np.random.default_rng(3)
+    many = random.uniform(-4.0, 4.0, (4000, 2))
+    placed = many + random.normal(0.0, 0.01, many.shape)
+    placed[:200] += [6.0, 2.0]
+    rest = slice(200, None)
+    pulled, kept = (
+        fit(placed, many, "SE2").apply(placed)[rest] - many[rest] for fit in (fit_alignment, fit_robust_alignment)
+    )
+    assert np.linalg.norm(pulled, axis=1).mean() > 0.1
+    assert np.linalg.norm(kept.mean(axis=0)) < 0.001
+
+
+def test_a_robust_alignment_of_normal_errors_is_least_squares():
+    random = np.random.default_rng(4)
+    many = random.uniform(-2.0, 2.0, (4000, 2))
+    placed = many + random.normal(0.0, 0.02, many.shape)
+    one, other = (fit(placed, many, "SE2").apply(placed) for fit in (fit_alignment, fit_robust_alignment))
+    assert np.abs(one - other).max() < 1e-4
