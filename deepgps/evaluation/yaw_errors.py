@@ -26,9 +26,19 @@ def add_yaws(field: ErrorField, poses: Poses, alignment: Alignment) -> ErrorFiel
 
 
 def summarise_yaw(field: ErrorField) -> dict[str, float]:
-    """RMS, median and 95th percentile of the yaw's error [deg] over all images; empty where there is no yaw."""
-    if field.yaw_error is None or not np.isfinite(field.yaw_error).any():
+    """RMS, median and 95th percentile of the yaw's error [deg] over all images, and RMS over those accepted.
+
+    Empty where there is no yaw; without the last where the method accepts or refuses nothing.
+    """
+    if field.yaw_error is None or not (known := np.isfinite(field.yaw_error)).any():
         return {}
-    error = np.degrees(np.abs(field.yaw_error[np.isfinite(field.yaw_error)]))
-    median, p95 = (float(value) for value in np.percentile(error, [50, 95]))
-    return {"yaw_rms_deg": float(np.sqrt(np.mean(error**2))), "yaw_median_deg": median, "yaw_p95_deg": p95}
+    error = np.degrees(np.abs(field.yaw_error))
+    median, p95 = (float(value) for value in np.percentile(error[known], [50, 95]))
+    figures = {"yaw_rms_deg": _find_rms(error[known]), "yaw_median_deg": median, "yaw_p95_deg": p95}
+    if field.accepted is not None and (accepted := known & field.accepted).any():
+        figures["yaw_rms_accepted_deg"] = _find_rms(error[accepted])
+    return figures
+
+
+def _find_rms(error: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(error**2)))
