@@ -34,6 +34,7 @@ ORDER = (
     ("deepgps.learning",),
     ("deepgps.methods",),
     ("deepgps.tracking",),
+    ("deepgps.monitoring",),
     ("deepgps.evaluation",),
     ("deepgps.figures",),
     ("deepgps.stages",),

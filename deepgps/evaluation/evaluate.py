@@ -18,7 +18,7 @@ from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from deepgps.evaluation.flipped import measure_flipped
-from deepgps.evaluation.in_use import adapt, measure_in_use, open_drive_in_use
+from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, place_map, read_known_map
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
@@ -102,7 +102,8 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
             use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
-            methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean}
+            causes = find_causes(folder_of(run, method), recording, in_use)
+            methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean, **causes}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
             methods[method]["against_labels"] = {**_summarise(label_fields[method], side_m), "scale": to_labels.scale}

@@ -1,7 +1,8 @@
-"""The drive in use: the camera's lean in it, for methods that correct it, and their errors on its images."""
+"""The drive in use: the camera's lean in it, for methods that correct it, errors on its images, and causes of these."""
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,8 @@ from deepgps.evaluation.acceptance import take_acceptance
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.yaw_errors import add_yaws
 from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import NetworkPositioner, Positioner
+from deepgps.methods.positioner import NetworkPositioner, Positioner, load_positioner
+from deepgps.monitoring.causes import name_causes
 from sim.errors import InputError, WorkError
 from sim.recording.format import OF_USE, Recording, open_recording, open_truth
 from sim.recording.in_use import FOLDER as IN_USE
@@ -62,3 +64,15 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
     predicted = alignment.apply(found.position)[:, None]
     field = ErrorField(pose[:, :2], pose[:, 2:], predicted, **take_acceptance(found, predicted.shape[:2]))
     return add_yaws(field, found, alignment)
+
+
+def find_causes(folder: Path, recording: Recording, drive: Recording) -> dict[str, Any]:
+    """Why images of the drive in use are refused or suspicious, for ``metrics.json``; nothing where it is not known.
+
+    Args:
+        folder: The method's folder.
+        recording: What it has learned from.
+        drive: The drive in use.
+    """
+    causes = name_causes(load_positioner(folder), recording, drive)
+    return {} if causes is None else {"causes": causes.summarise()}

@@ -1,6 +1,7 @@
 """A run's results as text: one table with sentences, for the terminal, for the recording and for a report."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.figures.verdict import judge_run
 from deepgps.figures.without_truth import print_without_truth
 from deepgps.methods.catalog import folder_of, title_of
+from deepgps.monitoring.words import describe_causes
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
 from sim.renamed import name_methods
@@ -249,12 +251,14 @@ def _read_lean(values: Mapping[str, Any]) -> tuple[float, float] | None:
 
 
 def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
-    """Errors on the images of the drive in use, if there was one."""
+    """Errors on the images of the drive in use, if there was one, and what the first method that tells says of it."""
     found = {name: values["in_use"] for name, values in metrics["methods"].items() if "in_use" in values}
     if not found:
         return []
     parts = (f"{title_of(name)} {_describe_errors_in_use(values)}" for name, values in found.items())
-    return [f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."]
+    errors = f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."
+    causes = (describe_causes(values["accepted"], values["causes"]) for values in found.values() if "causes" in values)
+    return [errors, *islice(causes, 1)]
 
 
 def _describe_errors_in_use(values: Mapping[str, Any]) -> str:

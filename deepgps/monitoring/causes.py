@@ -1,0 +1,160 @@
+"""Names why images of a drive in use are refused or suspicious, by comparing it with what a method has learned from."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deepgps.data.lean import adapt_upright, compare_images, ignore_small
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.turn_images import turns_with_images
+from deepgps.methods.pose import Poses, find_poses
+from deepgps.methods.positioner import NetworkPositioner, Positioner, confidence_of
+from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
+from deepgps.monitoring.image_checks import ImageLimits, check_images, find_limits, find_moved
+from deepgps.monitoring.rules import (
+    FAULTY,
+    MOSTLY,
+    OFTEN,
+    TITLES,
+    Evidence,
+    find_long,
+    label,
+    median_around,
+    share_around,
+)
+from sim.recording.format import Recording
+from sim.sensors.upright import Upright
+
+LEAN_RAD = np.radians(0.5)
+"""A camera that leans by this much otherwise than in training has moved [rad]."""
+RELIT = 2.0
+"""An image is relit if its values differ this many times as much as those of one training image in a hundred."""
+NOTABLE = 0.05
+"""A drive has a cause if this share of its images does."""
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What is wrong in a drive in use of N images.
+
+    Attributes:
+        label: Name of each image's cause in ``TITLES`` (N,) str; empty: none.
+        accepted: Whether the method accepts it (N,) bool.
+        lean_deg: Angle by which the camera leans otherwise than in training [deg]; None: no turns show it.
+        gain: Values of images over those in training, in the median of those of known places; None: there are none.
+    """
+
+    label: np.ndarray
+    accepted: np.ndarray
+    lean_deg: float | None
+    gain: float | None
+
+    @property
+    def named(self) -> list[str]:
+        """Causes of the drive, that of most images first; a lean is one of all images."""
+        shares = {name: share for name, share in _count(self.label).items() if share >= NOTABLE}
+        seen = sum(share for name, share in shares.items() if name in FAULTY) < 0.5
+        if seen and self.lean_deg is not None and np.radians(self.lean_deg) > LEAN_RAD:
+            shares["camera"] = 1.0
+        return sorted(shares, key=lambda name: -shares[name])
+
+    def summarise(self) -> dict[str, Any]:
+        """Contents of ``in_use.causes`` in ``metrics.json``."""
+        return {
+            "named": self.named,
+            "shares": _count(self.label),
+            "refused": _count(np.where(self.accepted, "", self.label)),
+            "lean_deg": self.lean_deg,
+            "gain": self.gain,
+        }
+
+
+def _count(labels: np.ndarray) -> dict[str, float]:
+    """Share of the images with each cause; causes without images are left out."""
+    shares = {name: float((labels == name).mean()) for name in TITLES}
+    return {name: share for name, share in shares.items() if share}
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """What names the causes in drives of one method.
+
+    Attributes:
+        positioner: The method as trained.
+        upright: What sets its training images upright; None: no turns show how the camera leans.
+        known: Its training images.
+        limits: Limits of single images.
+    """
+
+    positioner: Positioner
+    upright: Upright | None
+    known: KnownImages
+    limits: ImageLimits
+
+    def name(self, drive: Recording) -> Causes:
+        """Name the causes in a drive with plausible readings."""
+        upright, change = self._find_lean(drive)
+        corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
+        positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
+        poses, images = find_poses(positioner, drive.observation), drive.observation
+        compared = self.known.compare(images if upright is None else upright(images), poses.position)
+        leaning = change is not None and change > LEAN_RAD and not corrected
+        seen = self._weigh(drive, poses, compared, leaning)
+        gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
+        return Causes(label(seen), seen.accepted, None if change is None else float(np.degrees(change)), gain)
+
+    def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
+        """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
+        if self.upright is None:
+            return None, None
+        upright, lean = adapt_upright(self.upright, drive)
+        return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
+
+    def _weigh(self, drive: Recording, poses: Poses, compared: Comparison, leaning: bool) -> Evidence:
+        assert poses.accepted is not None
+        known = compared.correlation > self.known.other_place
+        relit = known & (compared.relit > RELIT * self.known.usual_light)
+        often, match = share_around(relit), median_around(compared.correlation, poses.accepted)
+        return Evidence(
+            **vars(check_images(drive.observation, find_moved(drive), self.limits)),
+            accepted=poses.accepted,
+            known_place=known,
+            beyond=compared.away_m > self.known.gap_m,
+            relit=relit & (often >= OFTEN),
+            mostly_relit=often >= MOSTLY,
+            changed=match < self.known.usual_match,
+            leaning=np.full(len(known), leaning),
+            long_new=find_long(~known & ~poses.accepted),
+        )
+
+
+def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:
+    """What names causes for a method and the recording that it has learned from.
+
+    None where observations are no polar images, or the method accepts all.
+    """
+    if recording.kind != "polar_image" or confidence_of(positioner) is None:
+        return None
+    recording = keep_plausible(recording)
+    network = isinstance(positioner, NetworkPositioner)
+    upright = positioner.upright if network else None
+    if upright is None and turns_with_images(recording) is not None:
+        upright = ignore_small(compare_images(recording).upright)
+    positions = (positioner.locate_camera if network else positioner)(recording.observation)
+    return Monitor(positioner, upright, learn_images(recording, upright, positions), find_limits(recording))
+
+
+def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:
+    """Name why images of a drive in use are refused or suspicious.
+
+    Args:
+        positioner: The method as trained.
+        recording: What it has learned from.
+        drive: The drive in use.
+
+    Returns:
+        The causes; None where observations are no polar images, or the method accepts all.
+    """
+    monitor = make_monitor(positioner, recording)
+    return None if monitor is None else monitor.name(keep_plausible(drive))

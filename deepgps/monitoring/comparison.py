@@ -1,0 +1,199 @@
+"""Comparison of images with the training images that match them best, rotated to their heading.
+
+The correlation is a visual compass's (``deepgps/methods/headings.py``), which a gain of the light does not change. Two
+images of one place correlate well; how well images of different places do, the training images tell.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import fft
+from scipy.spatial import KDTree
+
+from deepgps.methods.heading_fit import thin_out
+from deepgps.methods.headings import choose_rings, correlate, find_nearest, take_phases
+from sim.recording.format import Recording
+from sim.sensors.upright import Upright
+
+CELL_M = 0.05
+"""Of the training images, one is known in each square of the map with sides of this length [m]."""
+NEAREST, ALIKE = 4, 4
+"""Known images that an image is compared with: those nearest to its predicted position, and those most alike."""
+CYCLES, AZIMUTHS = 16, 32
+"""Cycles around the circle that are kept of the images' values, and values around it that are compared."""
+STEPS = 12
+"""Steps of brightness, each with as many values, in which the light is compared."""
+CHECKED = 400
+"""Training images from which limits come, at most."""
+APART_M = 1.0
+"""Images farther apart on the map than this, or than half of the map, are of different places [m]."""
+AROUND = 32
+"""Images among which one of another segment is looked for."""
+CHUNK = 64
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How B images compare with the known ones.
+
+    Attributes:
+        correlation: Correlation with the best match (B,).
+        relit: How far values are from those of the match (B,), in steps of 8 bits: the median over ``STEPS`` of the
+            difference of medians. Furniture that covers less than half of the image does not change it.
+        gain: Values over those of the match (B,), in the mean over these steps.
+        away_m: Distance of the predicted position from the nearest known image's (B,) [m].
+    """
+
+    correlation: np.ndarray
+    relit: np.ndarray
+    gain: np.ndarray
+    away_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class KnownImages:
+    """Training images that cover the map evenly.
+
+    Attributes:
+        place: Predicted positions (E, 2) [m].
+        phases: Their ring phases (E, L, K), as ``take_phases`` gives them.
+        values: Fourier coefficients of their values (E, rings, channels, ``CYCLES`` + 1).
+        other_place: Correlation that one in a hundred images exceeds with images of other places.
+        usual_match: Correlation that only one training image in a hundred is below.
+        usual_light: ``relit`` that one training image in a hundred exceeds.
+        gap_m: Distance from the nearest image of another segment that one training image in fifty exceeds [m].
+    """
+
+    place: np.ndarray
+    phases: np.ndarray
+    values: np.ndarray
+    other_place: float = 0.0
+    usual_match: float = 0.0
+    usual_light: float = np.inf
+    gap_m: float = np.inf
+
+    def compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float = 0.0) -> Comparison:
+        """Compare upright images (B, rings, sectors, channels) predicted to be at positions (B, 2) [m].
+
+        Args:
+            images: The images.
+            positions: Predicted positions of the camera.
+            apart_m: Known images nearer to the position than this are left out [m].
+        """
+        chunks = [slice(start, start + CHUNK) for start in range(0, len(images), CHUNK)]
+        found = [self._compare(images[chunk], positions[chunk], apart_m) for chunk in chunks]
+        correlation, relit, gain = np.concatenate([np.empty((3, 0)), *found], axis=1)
+        return Comparison(correlation, relit, gain, np.asarray(self._tree.query(positions)[0]))
+
+    def _compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float) -> np.ndarray:
+        phases = take_phases(images)
+        rows = self._choose(phases, positions, apart_m)
+        angle, height = correlate(self.phases[rows], phases)
+        best = height[..., 0].argmax(axis=1)[:, None]
+        row, angle, height = (
+            np.take_along_axis(one, best, axis=1)[:, 0] for one in (rows, angle[..., 0], height[..., 0])
+        )
+        return np.stack([height, *compare_light(take_values(images), turn(self.values[row], angle))])
+
+    def _choose(self, phases: np.ndarray, positions: np.ndarray, apart_m: float) -> np.ndarray:
+        """The known images (B, M) with which images with these phases (B, L, K) are compared."""
+        known, mean = self._looks
+        alike = _describe(phases, mean) @ known.T
+        if not apart_m:
+            near = find_nearest(self._tree, positions, NEAREST)[1]
+            return np.concatenate([near, _find_largest(alike)], axis=1)
+        away = np.linalg.norm(positions[:, None] - self.place, axis=2)
+        return _find_largest(np.where(away > apart_m, alike, -np.inf))
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self.place)
+
+    @cached_property
+    def _looks(self) -> tuple[np.ndarray, np.ndarray]:
+        """What of each image no turn changes (E, L K), and its mean (L K,)."""
+        looks = np.sqrt(np.abs(self.phases)).reshape(len(self.place), -1)
+        mean = looks.mean(axis=0)
+        return _describe(self.phases, mean), mean
+
+
+def learn_images(recording: Recording, upright: Upright | None, positions: np.ndarray) -> KnownImages:
+    """Take the known images and their limits from a training recording.
+
+    Args:
+        recording: The recording that the method has learned from.
+        upright: What sets its images upright; None: they are.
+        positions: Positions of the camera that the method predicts for its images (N, 2) [m].
+    """
+
+    def take(rows: np.ndarray) -> np.ndarray:
+        images = recording.observation[rows]
+        return images if upright is None else upright(images)
+
+    entry = thin_out(positions, CELL_M)
+    parts = [take(part) for part in np.array_split(entry, -(-len(entry) // CHUNK))]
+    phases, values = (np.concatenate([of(part) for part in parts]) for of in (take_phases, take_values))
+    known = KnownImages(positions[entry], phases, values)
+    others = np.setdiff1d(np.arange(len(positions)), entry)
+    some = others[:: -(-len(others) // CHECKED) or 1] if len(others) else entry
+    images, place = take(some), positions[some]
+    apart_m = min(APART_M, np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() / 2.0)
+    here, elsewhere = known.compare(images, place), known.compare(images, place, apart_m)
+    return replace(
+        known,
+        other_place=float(np.quantile(elsewhere.correlation, 0.99)),
+        usual_match=float(np.quantile(here.correlation, 0.01)),
+        usual_light=float(np.quantile(here.relit, 0.99)),
+        gap_m=float(np.quantile(find_gaps(recording, positions), 0.98)),
+    )
+
+
+def find_gaps(recording: Recording, positions: np.ndarray) -> np.ndarray:
+    """Distance of images from the nearest one of another segment (n,) [m], at most that of the ``AROUND`` nearest.
+
+    Args:
+        recording: The recording.
+        positions: Positions of its observations (N, 2) [m].
+    """
+    number, first = np.unique(recording.reading[:, 1], return_index=True)  # at a turn, two segments share an image
+    place, segment = positions[number], recording.reading[first, 0]
+    away, rows = find_nearest(KDTree(place), place, AROUND)
+    return np.where(segment[rows] != segment[:, None], away, away[:, -1:]).min(axis=1)
+
+
+def take_values(images: np.ndarray) -> np.ndarray:
+    """Fourier coefficients (B, rings, channels, ``CYCLES`` + 1) around the circle of images' values, rings pooled."""
+    rings, sectors = images.shape[1:3]
+    first = choose_rings(rings)
+    pooled = np.add.reduceat(images.astype(np.float32), first, axis=1)
+    pooled /= np.diff(np.append(first, rings)).astype(np.float32)[:, None, None]
+    return np.asarray(fft.rfft(np.moveaxis(pooled, 3, 2)))[..., : CYCLES + 1] / np.float32(sectors)
+
+
+def turn(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Coefficients (B, rings, channels, K) of images turned to the left by angles (B,) [rad]."""
+    cycles = np.arange(values.shape[-1])
+    return values * np.exp(1j * angle[:, None] * cycles)[:, None, None].astype(np.complex64)
+
+
+def compare_light(seen: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``relit`` and ``gain`` of images by their coefficients and those of the images that match (B, ...)."""
+    one, two = (np.asarray(fft.irfft(part, AZIMUTHS)) * AZIMUTHS for part in (seen, known))
+    one, two = one.reshape(len(one), -1), two.reshape(len(two), -1)
+    steps = np.array_split(np.argsort(two, axis=1), STEPS, axis=1)
+    medians = [
+        np.stack([np.median(np.take_along_axis(part, step, axis=1), axis=1) for step in steps]) for part in (one, two)
+    ]
+    gain = medians[0].mean(axis=0) / np.maximum(medians[1].mean(axis=0), 1.0)
+    return np.median(np.abs(medians[0] - medians[1]), axis=0), gain
+
+
+def _describe(phases: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    looks = np.sqrt(np.abs(phases)).reshape(len(phases), -1) - mean
+    return looks / np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-12)
+
+
+def _find_largest(alike: np.ndarray) -> np.ndarray:
+    count = min(ALIKE, alike.shape[1])
+    return np.argpartition(-alike, count - 1, axis=1)[:, :count]
