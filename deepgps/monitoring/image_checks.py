@@ -96,7 +96,7 @@ def take_blocks(grey: np.ndarray) -> np.ndarray:
         size = grey.shape[axis]
         first = np.arange(min(count, size)) * size // min(count, size)
         number = np.diff(np.append(first, size)).astype(np.float32)
-        grey = np.add.reduceat(grey, first, axis=axis) / np.expand_dims(number, 2 - axis if axis == 1 else 0)
+        grey = np.add.reduceat(grey, first, axis=axis) / (number[:, None] if axis == 1 else number)
     return grey
 
 

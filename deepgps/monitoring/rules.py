@@ -112,7 +112,7 @@ def share_around(found: np.ndarray) -> np.ndarray:
 
 
 def median_around(values: np.ndarray, among: np.ndarray) -> np.ndarray:
-    """Median value (N,) of the images within ``AROUND`` of each that count (N,) bool; NaN with fewer than ``FEWEST``."""
+    """Median value (N,) of images within ``AROUND`` of each that count (N,) bool; NaN with fewer than ``FEWEST``."""
     found = np.full(len(values), np.nan)
     for row in range(len(values)):
         some = slice(max(row - AROUND, 0), row + AROUND + 1)
