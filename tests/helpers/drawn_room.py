@@ -39,7 +39,7 @@ class Room:
     def photograph(self, pose: np.ndarray, lean: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """Polar images (N, rings, sectors, 3) uint8 at poses (N, 3): x, y [m], yaw [rad]; lean as the camera's."""
         rays = polar_rays(make_lens(CameraSettings()), RINGS, SECTORS) @ tilt(np.array(lean)).T
-        return np.stack([self._photograph(*one, rays) for one in pose.tolist()])
+        return np.stack([self._photograph(x, y, yaw, rays) for x, y, yaw in pose.tolist()])
 
     def _photograph(self, x: float, y: float, yaw: float, rays: np.ndarray) -> np.ndarray:
         c, s = np.cos(yaw), np.sin(yaw)
