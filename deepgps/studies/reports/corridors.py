@@ -21,9 +21,10 @@ NOISE, LOOK_ALIKE, SIZE = "encoder.step_noise", "room.look_alike", ("room.width_
 FAR_M, FAR_SHARE = 0.5, 0.1
 """A map is wrong if more than this share of the training images is off by more than this distance [m]."""
 NOTE = (
-    "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Off: "
-    f"share of the training images that the map puts more than {FAR_M:g} m from the truth; a map with more than "
-    f"{100 * FAR_SHARE:.0f} % is wrong. Said: what the method says of its map without the truth. Seen: share of "
+    "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Map: "
+    "RMS of the initial map by compass, before training. Off: share of the training images that the trained map puts "
+    f"more than {FAR_M:g} m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
+    "method says of its map without the truth, and the share of the way that it finds turned. Seen: share of "
     "positions within 0.25 m of a training image; where it is low, errors are the drive's. PoseNet and the nearest "
     "neighbour learn from true positions, so that noise of the encoders does not change them."
 )
@@ -39,6 +40,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         "median [cm]",
         "RMS / PoseNet",
         "median / PoseNet",
+        "map [cm]",
         "off",
         "said",
         "seen",
@@ -48,9 +50,9 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         rival = rivals.get(row["recording"]) if row["method"] != "posenet" else None
         ratios = [write(row[name] / rival[name] if rival else None, "") for name in ("rms_m", "median_m")]
         errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
-        off = write(row["map_off"], "%")
-        cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, off, _said(row)])
-        cells[-1].append(write(row["seen"], "%"))
+        told = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["map_off"], "%"), _said(row)]
+        told.append(write(row["seen"], "%"))
+        cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, *told])
     return [tabulate(headings, cells), NOTE, _count(rows)]
 
 
@@ -62,10 +64,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, title in (("rms_m", "RMS"), ("median_m", "median")) if exact else ():
         mine, other = np.array([(row[name], rivals[row["recording"]][name]) for row in exact]).T
         key = f"compass_{name.removesuffix('_m')}_ratio"
-        worst = float((mine / other).max())
-        figures[key] = Figure(
-            f"{title} / PoseNet's, means over worlds", float(mine.mean() / other.mean()), "", False, worst
-        )
+        ratio = mine / other
+        worst = float(ratio.max())
+        figures[key] = Figure(f"{title} / PoseNet's, median over worlds", float(np.median(ratio)), "", worst=worst)
     for key, method in (("compass_unsaid", "deepgps_compass"), ("deepgps_unsaid", "deepgps")):
         some = [row for row in rows if row["method"] == method]
         if some:
@@ -156,4 +157,4 @@ def _said(row: Row) -> str:
     if row["fold_found"] is None:
         return "-"
     words = [word for name, word in SIGNS.items() if row[name]]
-    return ", ".join(words) or "nothing"
+    return ", ".join(words).replace("turned", f"turned {write(row['turned'], '%')}") or "nothing"

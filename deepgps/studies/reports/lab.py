@@ -13,7 +13,7 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import read_metrics
 from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
-from deepgps.studies.table import PAPERS_ERRORS, Row, split_by
+from deepgps.studies.table import PAPERS_ERRORS, Row, choose_accepted, split_by, write_accepted
 
 # References that errors are measured against, by the prefix of their column names.
 AGAINST = {"label_": "labels", "": "truth"}
@@ -27,7 +27,8 @@ NOTE = (
     "are positions that the tag camera measured from images of AprilTags: PoseNet learned from them, and the "
     "first errors are measured against them, as in the paper. The other errors are measured against the "
     "simulator's truth, which the paper did not have. Unlabelled: training and test samples that show too few "
-    "tags; PoseNet does not learn from them, and errors against labels exclude them. Label RMS: the error of the "
+    "tags; PoseNet does not learn from them, and errors against labels exclude them. Errors of what is accepted are "
+    "against the truth. Label RMS: the error of the "
     "labels themselves. The last lines are the paper's means and standard deviations over its six data sets."
 )
 
@@ -47,12 +48,14 @@ def add(run: Path, row: Row) -> Row:
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table of every data set and method, then means and standard deviations, then the paper's; and a note on it."""
     ours = [f"{title}, {kind} [cm]" for kind in AGAINST.values() for title in PAPERS_ERRORS.values()]
-    headings = ["data set", "method", *ours, "unlabelled", "label RMS [cm]", "train [s]"]
+    accepted = choose_accepted(rows)
+    headings = ["data set", "method", *ours, *accepted.values(), "unlabelled", "label RMS [cm]", "train [s]"]
     cells = [
         [
             str(row["seed"]),
             title_of(row["method"]),
             *(_centimetres(row[prefix + name]) for prefix in AGAINST for name in PAPERS_ERRORS),
+            *write_accepted([row], accepted),
             f"{row['unlabelled']} + {row['test_unlabelled']}",
             _centimetres(row["labels_rms_m"]),
             f"{row['train_s']:.0f}",
@@ -62,10 +65,10 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     for method, group in split_by(rows, "method").items():
         spread = [_spread(group, prefix + name) for prefix in AGAINST for name in PAPERS_ERRORS]
         rest = [_spread(group, "labels_rms_m"), f"{np.mean([row['train_s'] for row in group]):.0f}"]
-        cells.append(["mean ± std", title_of(method), *spread, "-", *rest])
+        cells.append(["mean ± std", title_of(method), *spread, *write_accepted(group, accepted), "-", *rest])
     for method, figures in PAPER.items():
         theirs = [f"{100 * mean:.1f} ± {100 * std:.1f}" for mean, std in figures]
-        cells.append(["paper", title_of(method), *theirs, *["-"] * 6])
+        cells.append(["paper", title_of(method), *theirs, *["-"] * (len(headings) - 5)])
     return [tabulate(headings, cells), NOTE]
 
 

@@ -40,6 +40,14 @@ def test_both_truths_stand_beside_the_papers():
     assert cells(lines, "paper", "DeepGPS")[2:5] == ["5.3 ± 2.1", "3.6 ± 0.4", "17.5 ± 2.6"]
 
 
+def test_what_is_accepted_is_beside_the_errors_of_all():
+    some = {"accepted": 0.9, "rms_accepted_m": 0.03, "p95_accepted_m": 0.05, "max_accepted_m": 0.08}
+    lines = report([{**row, **some} for row in ROWS], ["seed"])[0].splitlines()
+    for first in ("0", "1", "mean ± std"):
+        assert {"90.0 %", "3.0", "8.0"} <= set(cells(lines, first, "DeepGPS"))
+    assert len({line.count("|") for line in lines if line.startswith("|")}) == 1
+
+
 def test_figures_have_the_names_that_a_study_may_use_and_the_paper_stands_once():
     study = load_study("lab", tiny=False)
     assert set(measure(ROWS)) == set(REPORTS["lab"].targets)
