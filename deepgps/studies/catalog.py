@@ -117,6 +117,16 @@ REPORTS: dict[str, Report] = {
         "change:measure",
         ("light_0.5_ratio", "light_0.2_ratio", "lamps_0_ratio", "mixed_ratio", "person_ratio"),
     ),
+    "knowing": Report(
+        "knowing:report",
+        {"knowing": "knowing:draw"},
+        "knowing:measure",
+        (
+            *("drives_right", "images_right", "clean_refused", "moved_refused"),
+            *("other_room_refused", "covered_refused"),
+        ),
+        "knowing_drives:add_drives",
+    ),
     "corridors": Report(
         "corridors:report",
         {"corridors": "corridors:draw"},

@@ -1,0 +1,155 @@
+"""The drives of the study of what a method knows of itself: a run's own, and those that are derived from it.
+
+Images of the drive in use are spoilt, a drive in another room takes its place, and the method is trained without a part
+of the map. A table keeps them as JSON.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.evaluation.in_use import open_drive_in_use
+from deepgps.figures.run_report import read_metrics
+from deepgps.methods.catalog import folder_of
+from deepgps.methods.fit import fit_method
+from deepgps.methods.pose import find_poses
+from deepgps.methods.positioner import load_positioner
+from deepgps.monitoring.causes import Causes, make_monitor
+from deepgps.monitoring.rules import TITLES
+from deepgps.run_folder import open_run
+from deepgps.stages import training_seed
+from deepgps.studies.reports.change import group_changes
+from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
+from deepgps.studies.table import Row
+from sim.files import read_arrays
+from sim.recording.format import Recording, open_recording
+
+EXPECTED = {
+    "light": ("deployment.light", "deployment.lamps", "deployment.exposure"),
+    "furniture": ("deployment.moved_m",),
+    "camera": ("deployment.camera_mount.roll_deg",),
+}
+"""The cause that should be named, and the settings that bring it about."""
+COLUMN, LARGE_M = "drives", 0.1
+LEVELS = (68, 95)
+SEEN, FEWEST = 0.7, 10
+"""Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
+
+
+class Drive(NamedTuple):
+    """What is said of one drive in use.
+
+    Attributes:
+        fault: What is wrong with it, in words.
+        expected: The cause that should be named; empty: none.
+        accepted: Share of its images that are accepted.
+        causes: What ``Causes.summarise`` returns.
+        figures: Coverage of the radii and refusal of large errors, by name; empty where they are not measured.
+    """
+
+    fault: str
+    expected: str
+    accepted: float
+    causes: Mapping[str, Any]
+    figures: Mapping[str, float | None]
+
+    @property
+    def right(self) -> bool:
+        """Whether the drive's first cause is the expected one."""
+        named = self.causes["named"]
+        return named[:1] == [self.expected] if self.expected else not named
+
+    @property
+    def right_images(self) -> float | None:
+        """Share of the images with a cause that have the expected one; None: no image has a cause.
+
+        A lean is one of all images, and leaves none refused if it is corrected.
+        """
+        if self.expected == "camera":
+            return float(self.right)
+        shares = self.causes["shares"]
+        return shares.get(self.expected, 0.0) / sum(shares.values()) if shares else None
+
+
+def add_drives(run: Path, row: Row) -> Row:
+    """The drives in use of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
+    use = read_metrics(run)["methods"][row["method"]]["in_use"]
+    expected = find_expected(row)
+    own = Drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
+    derived = derive_drives(run, row["method"]) if not expected else ()
+    return {COLUMN: json.dumps([drive._asdict() for drive in (own, *derived)])}
+
+
+def find_expected(row: Row) -> str:
+    """The cause that should be named in a run's own drive; empty: none."""
+    usual = {"deployment.exposure": "fixed", "deployment.moved_m": 0.0, "deployment.camera_mount.roll_deg": None}
+    for cause, names in EXPECTED.items():
+        if any(name in row and row[name] != usual.get(name, 1.0) for name in names):
+            return cause
+    return ""
+
+
+def measure_use(run: Path, row: Row) -> dict[str, float | None]:
+    """What radii hold on the grid and in use, and the share of the errors in use above 10 cm that is refused."""
+    method, arrays = row["method"], read_arrays(run / "use_field.npz")
+    use = read_metrics(run)["methods"][method]["in_use"]
+    large = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1) > LARGE_M
+    refused = ~arrays[f"accepted/{method}"][large]
+    return {
+        **{
+            f"{where}_{level}": of.get(f"radius_{level}_holds")
+            for where, of in (("grid", row), ("use", use))
+            for level in LEVELS
+        },
+        "large_refused": float(refused.mean()) if len(refused) else None,
+    }
+
+
+def derive_drives(run: Path, method: str) -> Iterator[Drive]:
+    """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
+    recording = keep_plausible(open_recording(run / "recording"))
+    drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
+    if drive is None or monitor is None:
+        return
+    for cause, spoil in SPOILT.items():
+        yield describe(TITLES[cause], cause, monitor.name(spoil_drive(drive, spoil)))
+    for other in find_other_rooms(run, recording):
+        yield describe(TITLES["other_room"], "other_room", monitor.name(other))
+    position = find_poses(monitor.positioner, recording.observation).position
+    part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
+    if part.reading[-1:, 0] >= FEWEST:
+        scenario = open_run(run)
+        with TemporaryDirectory() as folder:
+            taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)
+            beyond = make_monitor(taught, part)
+            assert beyond is not None
+            yield describe("a part not driven", "new_place", beyond.name(drive))
+
+
+def find_other_rooms(run: Path, recording: Recording) -> Iterator[Recording]:
+    """The drive in use of the first other recording of the study that is of another room."""
+    room = recording.manifest.settings["room"]
+    for folder in sorted((run.parent.parent / "recordings").glob("*/manifest.json")):
+        other = open_recording(folder.parent)
+        if other.manifest.settings["room"] != room and (drive := open_drive_in_use(other)) is not None:
+            yield drive
+            return
+
+
+def describe(fault: str, expected: str, causes: Causes) -> Drive:
+    return Drive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
+
+
+def read_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[Drive]:
+    """All drives of some rows, each with its fault in words."""
+    return [
+        drive if drive.fault else drive._replace(fault=change)
+        for change, same in group_changes(rows, varied).items()
+        for row in same
+        for drive in (Drive(**one) for one in json.loads(row[COLUMN]))
+    ]

@@ -1,0 +1,121 @@
+"""The study of what a method knows of itself: its report from made-up drives, and a small one for real."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.data.segments import find_runs
+from deepgps.monitoring.rules import TITLES
+from deepgps.progress import ignore
+from deepgps.studies.catalog import REPORTS
+from deepgps.studies.engine.engine import carry_out
+from deepgps.studies.reports import knowing
+from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, Drive, find_expected
+from deepgps.studies.reports.report import report_study
+from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
+from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.table import Row
+from sim.recording.format import Recording, open_recording, open_truth
+from sim.recording.turns import KINDS, NO_IMAGE, check_turns
+from tests.helpers.small_study import run_all_here
+
+LIGHT = "deployment.light"
+
+
+def make_drive(fault: str, expected: str, accepted: float, named: list[str], **shares: float) -> Drive:
+    causes = {"named": named, "shares": shares, "refused": shares, "lean_deg": None, "gain": None}
+    return Drive(fault, expected, accepted, causes, {"large_refused": 0.5} if expected == "furniture" else {})
+
+
+def make_row(light: float, *drives: Drive) -> Row:
+    return {"method": "deepgps_compass", LIGHT: light, COLUMN: json.dumps([drive._asdict() for drive in drives])}
+
+
+ROWS = [
+    make_row(
+        1.0,
+        make_drive("", "", 0.98, [], furniture=0.02),
+        make_drive("lens covered", "covered", 0.0, ["covered"], covered=1.0),
+        make_drive("another room", "other_room", 0.01, ["other_room"], other_room=0.96, new_place=0.04),
+    ),
+    make_row(0.2, make_drive("", "light", 0.9, ["furniture"], furniture=0.06, light=0.04)),
+]
+
+
+def test_each_drive_has_a_line_with_what_is_refused_and_named():
+    heading, table, note = knowing.report(ROWS, [LIGHT])
+    assert heading == "### DeepGPS, compass, features of ranks, one room"
+    lines = table.splitlines()
+    assert [line.split("|")[1].strip() for line in lines[2:]] == [
+        "no change",
+        "lens covered",
+        "another room",
+        "all light x 0.2",
+    ]
+    assert lines[5].split("|")[2].strip() == "10.0 %"
+    assert TITLES["furniture"] in lines[5]
+    assert "30 %" in note
+
+
+def test_figures_count_drives_and_images_with_the_right_cause():
+    values = {name: figure.value for name, figure in knowing.measure(ROWS).items()}
+    right = {"drives_right": 2 / 3, "images_right": (1.0 + 0.96 + 0.4) / 3, "clean_refused": 0.02}
+    assert values == pytest.approx(right | {"other_room_refused": 0.99, "covered_refused": 1.0})
+    assert set(REPORTS["knowing"].targets) == set(values) | {"moved_refused"}
+
+
+def test_every_fault_of_the_study_has_a_cause():
+    plans = plan_runs(load_study("knowing", tiny=False))
+    assert {name for plan in plans for name in plan.varied if name.startswith("deployment.")} == {
+        name for names in EXPECTED.values() for name in names
+    }
+    assert {find_expected(dict(plan.varied)) for plan in plans} == {"", *EXPECTED}
+    assert set(SPOILT) | {*EXPECTED, "other_room", "new_place"} == set(TITLES)
+
+
+@pytest.fixture(scope="module")
+def recording(small_recording: Path) -> Recording:
+    return open_recording(small_recording)
+
+
+def test_spoilt_images_are_what_they_are_called(recording: Recording):
+    images = {name: spoil_drive(recording, spoil).observation for name, spoil in SPOILT.items()}
+    assert (images["black"] == 0).all()
+    assert (images["white"] == 255).all()
+    assert (images["frozen"] == recording.observation[0]).all()
+    assert np.ptp(images["covered"], axis=(1, 2)).max() < 0.03 * np.ptp(recording.observation, axis=(1, 2)).max() + 2
+
+
+def test_what_is_left_of_a_recording_is_one_itself(recording: Recording):
+    place = open_truth(recording.folder).pose[:, 0]
+    seen = place < np.quantile(place, 0.7)
+    part = keep_segments(recording, seen)
+    assert part.turns is not None
+    assert part.turn_observation is not None
+    check_turns(part.turns.array, len(part.observation), len(part.turn_observation), part.reading[:, 0])
+    whole = [run for run in find_runs(recording) if seen[recording.reading[run, 1]].all()]
+    assert [len(run) for run in find_runs(part)] == [len(run) for run in whole]
+    assert (part.reading[:, 2:] == np.concatenate([recording.reading[run, 2:] for run in whole])).all()
+    for run, old in zip(find_runs(part), whole, strict=True):
+        observed = part.observation[part.reading[run, 1]]
+        assert (observed == recording.observation[recording.reading[old, 1]]).all()
+    assert len(part.turns.after) == len(whole) - 1
+    in_place = part.turns.image != NO_IMAGE
+    assert (part.turns.kind[in_place] == KINDS.index("in_place")).all()
+    every = keep_segments(recording, np.ones(len(place), bool)).turns
+    assert every is not None
+    assert recording.turns is not None
+    assert (every.array == recording.turns.array).all()
+
+
+def test_a_small_one_runs(tmp_path: Path):
+    study = load_study("knowing", tiny=True)
+    plans = plan_runs(study)
+    failures = carry_out(study, plans, tmp_path, run_all_here, ignore)
+    assert not failures
+    text = report_study(study, plans, failures, tmp_path)
+    for fault in ("lens covered", "frozen image", "another room", "a part not driven", "all light x 0.2"):
+        assert f"| {fault}" in text
+    assert (tmp_path / "figures" / "knowing.png").stat().st_size > 10_000
