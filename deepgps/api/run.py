@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from deepgps.evaluation.error_field import ErrorField
     from deepgps.methods.pose import Poses
     from deepgps.methods.positioner import Positioner
+    from deepgps.monitoring.causes import Causes
     from deepgps.tracking.track import Track
 
 Frame = Literal["world", "map"]
@@ -139,6 +140,29 @@ class Run:
         from deepgps.evaluation.track_run import track_run
 
         return track_run(self.folder, method, None if drive is None else Path(drive), ignore).track
+
+    def causes(self, method: str | None = None, drive: str | Path | None = None) -> "Causes | None":
+        """Name why images of a drive are refused or suspicious.
+
+        Args:
+            method: Name of the method; None: the first of the run.
+            drive: Folder of a recording of the same robot; None: the drive in use.
+
+        Returns:
+            The cause of each image; None where observations are no images, or the method accepts all.
+
+        Raises:
+            InputError: There is no such method or drive.
+        """
+        from deepgps.evaluation.in_use import open_drive_in_use
+        from deepgps.learning.trainer import use_threads
+        from deepgps.monitoring.causes import name_causes
+
+        recording = open_drive_in_use(self.recording) if drive is None else open_recording(Path(drive))
+        if recording is None:
+            raise InputError(f"{self.folder} has no drive in use, which --deployment.drive-samples makes")
+        with use_threads(self.scenario.learn.train.threads):
+            return name_causes(self.positioner(method), self.recording, recording)
 
     def alignment(self, method: str | None = None, frame: Frame = "world") -> "Alignment | None":
         """The transform from a method's map to a frame; None: none is needed. Raises InputError as ``position``."""

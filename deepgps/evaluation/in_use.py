@@ -67,7 +67,7 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
 
 
 def find_causes(folder: Path, recording: Recording, drive: Recording) -> dict[str, Any]:
-    """Why images of the drive in use are refused or suspicious, for ``metrics.json``; nothing where it is not known.
+    """Why images of the drive in use are refused or suspicious, as an entry of figures; nothing where it is not known.
 
     Args:
         folder: The method's folder.

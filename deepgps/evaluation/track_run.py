@@ -8,7 +8,7 @@ import numpy as np
 
 from deepgps.alignment import Alignment
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.evaluation.in_use import adapt, open_drive_in_use
+from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import use_threads
@@ -85,8 +85,9 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
     with use_threads(scenario.learn.train.threads):
         positioner, _ = adapt(load_positioner(folder_of(run, name)), recording)
         track = track_drive(positioner, recording, progress)
+        causes = find_causes(folder_of(run, name), open_recording(run / "recording"), recording)
     reference = _open_reference(folder_of(run, name), recording, track)
-    figures = _describe(name, len(recording.observation), track, reference)
+    figures = {**_describe(name, len(recording.observation), track, reference), **causes}
     write_track(path.with_suffix(".npz"), track)
     write_json(path.with_suffix(".json"), figures)
     return Tracked(name, path, track, figures, reference)

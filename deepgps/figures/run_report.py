@@ -257,7 +257,7 @@ def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
         return []
     parts = (f"{title_of(name)} {_describe_errors_in_use(values)}" for name, values in found.items())
     errors = f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."
-    causes = (describe_causes(values["accepted"], values["causes"]) for values in found.values() if "causes" in values)
+    causes = (describe_causes(values["causes"]) for values in found.values() if "causes" in values)
     return [errors, *islice(causes, 1)]
 
 

@@ -16,6 +16,7 @@ from deepgps.evaluation.track_run import Reference, Tracked
 from deepgps.figures.field_plot import SCALE_M, add_scale, colours_of, draw_room
 from deepgps.figures.style import PAPER, count_by_decades, to_png
 from deepgps.methods.catalog import title_of
+from deepgps.monitoring.words import describe_causes
 from deepgps.tracking.track import PATHS, Track
 from sim.files import write_bytes
 from sim.recording.turns import NO_IMAGE
@@ -45,6 +46,8 @@ def print_track(tracked: Tracked, console: Console) -> None:
         highlight=False,
         soft_wrap=True,
     )
+    if "causes" in figures:
+        console.print(f"{describe_causes(figures['causes'])}\n", highlight=False, soft_wrap=True)
     if "paths" not in figures:
         console.print("The truth is not known, so there are no errors.", soft_wrap=True)
         return

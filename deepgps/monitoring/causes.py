@@ -62,6 +62,7 @@ class Causes:
     def summarise(self) -> dict[str, Any]:
         """Contents of ``in_use.causes`` in ``metrics.json``."""
         return {
+            "accepted": float(self.accepted.mean()),
             "named": self.named,
             "shares": _count(self.label),
             "refused": _count(np.where(self.accepted, "", self.label)),

@@ -6,15 +6,10 @@ from typing import Any
 from deepgps.monitoring.rules import TITLES
 
 
-def describe_causes(accepted: float, causes: Mapping[str, Any]) -> str:
-    """Describe a drive in a sentence.
-
-    Args:
-        accepted: Share of its images that are accepted.
-        causes: What ``Causes.summarise`` returns.
-    """
+def describe_causes(causes: Mapping[str, Any]) -> str:
+    """Describe in a sentence what ``Causes.summarise`` returns."""
     named, refused = causes["named"], causes["refused"]
-    parts = [f"{100 * accepted:.1f} % of images accepted"]
+    parts = [f"{100 * causes['accepted']:.1f} % of images accepted"]
     if refused:
         parts.append(f"refused: {_list_shares(refused)}")
     if suspicious := {name: causes["shares"][name] for name in named if name in causes["shares"]}:

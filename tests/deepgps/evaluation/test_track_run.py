@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.api.run import load
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.tracking.track import PATHS, read_track
@@ -58,6 +59,19 @@ def test_table_names_every_path(run: Path):
     assert "DeepGPS, compass: 120 of 120 images tracked" in said
 
 
+def test_causes_of_refused_images_are_named(run: Path):
+    causes = read_json(run / "tracking/deepgps_compass.json")["causes"]
+    assert causes == read_json(run / "metrics.json")["methods"]["deepgps_compass"]["in_use"]["causes"]
+    assert (
+        f"The drive in use: {100 * causes['accepted']:.1f} % of images accepted"
+        in (run.parent / "said.txt").read_text()
+    )
+    found = load(run).causes("deepgps_compass", run / "recording" / "use")
+    assert found is not None
+    assert found.summarise() == causes
+    assert len(found.label) == 120
+
+
 def test_tracking_is_better_than_single_images(run: Path):
     paths = read_json(run / "tracking/deepgps_compass.json")["paths"]
     assert paths["smoothed"]["rms_m"] < paths["single"]["rms_m"]
@@ -89,7 +103,7 @@ def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path)
     digest = sums["reading.npy"][:8]
     assert not (tmp_path / "run" / "tracking" / f"knn-{digest}.png").exists()
     figures = read_json(tmp_path / "run" / "tracking" / f"knn-{digest}.json")
-    assert set(figures) == {"method", "images", "tracked", "accepted"}
+    assert set(figures) == {"method", "images", "tracked", "accepted", "causes"}
 
 
 @pytest.mark.parametrize(
