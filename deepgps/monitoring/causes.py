@@ -40,7 +40,7 @@ class Causes:
 
     Attributes:
         label: Name of each image's cause in ``TITLES`` (N,) str; empty: none.
-        accepted: Whether the method accepts it (N,) bool.
+        accepted: Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool.
         lean_deg: Angle by which the camera leans otherwise than in training [deg]; None: no turns show it.
         gain: Values of images over those in training, in the median of those of known places; None: there are none.
     """
@@ -98,12 +98,14 @@ class Monitor:
         upright, change = self._find_lean(drive)
         corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
-        poses, images = find_poses(positioner, drive.observation), drive.observation
-        compared = self.known.compare(images if upright is None else upright(images), poses.position)
+        images, camera = drive.observation, locate_camera(positioner, drive.observation)
+        compared = self.known.compare(images if upright is None else upright(images), camera)
         leaning = change is not None and change > LEAN_RAD and not corrected
-        seen = self._weigh(drive, poses, compared, leaning)
+        seen = self._weigh(drive, find_poses(positioner, images), compared, leaning)
         gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
-        return Causes(label(seen), seen.accepted, None if change is None else float(np.degrees(change)), gain)
+        causes = label(seen)
+        accepted = seen.accepted & ~np.isin(causes, FAULTY)
+        return Causes(causes, accepted, None if change is None else float(np.degrees(change)), gain)
 
     def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
         """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
@@ -138,12 +140,16 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
     if recording.kind != "polar_image" or confidence_of(positioner) is None:
         return None
     recording = keep_plausible(recording)
-    network = isinstance(positioner, NetworkPositioner)
-    upright = positioner.upright if network else None
+    upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
     if upright is None and turns_with_images(recording) is not None:
         upright = ignore_small(compare_images(recording).upright)
-    positions = (positioner.locate_camera if network else positioner)(recording.observation)
-    return Monitor(positioner, upright, learn_images(recording, upright, positions), find_limits(recording))
+    camera = locate_camera(positioner, recording.observation)
+    return Monitor(positioner, upright, learn_images(recording, upright, camera), find_limits(recording))
+
+
+def locate_camera(positioner: Positioner, images: np.ndarray) -> np.ndarray:
+    """Positions of the camera (N, 2) [m] in the method's frame; a network's own positions may be the axle's."""
+    return positioner.locate_camera(images) if isinstance(positioner, NetworkPositioner) else positioner(images)
 
 
 def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:

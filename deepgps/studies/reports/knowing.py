@@ -33,14 +33,14 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     blocks = []
     for title, some in split_trainings(rows).items():
         drives = read_drives(some, varied)
-        causes = [name for name in TITLES if any(name in drive.causes["shares"] for drive in drives)]
+        causes = [name for name in TITLES if any(name in drive.shares for drive in drives)]
         headings = ["fault", "refused", *(TITLES[name] for name in causes), "named", *RADII.values(), *LARGE.values()]
         blocks += [f"### {title}", tabulate(headings, [_write(drive, causes) for drive in drives])]
     return [*blocks, NOTE]
 
 
 def _write(drive: Drive, causes: Sequence[str]) -> list[str]:
-    shares = [write(drive.causes["shares"].get(name, 0.0), "%") for name in causes]
+    shares = [write(drive.shares.get(name, 0.0), "%") for name in causes]
     named = ", ".join(TITLES[name] for name in drive.causes["named"]) or "-"
     figures = [write(drive.figures.get(name), "%") for name in (*RADII, *LARGE)]
     return [drive.fault, write(1.0 - drive.accepted, "%"), *shares, named, *figures]
@@ -77,11 +77,13 @@ def _mean(values: Sequence[float | None]) -> float | None:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw the share of the images of each fault with each cause, as a matrix for each training."""
-    panels = {title: read_drives(some, varied) for title, some in split_trainings(rows).items()}
-    most = max(map(len, panels.values()))
-    picture = Picture(figsize=(2.2 + 3.6 * len(panels), 1.8 + 0.27 * most), layout="constrained")
-    for axes, (title, drives) in zip(picture.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
+    """Draw the share of the images of each fault with each cause, as a matrix for each training with all faults."""
+    every = {title: read_drives(some, varied) for title, some in split_trainings(rows).items()}
+    most = max(map(len, every.values()))
+    shown = {title: drives for title, drives in every.items() if len(drives) == most}
+    picture = Picture(figsize=(1.8 + 3.7 * len(shown), 2.2 + 0.27 * most), layout="constrained")
+    panels = picture.subplots(1, len(shown), sharey=True, squeeze=False)[0]
+    for axes, (title, drives) in zip(panels, shown.items(), strict=True):
         _draw_matrix(axes, drives)
         axes.set_title(title, fontsize=9)
     picture.supxlabel("images with each cause [%]; framed: the cause that should be named", fontsize=8)
@@ -90,7 +92,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 def _draw_matrix(axes: Axes, drives: Sequence[Drive]) -> None:
     names = list(TITLES)
-    share = np.array([[drive.causes["shares"].get(name, 0.0) for name in names] for drive in drives])
+    share = np.array([[drive.shares.get(name, 0.0) for name in names] for drive in drives])
     axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
     for row, column in np.argwhere(share >= 0.005).tolist():
         colour = "white" if share[row, column] > 0.5 else "black"

@@ -17,9 +17,8 @@ from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.figures.run_report import read_metrics
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.fit import fit_method
-from deepgps.methods.pose import find_poses
 from deepgps.methods.positioner import load_positioner
-from deepgps.monitoring.causes import Causes, make_monitor
+from deepgps.monitoring.causes import Causes, locate_camera, make_monitor
 from deepgps.monitoring.rules import TITLES
 from deepgps.run_folder import open_run
 from deepgps.stages import training_seed
@@ -59,6 +58,11 @@ class Drive(NamedTuple):
     figures: Mapping[str, float | None]
 
     @property
+    def shares(self) -> dict[str, float]:
+        """Share of the images with each cause; a lean is one of all images."""
+        return {**self.causes["shares"], **({"camera": 1.0} if "camera" in self.causes["named"] else {})}
+
+    @property
     def right(self) -> bool:
         """Whether the drive's first cause is the expected one."""
         named = self.causes["named"]
@@ -66,12 +70,9 @@ class Drive(NamedTuple):
 
     @property
     def right_images(self) -> float | None:
-        """Share of the images with a cause that have the expected one; None: no image has a cause.
-
-        A lean is one of all images, and leaves none refused if it is corrected.
-        """
+        """Share of the images with a cause that have the expected one; None: no image has a cause."""
         if self.expected == "camera":
-            return float(self.right)
+            return self.shares.get("camera", 0.0)
         shares = self.causes["shares"]
         return shares.get(self.expected, 0.0) / sum(shares.values()) if shares else None
 
@@ -120,7 +121,7 @@ def derive_drives(run: Path, method: str) -> Iterator[Drive]:
         yield describe(TITLES[cause], cause, monitor.name(spoil_drive(drive, spoil)))
     for other in find_other_rooms(run, recording):
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
-    position = find_poses(monitor.positioner, recording.observation).position
+    position = locate_camera(monitor.positioner, recording.observation)
     part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
     if part.reading[-1:, 0] >= FEWEST:
         scenario = open_run(run)
