@@ -18,7 +18,7 @@ from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.good_turing import expect_new, measure_new
-from deepgps.evaluation.in_use import adapt, open_drive_in_use
+from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
@@ -99,6 +99,7 @@ def _judge_method(folder: Path, recording: Recording, held_out: Recording | None
             **judge_turns(adapted, held_out),
             **_judge_trust(poses),
             **lean,
+            **find_causes(folder, recording, held_out),
             "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}

@@ -12,6 +12,7 @@ from rich.table import Table
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.methods.catalog import title_of
+from deepgps.monitoring.words import describe_causes
 from sim.errors import InputError
 
 NO_ERRORS = "There is no ground truth, so no figure here is an error of a position."
@@ -93,6 +94,8 @@ def describe(found: Mapping[str, Any]) -> list[str]:
     else:
         told += "; none are held out, so the table tells only how well the segments were learned"
     sentences = [f"{told}.", NO_ERRORS, _describe_new(found["methods"])]
+    causes = (one.get("held_out", {}).get("causes") for one in found["methods"].values())
+    sentences += [describe_causes(one) for one in causes if one is not None][:1]
     if (wheels := found.get("wheels")) is not None:
         sentences.append("Wheels: " + (" ".join(wheels) or "nothing is wrong with them, as far as can be known."))
     if left_out := describe_readings(found.get("readings", {})):

@@ -26,8 +26,8 @@ from deepgps.monitoring.rules import (
 from sim.recording.format import Recording
 from sim.sensors.upright import Upright
 
-LEAN_RAD = np.radians(0.5)
-"""A camera that leans by this much otherwise than in training has moved [rad]."""
+LEAN_RINGS = 1.0 / 6.0
+"""A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
 RELIT = 2.0
 """An image is relit if its values differ this many times as much as those of one training image in a hundred."""
 NOTABLE = 0.05
@@ -42,12 +42,14 @@ class Causes:
         label: Name of each image's cause in ``TITLES`` (N,) str; empty: none.
         accepted: Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool.
         lean_deg: Angle by which the camera leans otherwise than in training [deg]; None: no turns show it.
+        leans: Whether that is more than the images' size explains.
         gain: Values of images over those in training, in the median of those of known places; None: there are none.
     """
 
     label: np.ndarray
     accepted: np.ndarray
     lean_deg: float | None
+    leans: bool
     gain: float | None
 
     @property
@@ -55,7 +57,7 @@ class Causes:
         """Causes of the drive, that of most images first; a lean is one of all images."""
         shares = {name: share for name, share in _count(self.label).items() if share >= NOTABLE}
         seen = sum(share for name, share in shares.items() if name in FAULTY) < 0.5
-        if seen and self.lean_deg is not None and np.radians(self.lean_deg) > LEAN_RAD:
+        if seen and self.leans:
             shares["camera"] = 1.0
         return sorted(shares, key=lambda name: -shares[name])
 
@@ -99,13 +101,13 @@ class Monitor:
         corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
         images, camera = drive.observation, locate_camera(positioner, drive.observation)
-        compared = self.known.compare(images if upright is None else upright(images), camera)
-        leaning = change is not None and change > LEAN_RAD and not corrected
-        seen = self._weigh(drive, find_poses(positioner, images), compared, leaning)
+        compared = self.known.compare(images, camera, upright)
+        leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
+        seen = self._weigh(drive, find_poses(positioner, images), compared, leans and not corrected)
         gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
         causes = label(seen)
         accepted = seen.accepted & ~np.isin(causes, FAULTY)
-        return Causes(causes, accepted, None if change is None else float(np.degrees(change)), gain)
+        return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
 
     def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
         """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
@@ -130,6 +132,11 @@ class Monitor:
             leaning=np.full(len(known), leaning),
             long_new=find_long(~known & ~poses.accepted),
         )
+
+
+def find_least_lean(upright: Upright, rings: int) -> float:
+    """The least change of a camera's lean that images with so many rings show for certain [rad]."""
+    return LEAN_RINGS * upright.lens.half_angle / rings
 
 
 def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:

@@ -73,16 +73,19 @@ class KnownImages:
     usual_light: float = np.inf
     gap_m: float = np.inf
 
-    def compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float = 0.0) -> Comparison:
-        """Compare upright images (B, rings, sectors, channels) predicted to be at positions (B, 2) [m].
+    def compare(
+        self, images: np.ndarray, positions: np.ndarray, upright: Upright | None = None, apart_m: float = 0.0
+    ) -> Comparison:
+        """Compare images (B, rings, sectors, channels) predicted to be at positions (B, 2) [m].
 
         Args:
             images: The images.
             positions: Predicted positions of the camera.
+            upright: What sets them upright; None: they are.
             apart_m: Known images nearer to the position than this are left out [m].
         """
         chunks = [slice(start, start + CHUNK) for start in range(0, len(images), CHUNK)]
-        found = [self._compare(images[chunk], positions[chunk], apart_m) for chunk in chunks]
+        found = [self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m) for chunk in chunks]
         correlation, relit, gain = np.concatenate([np.empty((3, 0)), *found], axis=1)
         return Comparison(correlation, relit, gain, np.asarray(self._tree.query(positions)[0]))
 
@@ -127,19 +130,16 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
         positions: Positions of the camera that the method predicts for its images (N, 2) [m].
     """
 
-    def take(rows: np.ndarray) -> np.ndarray:
-        images = recording.observation[rows]
-        return images if upright is None else upright(images)
-
     entry = thin_out(positions, CELL_M)
-    parts = [take(part) for part in np.array_split(entry, -(-len(entry) // CHUNK))]
+    rows = np.array_split(entry, -(-len(entry) // CHUNK))
+    parts = [_set_upright(recording.observation[part], upright) for part in rows]
     phases, values = (np.concatenate([of(part) for part in parts]) for of in (take_phases, take_values))
     known = KnownImages(positions[entry], phases, values)
     others = np.setdiff1d(np.arange(len(positions)), entry)
     some = others[:: -(-len(others) // CHECKED) or 1] if len(others) else entry
-    images, place = take(some), positions[some]
+    images, place = recording.observation[some], positions[some]
     apart_m = min(APART_M, np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() / 2.0)
-    here, elsewhere = known.compare(images, place), known.compare(images, place, apart_m)
+    here, elsewhere = (known.compare(images, place, upright, away_m) for away_m in (0.0, apart_m))
     return replace(
         known,
         other_place=float(np.quantile(elsewhere.correlation, 0.99)),
@@ -187,6 +187,10 @@ def compare_light(seen: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
     ]
     gain = medians[0].mean(axis=0) / np.maximum(medians[1].mean(axis=0), 1.0)
     return np.median(np.abs(medians[0] - medians[1]), axis=0), gain
+
+
+def _set_upright(images: np.ndarray, upright: Upright | None) -> np.ndarray:
+    return images if upright is None else upright(images)
 
 
 def _describe(phases: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -126,7 +126,7 @@ def test_the_sentence_says_what_is_accepted_refused_and_changed():
     label = np.array(["light"] * 60 + ["furniture"] * 5 + [""] * 35)
     accepted = np.arange(100) >= 10
     accepted[60:65] = False
-    causes = Causes(label, accepted, 2.04, 0.5)
+    causes = Causes(label, accepted, 2.04, True, 0.5)
     assert describe_causes(causes.summarise()) == (
         "The drive in use: 85.0 % of images accepted; refused: light or exposure changed 10.0 %, furniture moved or "
         "someone in view 5.0 %; with those accepted: light or exposure changed 60.0 %; its values are 0.50 times those "
