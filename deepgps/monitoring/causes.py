@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.data.lean import adapt_upright, compare_images, ignore_small
+from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.data.turn_images import turns_with_images
+from deepgps.data.turn_images import find_in_place, turns_with_images
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import NetworkPositioner, Positioner, confidence_of
 from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
@@ -24,6 +24,7 @@ from deepgps.monitoring.rules import (
     share_around,
 )
 from sim.recording.format import Recording
+from sim.recording.turns import from_array
 from sim.sensors.upright import Upright
 
 LEAN_RINGS = 1.0 / 6.0
@@ -148,10 +149,18 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
         return None
     recording = keep_plausible(recording)
     upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
-    if upright is None and turns_with_images(recording) is not None:
-        upright = ignore_small(compare_images(recording).upright)
+    upright = upright or measure_upright(recording)
     camera = locate_camera(positioner, recording.observation)
     return Monitor(positioner, upright, learn_images(recording, upright, camera), find_limits(recording))
+
+
+def measure_upright(recording: Recording) -> Upright | None:
+    """What sets the images of a recording upright, by some of its turns in place; None: it has none with images."""
+    turns = turns_with_images(recording)
+    if turns is None or not len(rows := find_in_place(turns)):
+        return None
+    some = turns.array[rows[:: -(-len(rows) // MOST_TURNS)]]
+    return ignore_small(compare_images(recording, from_array(some)).upright)
 
 
 def locate_camera(positioner: Positioner, images: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ def describe_causes(causes: Mapping[str, Any]) -> str:
         suspicious = {name: share for name, share in suspicious.items() if share > refused.get(name, 0.0)}
         parts += [f"with those accepted: {_list_shares(suspicious)}"] if suspicious else []
     if "light" in named:
-        parts.append(f"its values are {causes['gain']:.2f} times those in training")
+        parts.append(f"pixel values are {causes['gain']:.2f} times those in training")
     if "camera" in named:
         parts.append(f"the camera leans {causes['lean_deg']:.1f}° otherwise than in training")
     return f"The drive in use: {'; '.join(parts)}."
