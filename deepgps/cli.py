@@ -287,7 +287,7 @@ def locate_command(words: Sequence[str]) -> None:
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
-    wish = Wish(arguments.method, frame, circle, arguments.config, arguments.track)
+    wish = Wish(arguments.method, frame, circle, arguments.config, arguments.track, arguments.causes)
     with (
         show_progress(errors, quiet_s=2.0) as progress,
         locate_source(run, arguments.source, sys.stdin.buffer, wish, progress) as found,

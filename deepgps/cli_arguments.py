@@ -172,6 +172,8 @@ class LocateArguments:
     """The robot.yaml with which a log would be imported."""
     track: bool = False
     """Track the robot by the images so far and the wheels of a log."""
+    causes: bool = False
+    """Name the cause for which an image is refused or suspicious, by it and the images before."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
     """Show poses as they come, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
     method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None

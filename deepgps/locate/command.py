@@ -15,6 +15,8 @@ from deepgps.locate.tracker import Tracker
 from deepgps.locate.unwrapping import Unwrapper
 from deepgps.methods.pose import Poses
 from deepgps.methods.positioner import headings_of
+from deepgps.monitoring.causes import make_monitor
+from deepgps.monitoring.watch import Watch
 from deepgps.progress import Report
 from sim.errors import InputError
 from sim.sensors.unwrap import RoundImage
@@ -30,6 +32,7 @@ class Wish:
         circle: Where the image circle is in raw images; None: it fills them.
         config: The robot.yaml of a log; None: the source is no log.
         track: Whether the robot is tracked, by a log's wheels.
+        causes: Whether causes are named for which images are refused or suspicious.
     """
 
     method: str | None
@@ -37,6 +40,7 @@ class Wish:
     circle: RoundImage | None = None
     config: Path | None = None
     track: bool = False
+    causes: bool = False
 
 
 @contextmanager
@@ -58,11 +62,12 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
     """
     shape = find_shape(run)
     with use_threads(run.scenario.learn.train.threads):
+        watch = open_watch(run, wish.method) if wish.causes else None
         if wish.config is None:
             if wish.track:
                 raise InputError("--track needs the wheels of a log: --config robot.yaml")
             pictures = open_pictures(source, stdin)
-            yield locate(run, pictures, Unwrapper(shape, wish.circle), wish.method, wish.frame)
+            yield locate(run, pictures, Unwrapper(shape, wish.circle), wish.method, wish.frame, watch=watch)
             return
         if wish.circle is not None:
             raise InputError("--centre and --radius-px: a log's camera is described by --config")
@@ -70,7 +75,15 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
         with open_source(Path(source), wish.config, wish.track, progress) as log:
             check_shape(log.polar, shape)
             step = None if log.odometry is None else make_step(mirrored, log.odometry)
-            yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step)
+            yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step, watch)
+
+
+def open_watch(run: Run, method: str | None) -> Watch:
+    """What names causes as images come; raises InputError if the method accepts all images."""
+    monitor = make_monitor(run.positioner(method), run.recording)
+    if monitor is None:
+        raise InputError(f"--causes: method {run.choose(method)} refuses no images")
+    return Watch(monitor)
 
 
 def make_step(mirrored: bool, odometry: Odometry) -> Step:

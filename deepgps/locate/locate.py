@@ -8,6 +8,7 @@ import numpy as np
 from deepgps.api.run import Frame, Run
 from deepgps.locate.pictures import Picture
 from deepgps.methods.pose import Poses, find_poses
+from deepgps.monitoring.watch import Watch
 from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
 
@@ -24,11 +25,13 @@ class Located(NamedTuple):
         picture: The image; its error says why nothing was found.
         polar: Its polar image; None like ``pose``.
         pose: Its pose; None: nothing was found.
+        cause: Name of the cause for which it is refused or suspicious; empty: none. None: nobody asks.
     """
 
     picture: Picture
     polar: np.ndarray | None = None
     pose: Poses | None = None
+    cause: str | None = None
 
 
 def locate(
@@ -38,6 +41,7 @@ def locate(
     method: str | None,
     frame: Frame,
     step: Step | None = None,
+    watch: Watch | None = None,
 ) -> Iterator[Located]:
     """Find the pose of each image when it comes.
 
@@ -48,6 +52,7 @@ def locate(
         method: The method; None: the first of the run.
         frame: Frame of the poses.
         step: Tracks the robot; None: each pose is of one image alone.
+        watch: Names causes; None: nobody asks for them.
 
     Raises:
         InputError: The map has no place in the world.
@@ -62,8 +67,9 @@ def locate(
         except InputError as error:
             return Located(picture._replace(image=None, error=one_line(error)))
         pose = find_poses(positioner, polar[None]).take(0)
+        cause = None if watch is None else watch.step(polar, bool(pose.accepted))
         pose = pose if step is None else step(picture.name, pose)
-        return Located(picture, polar, pose if alignment is None else pose.align(alignment))
+        return Located(picture, polar, pose if alignment is None else pose.align(alignment), cause)
 
     return map(find, pictures)
 
@@ -91,6 +97,7 @@ def describe(one: Located, frame: Frame) -> dict[str, Any]:
         "radius_68": _round(pose.radius_68),
         "radius_95": _round(pose.radius_95),
         "accepted": None if pose.accepted is None else bool(pose.accepted),
+        **({} if one.cause is None else {"cause": one.cause or None}),
         "frame": frame,
     }
 

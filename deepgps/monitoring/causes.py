@@ -8,7 +8,7 @@ import numpy as np
 from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import find_in_place, turns_with_images
-from deepgps.methods.pose import Poses, find_poses
+from deepgps.methods.pose import find_poses
 from deepgps.methods.positioner import NetworkPositioner, Positioner, confidence_of
 from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
 from deepgps.monitoring.image_checks import ImageLimits, check_images, find_limits, find_moved
@@ -81,6 +81,25 @@ def _count(labels: np.ndarray) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
+class Seen:
+    """What N images show, each by itself: as in ``Evidence``, but ``relit`` does not ask the images around.
+
+    Attributes:
+        correlation: Correlation with the best match among the training images (N,).
+    """
+
+    black: np.ndarray
+    white: np.ndarray
+    covered: np.ndarray
+    frozen: np.ndarray
+    accepted: np.ndarray
+    known_place: np.ndarray
+    beyond: np.ndarray
+    relit: np.ndarray
+    correlation: np.ndarray
+
+
+@dataclass(frozen=True)
 class Monitor:
     """What names the causes in drives of one method.
 
@@ -104,9 +123,11 @@ class Monitor:
         images, camera = drive.observation, locate_camera(positioner, drive.observation)
         compared = self.known.compare(images, camera, upright)
         leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
-        seen = self._weigh(drive, find_poses(positioner, images), compared, leans and not corrected)
+        accepted = find_poses(positioner, images).accepted
+        assert accepted is not None
+        seen = self.look(images, find_moved(drive), accepted, compared)
         gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
-        causes = label(seen)
+        causes = label(weigh(seen, self.known.usual_match, leans and not corrected))
         accepted = seen.accepted & ~np.isin(causes, FAULTY)
         return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
 
@@ -117,22 +138,37 @@ class Monitor:
         upright, lean = adapt_upright(self.upright, drive)
         return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
 
-    def _weigh(self, drive: Recording, poses: Poses, compared: Comparison, leaning: bool) -> Evidence:
-        assert poses.accepted is not None
+    def look(self, images: np.ndarray, moved: np.ndarray, accepted: np.ndarray, compared: Comparison) -> Seen:
+        """What each image shows by itself; ``moved`` (N,) bool: the wheels moved since the image before."""
         known = compared.correlation > self.known.other_place
-        relit = known & (compared.relit > RELIT * self.known.usual_light)
-        often, match = share_around(relit), median_around(compared.correlation, poses.accepted)
-        return Evidence(
-            **vars(check_images(drive.observation, find_moved(drive), self.limits)),
-            accepted=poses.accepted,
+        return Seen(
+            **vars(check_images(images, moved, self.limits)),
+            accepted=accepted,
             known_place=known,
             beyond=compared.away_m > self.known.gap_m,
-            relit=relit & (often >= OFTEN),
-            mostly_relit=often >= MOSTLY,
-            changed=match < self.known.usual_match,
-            leaning=np.full(len(known), leaning),
-            long_new=find_long(~known & ~poses.accepted),
+            relit=known & (compared.relit > RELIT * self.known.usual_light),
+            correlation=compared.correlation,
         )
+
+
+def weigh(seen: Seen, usual_match: float, leaning: bool) -> Evidence:
+    """What is known of images in the order driven.
+
+    Args:
+        seen: What each shows by itself.
+        usual_match: Correlation that training images have with each other.
+        leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
+    """
+    often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
+    alone = {name: part for name, part in vars(seen).items() if name not in ("relit", "correlation")}
+    return Evidence(
+        **alone,
+        relit=seen.relit & (often >= OFTEN),
+        mostly_relit=often >= MOSTLY,
+        changed=median_around(seen.correlation, seen.accepted) < usual_match,
+        leaning=np.full(len(new), leaning),
+        long_new=find_long(new),
+    )
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:

@@ -47,6 +47,16 @@ def frame(*images: bytes) -> bytes:
     return b"".join(len(image).to_bytes(4, "big") + image for image in images)
 
 
+def test_causes_are_named_if_asked_for(run: deepgps.Run, folder: Path):
+    (folder / "black.png").write_bytes(encode(np.zeros_like(run.recording.observation[0])))
+    done = deepgps_here("locate", str(run.folder), ".", "--causes", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [set(line) for line in lines] == [KEYS | {"cause"}] * 4
+    assert {line["image"]: line["cause"] for line in lines}["black.png"] == "black"
+    assert {line["cause"] for line in lines if line["accepted"]} <= {None, "black"}
+
+
 @pytest.mark.parametrize(("method", "place"), [("deepgps", "map"), ("posenet", "world")])
 def test_lines_are_the_poses_that_python_gives(
     run: deepgps.Run, folder: Path, method: str, place: deepgps.api.run.Frame

@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.methods.pose import find_poses
 from deepgps.monitoring.causes import Causes, Monitor, make_monitor, name_causes
-from deepgps.monitoring.rules import TITLES
+from deepgps.monitoring.rules import TITLES, WINDOW
+from deepgps.monitoring.watch import Watch
 from deepgps.monitoring.words import describe_causes
 from sim.recording.format import Recording, open_recording
 from tests.helpers.drawn_room import HIGH, MOVED, PILLARS, Room, drive, train
@@ -115,6 +117,25 @@ def test_headings_of_the_robot_change_nothing(drawn: Drawn):
         turned = monitor.known.compare(np.roll(images, sectors, axis=2), places)
         assert turned.correlation == pytest.approx(found.correlation, abs=1e-4)
         assert turned.relit == pytest.approx(found.relit, abs=0.02)
+
+
+def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like: Recording):
+    monitor, clean = drawn
+    moved = drive(like, Room(pillars=MOVED), IN_USE, 2)
+    for use in (clean, moved, see(clean, FAULTS["light"]), see(clean, FAULTS["covered"])):
+        known, watch = monitor.name(use), Watch(monitor)
+        accepted = find_poses(monitor.positioner, use.observation).accepted
+        assert accepted is not None
+        found = [watch.step(*one) for one in zip(use.observation, accepted.tolist(), strict=True)]
+        assert np.mean(np.array(found) == known.label) > 0.8  # the first images know few others
+
+
+def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Recording):
+    watch = Watch(drawn[0])
+    found = [watch.step(image, False) for image in drive(like, Room(seed=9), IN_USE, 2).observation[: WINDOW + 5]]
+    assert "other_room" not in found[: WINDOW - 1]
+    assert found.count("new_place") > 0.9 * WINDOW
+    assert set(found[WINDOW:]) == {"other_room"}
 
 
 def test_a_method_that_accepts_all_names_nothing(drawn: Drawn):
