@@ -10,13 +10,14 @@ IMITATE = 0.2
 """Fraction of the steps in which the network imitates the initial map, with decreasing weight."""
 
 
-def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
+def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float = 1.0) -> Loss:
     """Pull predictions towards an initial map: all of them at first, later only those farther than ``slack_m`` from it.
 
     Args:
         loss: The loss that takes over gradually during the first ``IMITATE`` of the steps.
         known: Initial map (N, 2) [m]; NaN for observations that are not on it.
         slack_m: Approximate error of the initial map [m].
+        weight: Weight of that later pull beside the loss.
     """
     mapped = known.isfinite().all(dim=1)
 
@@ -26,7 +27,7 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float) -> Loss:
         away = losses.distance(out[told], known[batch.index[told]])
         count = max(1, len(away))
         imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
-        return (1.0 - pull) * (loss(out, batch, done) + leash) + pull * imitation
+        return (1.0 - pull) * (loss(out, batch, done) + weight * leash) + pull * imitation
 
     return both
 

@@ -61,12 +61,15 @@ class Variant:
         orient: Positions (N, 2) of all training observations -> -1 if the map is mirrored, else 1. Distances alone
             leave a mirror ambiguity, so by default the map is taken as it is.
         curvature: Of what the robot drives for straight, to the left [1 / m].
+        held: Weight with which the network of the first attempt is held to its initial map to the end, for a map that
+            is better than the network; None: it is only kept within ``SLACK_M``.
     """
 
     weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
     make_initial_map: Callable[[torch.Tensor, Segments, Start, int, int], torch.Tensor] = make_initial_map
     orient: Callable[[torch.Tensor], int] | None = None
     curvature: float = 0.0
+    held: float | None = None
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -127,7 +130,8 @@ def train_attempt(
         progress(f"{label}: initial map", 0, 1)
         known = variant.make_initial_map(data.features, segments, start, seed, number).float()
         progress(f"{label}: initial map", 1, 1)
-        loss = imitate_first(loss, known.to(data.device), SLACK_M[start])
+        near = (0.0, variant.held) if variant.held and number == 0 else (SLACK_M[start], 1.0)
+        loss = imitate_first(loss, known.to(data.device), *near)
         mapped = segments.learned.through(known.isfinite().all(dim=1))
         draw = sample_mapped_first(draw, sample_from(mapped.to(data.device), settings.train))
     elif start == "lifting":

@@ -1,5 +1,6 @@
 """DeepGPS with the diagnosed noise: residuals are weighted by expected error, and doubtful segments count less."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,12 +21,16 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     recording, told = take_diagnosed(recording, folder.parent)
     data = prepare(recording, settings, seed, folder.parent)
     segments = expect_errors(recording, data.segments)
-    rounding_m2 = segments.rounding_m2
+    variant = Variant(weigh=weigh_by_noise(segments.rounding_m2))
+    return fit_data(replace(data, segments=segments), variant, settings, seed, folder, progress).note(told)
+
+
+def weigh_by_noise(rounding_m2: float) -> Callable[[Batch], Weights]:
+    """Returns the weights of residuals of segments with expected errors, whose readings are rounded."""
 
     def weigh(batch: Batch) -> Weights:
         assert batch.variance is not None, "segments with expected errors make batches with them"
         of_places = weigh_places(batch.variance, batch.valid, rounding_m2)
         return Weights(weigh_pairs(batch.variance, rounding_m2), of_places)
 
-    data = replace(data, segments=segments)
-    return fit_data(data, Variant(weigh=weigh), settings, seed, folder, progress).note(told)
+    return weigh
