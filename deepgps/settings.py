@@ -70,11 +70,11 @@ class TrainSettings(Group):
 
     steps: int = Field(default=5000, ge=1, le=10_000_000)
     """Steps of the optimiser."""
-    segments: int = Field(default=16, ge=1, le=4096)
+    segments: int = Field(default=32, ge=1, le=4096)
     """Segments in a batch; a supervised batch holds segments times samples observations."""
     shift: bool = True
     """Shift each image of a batch around the circle at random, as if the robot had turned; features do not need it."""
-    samples: int = Field(default=16, ge=2, le=1024)
+    samples: int = Field(default=8, ge=2, le=1024)
     """Samples drawn from each segment of a batch; all their pairs are used."""
     learning_rate: float = Field(default=4e-3, gt=0.0, le=1.0)
     """Peak learning rate of Adam; the rate rises over the first steps and then falls as a cosine."""
