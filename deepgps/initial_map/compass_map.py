@@ -174,14 +174,18 @@ class _Fit:
 
 
 def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
-    """Refine the parts between the joints ``cut`` (J,), and join them one by one."""
+    """Refine the parts between the joints ``cut`` (J,), and join them, until no more stay joined when refined."""
     none = np.zeros(len(links.one), bool)
     belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
     fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
     fit.keep(bars)
+    fewest = len(cut) + 2
     while True:
         _refine(fit, bars, joints, links, cut, curvature, rng)
-        joined = none.copy()
+        parts = len(np.unique(fit.part))
+        if parts >= fewest:  # what was joined has come apart again
+            return fit
+        fewest, joined = parts, none.copy()
         while (more := join_parts(bars, fit.part, links)).any():
             joined |= more
         if not joined.any():
