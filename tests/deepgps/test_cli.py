@@ -28,7 +28,7 @@ ONE_LINE_ERRORS = [
     (["run", "living_room", "--out"], "--out"),
     (["fly"], "command 'fly' does not exist; there are run, collect"),
     (["study"], f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path"),
-    (["study", "nothing"], f"study 'nothing' does not exist; there are {', '.join(names_in(STUDIES))}, or a path"),
+    (["study", "zzz"], f"study 'zzz' does not exist; there are {', '.join(names_in(STUDIES))}, or a path"),
     (["study", "missing.yaml"], "study missing.yaml: no such file"),
     (["study", "seeds", "--tinny"], "--tinny"),
     (["view", "."], "is no run folder: it has no scenario.yaml"),
