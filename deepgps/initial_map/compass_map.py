@@ -42,6 +42,8 @@ NEIGHBOURS = 3
 ROUNDS, LATELY, GROWN = 20, 5, 0.1
 """Most rounds after the map has grown. It grows while this part more loop closures are believed than ``LATELY`` rounds
 before: in a long drive, each drift can be seen only after shorter ones are mended."""
+ATTEMPTS = 10
+"""Times that parts are joined although they have come apart again when refined."""
 SETTLED_M, SETTLED = 0.001, 0.001
 """The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
 CUT_RAD, CUT_M = 0.15, 0.5
@@ -179,13 +181,14 @@ def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: f
     belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
     fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
     fit.keep(bars)
-    fewest = len(cut) + 2
+    fewest, attempts = len(cut) + 2, 0
     while True:
         _refine(fit, bars, joints, links, cut, curvature, rng)
         parts = len(np.unique(fit.part))
-        if parts >= fewest:  # what was joined has come apart again
+        attempts = 0 if parts < fewest else attempts + 1
+        if attempts == ATTEMPTS:
             return fit
-        fewest, joined = parts, none.copy()
+        fewest, joined = min(parts, fewest), none.copy()
         while (more := join_parts(bars, fit.part, links)).any():
             joined |= more
         if not joined.any():
