@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from deepgps.evaluation.error_field import ErrorField
+from deepgps.evaluation.error_field import ErrorField, find_rms
 from deepgps.methods.pose import Poses
 
 PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", "accepted": "accepted"}
@@ -31,8 +31,7 @@ def take_acceptance(poses: Poses, shape: tuple[int, ...]) -> dict[str, np.ndarra
 def summarise(error: np.ndarray) -> dict[str, float]:
     """RMS, median, 75th and 95th percentile and maximum of errors (C,) [m]."""
     median, p75, p95 = (float(value) for value in np.percentile(error, [50, 75, 95]))
-    rms = float(np.sqrt(np.mean(error**2)))
-    return {"rms_m": rms, "median_m": median, "p75_m": p75, "p95_m": p95, "max_m": float(error.max())}
+    return {"rms_m": find_rms(error), "median_m": median, "p75_m": p75, "p95_m": p95, "max_m": float(error.max())}
 
 
 def summarise_acceptance(field: ErrorField) -> dict[str, Any]:

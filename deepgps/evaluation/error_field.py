@@ -73,6 +73,11 @@ class ErrorField:
         return replace(self, truth=self.truth[chosen], heading=heading, predicted=self.predicted[chosen], **parts)
 
 
+def find_rms(values: np.ndarray) -> float:
+    """Root of the mean square of values (...)."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 def write_fields(path: Path, fields: Mapping[str, ErrorField]) -> None:
     """Write the error fields of several methods at the same places."""
     some = next(iter(fields.values()))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from deepgps.alignment import Alignment
+from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.trajectory import measure_ate, measure_rpe
 from deepgps.tracking.track import Track, TrackedPath
 from sim.geometry import wrap
@@ -45,7 +46,7 @@ def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[
     error = np.hypot(*(found - true)[:, :2].T)
     figures = {
         "images": len(found),
-        "rms_m": _find_rms(error),
+        "rms_m": find_rms(error),
         "median_m": float(np.median(error)),
         "p95_m": float(np.percentile(error, 95.0)),
         "max_m": float(error.max()),
@@ -53,14 +54,10 @@ def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[
         "accepted": float(accepted.mean()),
     }
     if accepted.any():
-        figures |= {"rms_accepted_m": _find_rms(error[accepted]), "max_accepted_m": float(error[accepted].max())}
+        figures |= {"rms_accepted_m": find_rms(error[accepted]), "max_accepted_m": float(error[accepted].max())}
     if np.isfinite(found[:, 2]).all():
-        figures["yaw_rms_deg"] = float(np.degrees(_find_rms(wrap(found[:, 2] - true[:, 2]))))
+        figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2]))))
         if len(found) > APART:
             figures["rpe_m"], rpe_rad = measure_rpe(found, true, APART)
             figures["rpe_deg"] = float(np.degrees(rpe_rad))
     return figures
-
-
-def _find_rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.square(values).mean()))

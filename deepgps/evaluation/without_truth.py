@@ -17,6 +17,7 @@ from deepgps.data.turn_images import find_in_place, take_images, turns_with_imag
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
+from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.learning.trainer import use_threads
@@ -137,20 +138,16 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     wheels = np.abs(way[last] - way[first])
     found = np.linalg.norm(place[reading[last, 1]] - place[reading[first, 1]], axis=1)
     both = np.ones(len(last), bool) if accepted is None else accepted[reading[first, 1]] & accepted[reading[last, 1]]
-    kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": _rms((found - wheels)[both])}
+    kept = {} if accepted is None or not both.any() else {"length_rms_accepted_m": find_rms((found - wheels)[both])}
     runs = [place[reading[one : other + 1, 1]] for one, other in zip(first, last, strict=True)]
     off = [_measure_bend(run) for run in runs if len(run) >= FEWEST]
     return {
-        "length_rms_m": _rms(found - wheels),
+        "length_rms_m": find_rms(found - wheels),
         **kept,
         "length_median_m": float(np.median(np.abs(found - wheels))),
         "scale": float((found * wheels).sum() / (wheels**2).sum()),
-        "straight_rms_m": _rms(np.concatenate(off)) if off else None,
+        "straight_rms_m": find_rms(np.concatenate(off)) if off else None,
     }
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _measure_bend(places: np.ndarray) -> np.ndarray:

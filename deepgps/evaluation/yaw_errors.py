@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepgps.alignment import Alignment
-from deepgps.evaluation.error_field import ErrorField
+from deepgps.evaluation.error_field import ErrorField, find_rms
 from deepgps.methods.pose import Poses
 
 
@@ -34,11 +34,7 @@ def summarise_yaw(field: ErrorField) -> dict[str, float]:
         return {}
     error = np.degrees(np.abs(field.yaw_error))
     median, p95 = (float(value) for value in np.percentile(error[known], [50, 95]))
-    figures = {"yaw_rms_deg": _find_rms(error[known]), "yaw_median_deg": median, "yaw_p95_deg": p95}
+    figures = {"yaw_rms_deg": find_rms(error[known]), "yaw_median_deg": median, "yaw_p95_deg": p95}
     if field.accepted is not None and (accepted := known & field.accepted).any():
-        figures["yaw_rms_accepted_deg"] = _find_rms(error[accepted])
+        figures["yaw_rms_accepted_deg"] = find_rms(error[accepted])
     return figures
-
-
-def _find_rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))

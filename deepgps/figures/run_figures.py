@@ -12,7 +12,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.evaluation.error_field import ErrorField, read_all_headings, split_by_acceptance
+from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
 from deepgps.figures.field_plot import add_scale, draw_field, draw_room, explain_refused
 from deepgps.figures.risk_plot import draw_risk
 from deepgps.figures.run_report import read_metrics
@@ -167,14 +167,10 @@ def _aspect(space: FreeSpace) -> float:
 
 
 def _summary(field: ErrorField) -> str:
-    rms, accepted = f"RMS {100 * _rms(field.worst):.1f} cm", split_by_acceptance(field)[0].error
+    rms, accepted = f"RMS {100 * find_rms(field.worst):.1f} cm", split_by_acceptance(field)[0].error
     if field.accepted is None or not len(accepted):
         return f"{rms}, median {100 * np.median(field.worst):.1f} cm"
-    return f"{rms}; {100 * field.accepted.mean():.1f} % of images accepted: {100 * _rms(accepted):.1f} cm"
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt((error**2).mean()))
+    return f"{rms}; {100 * field.accepted.mean():.1f} % of images accepted: {100 * find_rms(accepted):.1f} cm"
 
 
 def _line(name: str) -> dict[str, Any]:

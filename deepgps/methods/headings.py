@@ -105,18 +105,14 @@ class HeadingTable:
     @cached_property
     def _looks(self) -> tuple[np.ndarray, np.ndarray]:
         """What of each entry no turn changes (E, L K), and its mean (L K,)."""
-        looks = np.sqrt(np.abs(self._phases)).reshape(len(self.place), -1)
-        mean = looks.mean(axis=0)
-        return _divide_by_norm(looks - mean), mean
+        return learn_looks(self._phases)
 
     def _find_nearest(self, positions: np.ndarray) -> np.ndarray:
         return find_nearest(self._tree, positions, NEAREST)[1]
 
     def _find_alike(self, phases: np.ndarray) -> np.ndarray:
         known, mean = self._looks
-        looks = _divide_by_norm(np.sqrt(np.abs(phases)).reshape(len(phases), -1) - mean)
-        count = min(ALIKE, len(known))
-        return np.argpartition(-looks @ known.T, count - 1, axis=1)[:, :count]
+        return find_largest(take_looks(phases, mean) @ known.T, ALIKE)
 
     def _find(self, phases: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Yaw, standard deviation and weight (B, 2) of images with these phases (B, L, K)."""
@@ -161,22 +157,39 @@ def take_phases(images: np.ndarray) -> np.ndarray:
 
     Rings count by their circumference, and frequencies are filtered as by the compass. Zeros for a blank image.
     """
-    rings, sectors = images.shape[1:3]
-    first = choose_rings(rings)
-    pooled = np.add.reduceat(images.astype(np.float32), first, axis=1)
-    pooled /= np.diff(np.append(first, rings)).astype(np.float32)[:, None, None]
-    passed = filter_frequencies(sectors)
+    sectors = images.shape[2]
+    pooled, passed = pool_rings(images), filter_frequencies(sectors)
     found = np.asarray(fft.rfft(np.moveaxis(pooled, 3, 1)))[..., 1 : len(passed) + 1]
-    found = found * (passed * np.sqrt(np.arange(len(first)) + 0.5)[:, None]).astype(np.float32)
+    found = found * (passed * np.sqrt(np.arange(pooled.shape[1]) + 0.5)[:, None]).astype(np.float32)
     size = np.square(pooled).sum(axis=(1, 2, 3)) * sectors  # not exactly the energy, but of its order
     blank = np.square(np.abs(found)).sum(axis=(1, 2, 3)) <= LEAST_CONTRAST * size
     found[blank] = 0.0
     return _normalise(found.reshape(len(images), -1, len(passed)))
 
 
+def pool_rings(images: np.ndarray) -> np.ndarray:
+    """The rings that the table keeps (B, L, sectors, channels) float32 of images (B, rings, sectors, channels)."""
+    return pool(images.astype(np.float32), RINGS, axis=1)
+
+
+def pool(values: np.ndarray, count: int, axis: int) -> np.ndarray:
+    """Means of ``count`` parts of an axis, as equal as can be; of an axis that is shorter, its values."""
+    size = values.shape[axis]
+    first = choose_parts(size, count)
+    number = np.diff(np.append(first, size)).astype(np.float32)
+    pooled = np.add.reduceat(values, first, axis=axis)
+    pooled /= number.reshape([-1 if along == axis else 1 for along in range(values.ndim)])
+    return pooled
+
+
 def choose_rings(rings: int) -> np.ndarray:
     """First ring of an image of each ring that the table keeps."""
-    return np.arange(min(RINGS, rings)) * rings // min(RINGS, rings)
+    return choose_parts(rings, RINGS)
+
+
+def choose_parts(size: int, count: int) -> np.ndarray:
+    """First of the values of each of ``count`` parts, as equal as can be, or of as many as there are values."""
+    return np.arange(min(count, size)) * size // min(count, size)
 
 
 def filter_frequencies(sectors: int) -> np.ndarray:
@@ -239,5 +252,19 @@ def _normalise(phases: np.ndarray) -> np.ndarray:
     return (phases / np.maximum(size, 1e-12)).astype(np.complex64)
 
 
-def _divide_by_norm(rows: np.ndarray) -> np.ndarray:
+def learn_looks(phases: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of images with phases (E, L, K) no turn changes (E, L K), and its mean (L K,)."""
+    mean = np.sqrt(np.abs(phases)).reshape(len(phases), -1).mean(axis=0)
+    return take_looks(phases, mean), mean
+
+
+def take_looks(phases: np.ndarray, mean: np.ndarray) -> np.ndarray:
+    """What of images with phases (B, L, K) no turn changes, without its mean (L K,), of norm 1 (B, L K)."""
+    rows = np.sqrt(np.abs(phases)).reshape(len(phases), -1) - mean
     return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
+
+
+def find_largest(alike: np.ndarray, most: int) -> np.ndarray:
+    """Columns of the largest values of each row (B, E), ``most`` of them or all, in no order."""
+    count = min(most, alike.shape[1])
+    return np.argpartition(-alike, count - 1, axis=1)[:, :count]

@@ -65,7 +65,7 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
     table = confidence_of(positioner)
     if table is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
-        return _add_yaw(positioner, observations, _locate(positioner, observations))
+        return _add_yaw(positioner, observations, locate_camera(positioner, observations))
     camera, features = positioner.locate_with_features(observations)
     trust = table.find(features, camera)
     known = np.isfinite(trust.radius).all()
@@ -78,7 +78,8 @@ def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     )
 
 
-def _locate(positioner: Positioner, observations: np.ndarray) -> np.ndarray:
+def locate_camera(positioner: Positioner, observations: np.ndarray) -> np.ndarray:
+    """Positions of the camera (B, 2) [m] in the method's frame; a network's own positions may be the axle's."""
     network = isinstance(positioner, NetworkPositioner)
     return positioner.locate_camera(observations) if network else positioner(observations)
 

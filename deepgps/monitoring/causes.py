@@ -8,16 +8,18 @@ import numpy as np
 from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import find_in_place, turns_with_images
-from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import NetworkPositioner, Positioner, confidence_of
+from deepgps.methods.confidence import Confidence
+from deepgps.methods.pose import locate_camera
+from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, Positioner, confidence_of
 from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
-from deepgps.monitoring.image_checks import ImageLimits, check_images, find_limits, find_moved
+from deepgps.monitoring.image_checks import ImageLimits, check_images, find_driven, find_limits
 from deepgps.monitoring.rules import (
     FAULTY,
     MOSTLY,
     OFTEN,
     TITLES,
     Evidence,
+    Seen,
     find_long,
     label,
     median_around,
@@ -81,36 +83,19 @@ def _count(labels: np.ndarray) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What N images show, each by itself: as in ``Evidence``, but ``relit`` does not ask the images around.
-
-    Attributes:
-        correlation: Correlation with the best match among the training images (N,).
-    """
-
-    black: np.ndarray
-    white: np.ndarray
-    covered: np.ndarray
-    frozen: np.ndarray
-    accepted: np.ndarray
-    known_place: np.ndarray
-    beyond: np.ndarray
-    relit: np.ndarray
-    correlation: np.ndarray
-
-
-@dataclass(frozen=True)
 class Monitor:
     """What names the causes in drives of one method.
 
     Attributes:
         positioner: The method as trained.
+        confidence: The table by which it accepts images.
         upright: What sets its training images upright; None: no turns show how the camera leans.
         known: Its training images.
         limits: Limits of single images.
     """
 
-    positioner: Positioner
+    positioner: NetworkPositioner | NeighbourPositioner
+    confidence: Confidence
     upright: Upright | None
     known: KnownImages
     limits: ImageLimits
@@ -120,12 +105,12 @@ class Monitor:
         upright, change = self._find_lean(drive)
         corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
-        images, camera = drive.observation, locate_camera(positioner, drive.observation)
+        images = drive.observation
+        camera, features = positioner.locate_with_features(images)
         compared = self.known.compare(images, camera, upright)
         leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
-        accepted = find_poses(positioner, images).accepted
-        assert accepted is not None
-        seen = self.look(images, find_moved(drive), accepted, compared)
+        accepted = self.confidence.find(features, camera).accepted
+        seen = self.look(images, find_driven(drive), accepted, compared)
         gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
         causes = label(weigh(seen, self.known.usual_match, leans and not corrected))
         accepted = seen.accepted & ~np.isin(causes, FAULTY)
@@ -160,10 +145,8 @@ def weigh(seen: Seen, usual_match: float, leaning: bool) -> Evidence:
         leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
     """
     often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
-    alone = {name: part for name, part in vars(seen).items() if name not in ("relit", "correlation")}
     return Evidence(
-        **alone,
-        relit=seen.relit & (often >= OFTEN),
+        **{**vars(seen), "relit": seen.relit & (often >= OFTEN)},
         mostly_relit=often >= MOSTLY,
         changed=median_around(seen.correlation, seen.accepted) < usual_match,
         leaning=np.full(len(new), leaning),
@@ -181,13 +164,16 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
 
     None where observations are no polar images, or the method accepts all.
     """
-    if recording.kind != "polar_image" or confidence_of(positioner) is None:
+    confidence = confidence_of(positioner)
+    if confidence is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+        return None
+    if recording.kind != "polar_image":
         return None
     recording = keep_plausible(recording)
     upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
     upright = upright or measure_upright(recording)
     camera = locate_camera(positioner, recording.observation)
-    return Monitor(positioner, upright, learn_images(recording, upright, camera), find_limits(recording))
+    return Monitor(positioner, confidence, upright, learn_images(recording, upright, camera), find_limits(recording))
 
 
 def measure_upright(recording: Recording) -> Upright | None:
@@ -197,11 +183,6 @@ def measure_upright(recording: Recording) -> Upright | None:
         return None
     some = turns.array[rows[:: -(-len(rows) // MOST_TURNS)]]
     return ignore_small(compare_images(recording, from_array(some)).upright)
-
-
-def locate_camera(positioner: Positioner, images: np.ndarray) -> np.ndarray:
-    """Positions of the camera (N, 2) [m] in the method's frame; a network's own positions may be the axle's."""
-    return positioner.locate_camera(images) if isinstance(positioner, NetworkPositioner) else positioner(images)
 
 
 def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:

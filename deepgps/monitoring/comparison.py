@@ -12,7 +12,15 @@ from scipy import fft
 from scipy.spatial import KDTree
 
 from deepgps.methods.heading_fit import thin_out
-from deepgps.methods.headings import choose_rings, correlate, find_nearest, take_phases
+from deepgps.methods.headings import (
+    correlate,
+    find_largest,
+    find_nearest,
+    learn_looks,
+    pool_rings,
+    take_looks,
+    take_phases,
+)
 from sim.recording.format import Recording
 from sim.sensors.upright import Upright
 
@@ -102,12 +110,12 @@ class KnownImages:
     def _choose(self, phases: np.ndarray, positions: np.ndarray, apart_m: float) -> np.ndarray:
         """The known images (B, M) with which images with these phases (B, L, K) are compared."""
         known, mean = self._looks
-        alike = _describe(phases, mean) @ known.T
+        alike = take_looks(phases, mean) @ known.T
         if not apart_m:
             near = find_nearest(self._tree, positions, NEAREST)[1]
-            return np.concatenate([near, _find_largest(alike)], axis=1)
+            return np.concatenate([near, find_largest(alike, ALIKE)], axis=1)
         away = np.linalg.norm(positions[:, None] - self.place, axis=2)
-        return _find_largest(np.where(away > apart_m, alike, -np.inf))
+        return find_largest(np.where(away > apart_m, alike, -np.inf), ALIKE)
 
     @cached_property
     def _tree(self) -> KDTree:
@@ -116,9 +124,7 @@ class KnownImages:
     @cached_property
     def _looks(self) -> tuple[np.ndarray, np.ndarray]:
         """What of each image no turn changes (E, L K), and its mean (L K,)."""
-        looks = np.sqrt(np.abs(self.phases)).reshape(len(self.place), -1)
-        mean = looks.mean(axis=0)
-        return _describe(self.phases, mean), mean
+        return learn_looks(self.phases)
 
 
 def learn_images(recording: Recording, upright: Upright | None, positions: np.ndarray) -> KnownImages:
@@ -129,7 +135,6 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
         upright: What sets its images upright; None: they are.
         positions: Positions of the camera that the method predicts for its images (N, 2) [m].
     """
-
     entry = thin_out(positions, CELL_M)
     rows = np.array_split(entry, -(-len(entry) // CHUNK))
     parts = [_set_upright(recording.observation[part], upright) for part in rows]
@@ -164,11 +169,8 @@ def find_gaps(recording: Recording, positions: np.ndarray) -> np.ndarray:
 
 def take_values(images: np.ndarray) -> np.ndarray:
     """Fourier coefficients (B, rings, channels, ``CYCLES`` + 1) around the circle of images' values, rings pooled."""
-    rings, sectors = images.shape[1:3]
-    first = choose_rings(rings)
-    pooled = np.add.reduceat(images.astype(np.float32), first, axis=1)
-    pooled /= np.diff(np.append(first, rings)).astype(np.float32)[:, None, None]
-    return np.asarray(fft.rfft(np.moveaxis(pooled, 3, 2)))[..., : CYCLES + 1] / np.float32(sectors)
+    around = np.moveaxis(pool_rings(images), 3, 2)
+    return np.asarray(fft.rfft(around))[..., : CYCLES + 1] / np.float32(images.shape[2])
 
 
 def turn(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -191,13 +193,3 @@ def compare_light(seen: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.n
 
 def _set_upright(images: np.ndarray, upright: Upright | None) -> np.ndarray:
     return images if upright is None else upright(images)
-
-
-def _describe(phases: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    looks = np.sqrt(np.abs(phases)).reshape(len(phases), -1) - mean
-    return looks / np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-12)
-
-
-def _find_largest(alike: np.ndarray) -> np.ndarray:
-    count = min(ALIKE, alike.shape[1])
-    return np.argpartition(-alike, count - 1, axis=1)[:, :count]

@@ -6,6 +6,7 @@ import numpy as np
 
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.runs import find_starts
+from deepgps.methods.headings import pool
 from sim.recording.format import Recording
 
 DARKEST, BRIGHTEST = 0.1, 0.9
@@ -45,7 +46,14 @@ class ImageLimits:
 
 @dataclass(frozen=True)
 class ImageFaults:
-    """What single images show, each (N,) bool."""
+    """What single images show.
+
+    Attributes:
+        black: It is black (N,) bool.
+        white: It is white (N,) bool.
+        covered: It shows less than any training image, or nothing in many directions (N,) bool.
+        frozen: It is the same as the one before, though the wheels moved (N,) bool.
+    """
 
     black: np.ndarray
     white: np.ndarray
@@ -58,7 +66,7 @@ def find_limits(recording: Recording) -> ImageLimits:
     images = recording.observation
     some = np.unique(np.linspace(0, len(images) - 1, min(CHECKED, len(images))).astype(int))
     bright, dark, detail, flat = measure_images(images[some])
-    moved = np.flatnonzero(find_moved(recording))
+    moved = np.flatnonzero(find_driven(recording))
     pairs = moved[:: -(-len(moved) // CHECKED) or 1]
     change = measure_change(images, pairs)
     least = float(np.quantile(change, 0.01)) if len(change) else 0.0
@@ -92,12 +100,7 @@ def measure_images(images: np.ndarray) -> np.ndarray:
 
 def take_blocks(grey: np.ndarray) -> np.ndarray:
     """Means of the blocks (B, 8, 32) of grey images (B, rings, sectors); fewer blocks of an image with fewer pixels."""
-    for axis, count in zip((1, 2), BLOCKS, strict=True):
-        size = grey.shape[axis]
-        first = np.arange(min(count, size)) * size // min(count, size)
-        number = np.diff(np.append(first, size)).astype(np.float32)
-        grey = np.add.reduceat(grey, first, axis=axis) / (number[:, None] if axis == 1 else number)
-    return grey
+    return pool(pool(grey, BLOCKS[0], axis=1), BLOCKS[1], axis=2)
 
 
 def measure_change(images: np.ndarray, pairs: np.ndarray) -> np.ndarray:
@@ -106,7 +109,7 @@ def measure_change(images: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     return np.array([np.abs(one - before).mean() / max(one.mean(), STEP) for one, before in both])
 
 
-def find_moved(recording: Recording) -> np.ndarray:
+def find_driven(recording: Recording) -> np.ndarray:
     """Whether the wheels moved on a segment between each observation and the one before it (N,) bool.
 
     Way by way, at least half of the usual one; images beside turns do not count.

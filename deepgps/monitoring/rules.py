@@ -5,42 +5,48 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepgps.monitoring.image_checks import ImageFaults
+
 WINDOW, NEARLY_ALL = 150, 0.95
 """The robot is in another room if this share of so many consecutive images is new."""
 AROUND, OFTEN, MOSTLY = 50, 0.25, 0.5
 """The light has changed where values differ in the first share of so many images before and after an image; where they
 differ in the second share, it is also why others are refused."""
 FEWEST = 10
-"""Images around an image from which it is told whether the room has changed."""
+"""Accepted images around an image, at least, that show whether the room has changed."""
 
 
 @dataclass(frozen=True)
-class Evidence:
-    """What is known of N images in the order driven, each (N,) bool.
+class Seen(ImageFaults):
+    """What N images show, each by itself.
 
     Attributes:
-        black: It is black.
-        white: It is white.
-        covered: It shows less than any training image, or nothing in many directions.
-        frozen: It is the same as the one before, though the wheels moved.
-        accepted: The method accepts its position.
-        known_place: It matches a training image better than images of different places match.
-        beyond: It is farther from all training images on the map than nearly all of these are from other segments.
-        relit: Its values differ from those of the match as a whole, and so do those of many around it.
-        mostly_relit: So do those of most around it.
-        changed: The accepted images around it match training images worse than these match each other.
-        leaning: The camera leans otherwise than in training, and the method does not correct it.
-        long_new: It is in a long stretch of images nearly all of which are of no known place.
+        accepted: The method accepts its position (N,) bool.
+        known_place: It matches a training image better than images of different places match (N,) bool.
+        beyond: It is farther from all training images on the map than nearly all of these are from other segments (N,)
+            bool.
+        relit: Its values differ from those of the match as a whole (N,) bool.
+        correlation: Correlation with the best match among the training images (N,).
     """
 
-    black: np.ndarray
-    white: np.ndarray
-    covered: np.ndarray
-    frozen: np.ndarray
     accepted: np.ndarray
     known_place: np.ndarray
     beyond: np.ndarray
     relit: np.ndarray
+    correlation: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evidence(Seen):
+    """What is known of N images in the order driven; ``relit`` only where it is so of many images around.
+
+    Attributes:
+        mostly_relit: Most images around it are relit (N,) bool.
+        changed: The accepted images around it match training images worse than these match each other (N,) bool.
+        leaning: The camera leans otherwise than in training, and the method does not correct it (N,) bool.
+        long_new: It is in a long stretch of images nearly all of which are of no known place (N,) bool.
+    """
+
     mostly_relit: np.ndarray
     changed: np.ndarray
     leaning: np.ndarray
@@ -67,7 +73,7 @@ def find_relit(seen: Evidence) -> np.ndarray:
     return (seen.known_place & seen.relit) | (~seen.accepted & seen.mostly_relit)
 
 
-def find_moved(seen: Evidence) -> np.ndarray:
+def find_changed(seen: Evidence) -> np.ndarray:
     """Images of known places, where training images are near by or what is accepted shows that the room has changed."""
     return seen.known_place & (~seen.beyond | seen.changed)
 
@@ -81,7 +87,7 @@ RULES = (
     Cause("", "", lambda seen: seen.accepted),
     Cause("camera", "camera leans or moved", lambda seen: seen.known_place & seen.leaning),
     Cause("other_room", "another room", lambda seen: seen.long_new),
-    Cause("furniture", "furniture moved or someone in view", find_moved),
+    Cause("furniture", "furniture moved or someone in view", find_changed),
     Cause("new_place", "not been here", lambda seen: ~seen.accepted),
 )
 """The first rule that holds names an image's cause. The light can change though an image is accepted."""

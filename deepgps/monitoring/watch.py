@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from deepgps.methods.pose import locate_camera
 from deepgps.methods.positioner import NetworkPositioner
-from deepgps.monitoring.causes import Monitor, Seen, locate_camera, weigh
-from deepgps.monitoring.rules import WINDOW, label
+from deepgps.monitoring.causes import Monitor, weigh
+from deepgps.monitoring.rules import WINDOW, Seen, label
 
 
 class Watch:

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Picture
 
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.evaluation.visibility import measure_visible
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
@@ -42,7 +42,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         errors = [pool([row for row in rows if row["method"] == name], [part]) for name in methods]
         if not len(errors[0]):
             continue
-        figures = [*map(_rms, errors), *map(np.median, errors)]
+        figures = [*map(find_rms, errors), *map(np.median, errors)]
         count = str(len(errors[0]))
         cells.append([f"{100 * low:.0f}-{100 * high:.0f} %", count, *(f"{100 * one:.1f}" for one in figures)])
     return [*compare_choices(rows, varied), tabulate(headings, cells), NOTE]
@@ -54,9 +54,11 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for (method,), group in group_rows(rows, []).items():
         little, rest = pool(group, range(LITTLE)), pool(group, range(LITTLE, len(EDGES) - 1))
         title = f"{title_of(method)}, RMS where reach is below {write(EDGES[LITTLE], '%')} / elsewhere"
-        ratio = _rms(little) / _rms(rest) if len(little) and len(rest) else None
+        ratio = find_rms(little) / find_rms(rest) if len(little) and len(rest) else None
         figures[f"{method}_little"] = Figure(title, ratio, "")
-        shapes = {key[0]: _rms(pool(some, range(len(EDGES) - 1))) for key, some in group_rows(group, [SHAPE]).items()}
+        shapes = {
+            key[0]: find_rms(pool(some, range(len(EDGES) - 1))) for key, some in group_rows(group, [SHAPE]).items()
+        }
         if {"two_rooms", "rectangle"} <= set(shapes):
             title = f"{title_of(method)}, RMS in two rooms / in a rectangle"
             figures[f"{method}_two_rooms"] = Figure(title, shapes["two_rooms"] / shapes["rectangle"], "")
@@ -84,7 +86,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         errors = {middle: pool(group, [part]) for part, middle in enumerate(middles)}
         there = {middle: error for middle, error in errors.items() if len(error)}
         colour, title = colour_of(method), title_of(method)
-        rms, median = ([100 * take(error) for error in there.values()] for take in (_rms, np.median))
+        rms, median = ([100 * take(error) for error in there.values()] for take in (find_rms, np.median))
         axes.plot(list(there), rms, "o-", color=colour, label=f"{title}, RMS")
         axes.plot(list(there), median, "o--", color=colour, mfc="none", label=f"{title}, median")
     axes.set(yscale="log", xlim=(0, 100), ylabel="error of the worst heading [cm]")
@@ -116,7 +118,3 @@ def draw_rooms(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pict
         )
     add_scale(picture, list(panels[:, 1]))
     return picture
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))

@@ -156,5 +156,5 @@ def _said(row: Row) -> str:
     """What the method says of its map, in a word or two."""
     if row["fold_found"] is None:
         return "-"
-    words = [word for name, word in SIGNS.items() if row[name]]
-    return ", ".join(words).replace("turned", f"turned {write(row['turned'], '%')}") or "nothing"
+    share = {"turned": f" {write(row['turned'], '%')}"}
+    return ", ".join(f"{word}{share.get(name, '')}" for name, word in SIGNS.items() if row[name]) or "nothing"

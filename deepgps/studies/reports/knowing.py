@@ -53,12 +53,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     faulty, clean = [one for one in drives if one.expected], [one for one in drives if not one.expected]
     images = [one.right_images for one in faulty if one.right_images is not None]
     moved = [one.figures["large_refused"] for one in faulty if one.expected == "furniture"]
-    right, title = (
-        [float(one.right) for one in faulty],
-        f"drives with a fault whose first cause is right, of {len(faulty)}",
-    )
+    title = f"drives with a fault whose first cause is right, of {len(faulty)}"
     found = {
-        "drives_right": Figure(title, _mean(right), "%", at_least=True),
+        "drives_right": Figure(title, _mean([float(one.right) for one in faulty]), "%", at_least=True),
         "images_right": Figure(
             "images with a cause that have the right one, means over drives", _mean(images), "%", True
         ),

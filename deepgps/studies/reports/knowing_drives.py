@@ -17,8 +17,9 @@ from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.figures.run_report import read_metrics
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.fit import fit_method
+from deepgps.methods.pose import locate_camera
 from deepgps.methods.positioner import load_positioner
-from deepgps.monitoring.causes import Causes, locate_camera, make_monitor
+from deepgps.monitoring.causes import Causes, make_monitor
 from deepgps.monitoring.rules import TITLES
 from deepgps.run_folder import open_run
 from deepgps.stages import training_seed

@@ -10,8 +10,8 @@ from deepgps.monitoring.image_checks import (
     BLOCKS,
     ImageLimits,
     check_images,
+    find_driven,
     find_limits,
-    find_moved,
     measure_images,
     take_blocks,
 )
@@ -29,14 +29,14 @@ def limits(recording: Recording) -> ImageLimits:
 
 
 def test_training_images_have_no_fault(recording: Recording, limits: ImageLimits):
-    found = check_images(recording.observation, find_moved(recording), limits)
+    found = check_images(recording.observation, find_driven(recording), limits)
     assert not any(part.any() for part in vars(found).values())
 
 
 @pytest.mark.parametrize("gain", [0.4, 0.7])
 def test_dimmed_images_have_no_fault(recording: Recording, limits: ImageLimits, gain: float):
     dimmed = (gain * recording.observation).astype(np.uint8)
-    found = check_images(dimmed, find_moved(recording), limits)
+    found = check_images(dimmed, find_driven(recording), limits)
     assert not any(part.any() for part in vars(found).values())
 
 
@@ -50,7 +50,7 @@ def test_uniform_images_with_noise_are_named(recording: Recording, limits: Image
 
 
 def test_an_image_is_frozen_only_while_the_wheels_move(recording: Recording, limits: ImageLimits):
-    images, moved = recording.observation.copy(), find_moved(recording)
+    images, moved = recording.observation.copy(), find_driven(recording)
     images[100:140] = images[100] + np.random.default_rng(0).integers(0, 2, (40, *images.shape[1:])).astype(np.uint8)
     found = check_images(images, moved, limits)
     assert found.frozen[101:140].tolist() == moved[101:140].tolist()
@@ -59,12 +59,12 @@ def test_an_image_is_frozen_only_while_the_wheels_move(recording: Recording, lim
 
 
 def test_images_beside_turns_and_of_wheels_that_rest_have_not_moved(recording: Recording):
-    moved = find_moved(recording)
+    moved = find_driven(recording)
     first = recording.reading[np.diff(recording.reading[:, 0], prepend=-1) != 0, 1]
     assert not moved[first[0]]
     assert moved.mean() > 0.8
     resting = replace(recording, reading=recording.reading * [1, 1, 0, 0])
-    assert not find_moved(resting).any()
+    assert not find_driven(resting).any()
 
 
 def test_blocks_are_means_of_any_image():
