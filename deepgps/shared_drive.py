@@ -1,5 +1,9 @@
-"""The drive of an earlier run of the same scenario: what differs only in encoders, image faults or length shares it."""
+"""The drive of an earlier run of the same scenario: what differs only in encoders, image faults or length shares it.
 
+So does what differs only in deployment or test grid, but for its tests.
+"""
+
+from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -9,6 +13,7 @@ from sim.errors import InputError
 from sim.recording.derive import explain_misfit
 from sim.recording.format import is_whole, read_manifest
 from sim.recording.manifest import Manifest
+from sim.recording.taught import is_taught_alike
 
 
 def find_base(scenario: Scenario, run: Path) -> Path | None:
@@ -21,18 +26,30 @@ def find_base(scenario: Scenario, run: Path) -> Path | None:
         scenario: The scenario of the run.
         run: The run's folder; with ``--fresh`` it is a subfolder, which shares nothing.
     """
+    return _find(scenario, run, lambda base: not explain_misfit(base, scenario.sim, scenario.seed))
+
+
+def find_taught_alike(scenario: Scenario, run: Path) -> Path | None:
+    """Find a recording with the training drive of a run's recording, whose tests are still to be drawn.
+
+    Takes the arguments of ``find_base``, and considers the same runs.
+    """
+    return _find(scenario, run, lambda base: is_taught_alike(base, scenario.sim, scenario.seed))
+
+
+def _find(scenario: Scenario, run: Path, fits: Callable[[Path], bool]) -> Path | None:
     if run.name == FRESH or run.parent.name != scenario.name or scenario.room.mjcf or scenario.robot.mjcf:
         return None
     for manifest in sorted(run.parent.glob("*/recording/manifest.json")):
-        if manifest.parent.parent != run and _fits(manifest.parent, scenario):
+        if manifest.parent.parent != run and _is_sound(manifest.parent, fits):
             return manifest.parent
     return None
 
 
-def _fits(recording: Path, scenario: Scenario) -> bool:
+def _is_sound(recording: Path, fits: Callable[[Path], bool]) -> bool:
     try:
         manifest = read_manifest(recording)
-        if not is_whole(recording) or explain_misfit(recording, scenario.sim, scenario.seed):
+        if not is_whole(recording) or not fits(recording):
             return False
     except (InputError, ValueError):  # it is damaged, or of settings that no longer exist
         return False

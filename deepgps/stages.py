@@ -13,12 +13,12 @@ from deepgps.progress import Report
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario, digest_recording
-from deepgps.shared_drive import find_base
+from deepgps.shared_drive import find_base, find_taught_alike
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import drop_sum, read_arrays, read_json, write_json
 from sim.recording.derive import derive
-from sim.recording.format import has_truth, is_whole
+from sim.recording.format import check_recording, has_truth, is_whole
 from sim.renamed import name_methods
 from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import WorldName
@@ -61,7 +61,7 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     if not is_whole(folder / "recording"):
         with timed(folder, "collect"):
             if not derive_from_base(scenario, folder, progress):
-                make_recording(scenario, folder / "recording", progress)
+                make_recording(scenario, folder / "recording", progress, find_taught_alike(scenario, folder))
 
 
 def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool:
@@ -81,8 +81,21 @@ def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool
     return True
 
 
-def make_recording(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Drive and record: write the recording ``folder``, or what is missing of it."""
+def make_recording(scenario: Scenario, folder: Path, progress: Report, base: Path | None = None) -> None:
+    """Drive and record: write the recording ``folder``, or what is missing of it.
+
+    Args:
+        scenario: The scenario.
+        folder: The recording's folder.
+        progress: Told of driving and rendering.
+        base: A recording that is taught alike; its training drive is shared if it is not damaged. None: there is none.
+    """
+    if base is not None:
+        try:
+            check_recording(base)
+            return _record_room(scenario, folder, progress, base)
+        except DamagedError as error:
+            log.warning("%s; the drive is made again", error)
     RECORD[scenario.world](scenario, folder, progress)
 
 
@@ -195,10 +208,10 @@ def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
         return None
 
 
-def _record_room(scenario: Scenario, folder: Path, progress: Report) -> None:
+def _record_room(scenario: Scenario, folder: Path, progress: Report, base: Path | None = None) -> None:
     from sim.recording.collect import collect as collect_room
 
-    collect_room(scenario.sim, scenario.seed, folder, progress)
+    collect_room(scenario.sim, scenario.seed, folder, progress, base=base)
 
 
 def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> None:

@@ -18,7 +18,8 @@ from deepgps.learning.trainer import use_threads
 from deepgps.learning.training_data import prepare
 from deepgps.methods.attempts import remove_leftovers
 from deepgps.methods.catalog import METHODS
-from deepgps.methods.confidence_fit import COMPONENTS, make_confidence
+from deepgps.methods.confidence_fit import make_confidence
+from deepgps.methods.confidence_table import COMPONENTS
 from deepgps.methods.heading_fit import make_headings
 from deepgps.methods.positioner import (
     ArrayPositioner,

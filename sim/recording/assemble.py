@@ -82,37 +82,39 @@ def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
     return planar_pose(state)[:, None]
 
 
-def write_observations(
-    folder: Path,
-    settings: SimSettings,
-    seed: int,
-    drive: Drive,
-    tests: Sequence[Path],
-    shape: tuple[int, ...],
-) -> None:
-    """Write the observations of all sensors that are kept, as each measures them, from the files of the parts.
+def write_observations(folder: Path, settings: SimSettings, seed: int, drive: Drive) -> None:
+    """Write the observations of the drive by all sensors that are kept, as each measures them.
 
     Args:
         folder: The recording's folder.
-        settings: The sensors, the number of samples and of held-out tests.
+        settings: The sensors and the number of samples.
         seed: Seed of the sensors' RNG streams.
         drive: The drive with its parts.
-        tests: Parts of the test positions; those of the drive if test samples are held out.
-        shape: Leading shape of the test observations (C, H).
     """
     samples = settings.drive.samples
-    first = samples if settings.grid.held_out else 0
     images = _count_turn_images(drive, samples)
     for name in list_kept(settings):
-        make_measures = SENSORS[name].make_measures
-        measures: Measures = load(make_measures)(settings, seed) if make_measures else Measures()
-        seen, turned, seen_test = (
-            [part_files(settings, path)[name] for path in parts] for parts in (drive.images, drive.turns, tests)
-        )
+        measures = _make_measures(name, settings, seed)
+        seen, turned = ([part_files(settings, path)[name] for path in parts] for parts in (drive.images, drive.turns))
         write_images(folder / observation_file(name), seen, (samples,), measure=measures.drive)
-        write_images(folder / grid_file(name), seen_test, shape, first, measures.test)
         if settings.drive.turn_images:
             write_images(folder / turn_file(name), turned or seen, (images,), measure=measures.turn)
+
+
+def write_tests(folder: Path, settings: SimSettings, seed: int, tests: Sequence[Path], shape: tuple[int, ...]) -> None:
+    """Write the observations at the test positions, of leading shape (C, H), from the files of their parts.
+
+    Held-out test samples are in the parts of the drive, after its samples.
+    """
+    first = settings.drive.samples if settings.grid.held_out else 0
+    for name in list_kept(settings):
+        seen = [part_files(settings, path)[name] for path in tests]
+        write_images(folder / grid_file(name), seen, shape, first, _make_measures(name, settings, seed).test)
+
+
+def _make_measures(sensor: str, settings: SimSettings, seed: int) -> Measures:
+    make_measures = SENSORS[sensor].make_measures
+    return load(make_measures)(settings, seed) if make_measures else Measures()
 
 
 def _count_turn_images(drive: Drive, samples: int) -> int:

@@ -29,6 +29,7 @@ from sim.recording.assemble import (
     write_drive,
     write_observations,
     write_tag_labels,
+    write_tests,
 )
 from sim.recording.chunks import CHUNK, drive_chunk
 from sim.recording.format import COLLECTING, OWN, PART, RECORDING, chunk_files, finish_recording, work_folder
@@ -38,6 +39,7 @@ from sim.recording.manifest import name_sensors
 from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
+from sim.recording.taught import link_training
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
@@ -65,6 +67,7 @@ class _Job:
         test_pose: Poses of the test positions (C, H, 3); empty if test samples are held out.
         folder: The recording's folder.
         work: Folder of its parts.
+        base: A finished recording from which all but the tests is taken; None: the drive is made.
     """
 
     settings: SimSettings
@@ -73,6 +76,7 @@ class _Job:
     test_pose: np.ndarray
     folder: Path
     work: Path
+    base: Path | None = None
 
     def estimate_bytes(self) -> int:
         """Bytes that the recording needs at least."""
@@ -80,7 +84,14 @@ class _Job:
         return estimate_bytes(self.settings, self.world.model.nq, tests, self.work)
 
 
-def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, workers: int | None = None) -> None:
+def collect(
+    settings: SimSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+    workers: int | None = None,
+    base: Path | None = None,
+) -> None:
     """Make a recording, or complete an unfinished one; a drive in use comes first.
 
     Args:
@@ -90,6 +101,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
         progress: Called with a stage (``drive`` or ``render``, or these ``in use``), the number of images done and
             their total.
         workers: Number of rendering processes; None: one for each usable core.
+        base: A finished recording that is taught alike, see ``is_taught_alike``: only what differs is driven and drawn.
 
     Raises:
         InputError: The room cannot be used, or has no test position.
@@ -109,7 +121,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report, wo
     for note in list_notes(world.model) if settings.room.mjcf is not None else ():
         log.warning("%s", note)
     test_pose = NO_TESTS if settings.grid.held_out else lay_grid(world, settings)
-    job = _Job(settings, seed, world, test_pose, folder, work)
+    job = _Job(settings, seed, world, test_pose, folder, work, base)
     in_use = _plan_drive_in_use(job)
     check_space(folder, sum(one.estimate_bytes() for one in (job, *in_use)))
     for one in in_use:
@@ -146,8 +158,9 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         except DamagedError as error:  # the part is removed, and is made again
             if tries == TRIES - 1:
                 raise WorkError(f"{error}, {TRIES} times: what is written here does not stay as it is") from None
-    save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
-    write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
+    if job.base is None:
+        save_free_space(job.folder / "truth" / "free_space.npz", job.world.free_space)
+        write_scene(RoomWorld(job.world.settings).model, job.folder / "scene.glb")
     manifest = {
         "sensors": name_sensors(job.settings),
         "settings": job.settings.model_dump(mode="json"),
@@ -192,7 +205,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
 
 
 def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Drive, list[Path]]:
-    """Drive and draw the missing parts; returns the drive and the files of the test images."""
+    """Drive and draw the missing parts; returns the drive, empty if it is another's, and the files of the tests."""
     given = 0
 
     def give(part: Part) -> None:
@@ -204,7 +217,7 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Driv
     tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    drive = _drive(job, give, progress)
+    drive = Drive([], [], []) if job.base else _drive(job, give, progress)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
@@ -278,17 +291,21 @@ def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
 def _assemble(job: _Job, drive: Drive, tests: list[Path]) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
     folder, settings, test_pose = job.folder, job.settings, job.test_pose
-    drawn = count_drawn(settings, [*drive.images, *drive.turns, *tests])
-    counts = write_drive(folder, settings, drive, stream(job.seed, "encoder"), job.world.body.wheel_radius_m)
+    if job.base is not None:
+        counts = link_training(job.base, folder)
+    else:
+        counts = count_drawn(settings, [*drive.images, *drive.turns, *tests])
+        counts |= write_drive(folder, settings, drive, stream(job.seed, "encoder"), job.world.body.wheel_radius_m)
+        write_observations(folder, settings, job.seed, drive)
     if settings.grid.held_out:
         test_pose, tests = take_held_out(settings, drive), drive.images
     elif not tests:
         tests = drive.images[:1]  # which tells the shape of an image, since the test arrays are empty
-    write_observations(folder, settings, job.seed, drive, tests, test_pose.shape[:2])
+    write_tests(folder, settings, job.seed, tests, test_pose.shape[:2])
     if settings.tag_camera.mounted:
         counts |= write_tag_labels(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
-    return counts | drawn
+    return counts
 
 
 def _remove_parts(work: Path) -> None:

@@ -20,6 +20,7 @@ from sim.recording.format import (
     finish_recording,
     grid_file,
     measure_driven,
+    name_source,
     observation_file,
     open_recording,
     open_truth,
@@ -46,8 +47,6 @@ READ_AGAIN = ("reading.npy", "time.npy", TURNS)
 NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy", OF_USE)
 """Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
-OF_RUN = "recording"
-"""Name of the folder of a run's recording; other recordings have names of their own."""
 SAMPLES_IN_USE = "deployment.drive_samples"
 AT_ONCE = 256
 """Images that are processed at a time."""
@@ -114,9 +113,7 @@ def derive(base: Path, settings: SimSettings, seed: int, folder: Path) -> None:
             manifest.pop(name, None)
     manifest |= _read_again(recording, truth, turns, kept, settings, seed, folder)
     manifest |= {"settings": settings.model_dump(mode="json"), "samples": samples}
-    home = base.parent if base.name == IN_USE else base
-    source = home.parent.name if home.name == OF_RUN else home.name
-    manifest |= {"derived_from": source, "collect_s": round(time.perf_counter() - start, 2)}
+    manifest |= {"derived_from": name_source(base), "collect_s": round(time.perf_counter() - start, 2)}
     finish_recording(folder, manifest)
 
 

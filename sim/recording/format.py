@@ -48,6 +48,8 @@ COLLECTING = re.compile(rf"({IN_USE}/)?({PART.pattern})")
 """Paths of all files in the folder of an unfinished recording."""
 OF_USE = f"{IN_USE}/manifest.json"
 """Path of the manifest of the drive in use."""
+OF_RUN = "recording"
+"""Name of the folder of a run's recording; other recordings have names of their own."""
 RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
 
 
@@ -220,6 +222,12 @@ def open_labels(folder: Path) -> Labels | None:
 def work_folder(folder: Path) -> Path:
     """Folder for the parts of an unfinished recording."""
     return folder.with_name(f"{folder.name}.collecting")
+
+
+def name_source(base: Path) -> str:
+    """How a manifest calls the recording from which another was derived: by its own folder, or that of its run."""
+    home = base.parent if base.name == IN_USE else base
+    return home.parent.name if home.name == OF_RUN else home.name
 
 
 def is_whole(folder: Path) -> bool:

@@ -1,8 +1,8 @@
 """The recordings of a study: runs that differ only in encoders, image faults or length share one drive.
 
 A drive is collected once, at its greatest length and with the default encoders and images. All other recordings of the
-drive are derived from it, which needs no simulator, and little disk space where the images are the same. Drives are
-collected one after another, each on all cores.
+drive are derived from it, which needs no simulator, and little disk space where the images are the same. Drives that
+differ in deployment or test grid share all but their tests. They are collected one after another, each on all cores.
 """
 
 from collections.abc import Iterable, Sequence
@@ -16,6 +16,7 @@ from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole
+from sim.recording.taught import choose_taught, is_taught_alike
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -32,7 +33,7 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
     """
     drives, home = find_drives(plans), folder / "recordings"
     wanted = _find_wanted(missing, home)
-    unmade = _collect_all(_choose_undriven(drives, wanted, home), home, progress)
+    unmade = _collect_all(_choose_undriven(drives, wanted, home), drives.values(), home, progress)
     failed: Failures = {}
     for done, (key, scenario) in enumerate(wanted.items(), start=1):
         drive = digest_recording(drives[key])
@@ -78,18 +79,29 @@ def _choose_undriven(drives: dict[str, Scenario], wanted: Iterable[str], home: P
     return {key: scenario for key, scenario in needed.items() if not is_whole(home / key)}
 
 
-def _collect_all(scenarios: dict[str, Scenario], home: Path, progress: Report) -> Failures:
+def _collect_all(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home: Path, progress: Report) -> Failures:
     total, before, failed = sum(one.drive.samples for one in scenarios.values()), 0, {}
+    taught = {
+        _name_taught(one): home / digest_recording(one) for one in drives if is_whole(home / digest_recording(one))
+    }
     for key, scenario in scenarios.items():
-        stages = 4 if scenario.deployment.drive_samples else 2
+        base = taught.setdefault(_name_taught(scenario), home / key)
+        stages = (1 if is_whole(base) else 2) + (2 if scenario.deployment.drive_samples else 0)
         part = _share_out(progress, before, scenario.drive.samples, total, stages)
         try:
-            make_recording(scenario, home / key, part)
+            shares = is_whole(base) and is_taught_alike(base, scenario.sim, scenario.seed)
+            make_recording(scenario, home / key, part, base if shares else None)
         except (InputError, WorkError, OSError) as error:
             failed[key] = f"recording: {one_line(error)}"
         before += scenario.drive.samples
         progress("recordings", before, total)
     return failed
+
+
+def _name_taught(scenario: Scenario) -> str:
+    """A hash that is the same for all recordings with the same training drive."""
+    sim = choose_taught(scenario.sim)
+    return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
 
 
 def _try_to_derive(drive: Path, scenario: Scenario, folder: Path) -> Failures:

@@ -7,8 +7,18 @@ import pytest
 import torch
 
 from deepgps.data.segments import HELD_OUT, LEAST_SEGMENTS, Segments, choose_held_out, find_held_out
+from deepgps.methods.bar_errors import measure_bars
 from deepgps.methods.confidence import GROWTH, LEVELS, Confidence, find_normal_radius, unpack
-from deepgps.methods.confidence_fit import REFUSED, fit_quantile, make_confidence, measure_bars
+from deepgps.methods.confidence_fit import LEAST_ERRORS, fit_quantile, fit_radii, make_confidence
+from deepgps.methods.left_out import (
+    FAR_M,
+    REFUSED,
+    SELDOM,
+    find_crossing,
+    find_threshold,
+    interpolate,
+    leave_segments_out,
+)
 
 SIDE_M, READINGS, SPACING_M = 4.0, 12, 0.08
 
@@ -103,12 +113,26 @@ def test_packing_keeps_every_bit(table: Confidence) -> None:
     assert np.array_equal(before.radius, after.radius)
 
 
-def test_without_segments_held_out_radii_are_unknown_and_images_are_refused_all_the_same() -> None:
+def test_without_segments_held_out_radii_come_from_interpolation_and_are_not_too_small() -> None:
     segments, place = drive(LEAST_SEGMENTS - 1)
     table = unpack(*make(segments, lift(place), place).pack())
-    found = table.find(lift(place + 50.0), place)
-    assert not found.accepted.any()
-    assert np.isnan(found.radius).all()
+    assert not table.find(lift(place + 50.0), place).accepted.any()
+    _, place = drive(400, seed=2)
+    guessed = interpolate(table, lift(place))
+    found, error = table.find(lift(place), guessed), np.linalg.norm(guessed - place, axis=1)
+    for radius, level in zip(found.radius[found.accepted].T, LEVELS, strict=True):
+        assert (error[found.accepted] <= radius).mean() > level - 0.05
+
+
+def test_a_few_errors_tell_no_radius(table: Confidence) -> None:
+    unknown = replace(table, slope=np.full((2, 2), np.nan))
+    few = fit_radii(unknown, np.linspace(0.1, 0.2, LEAST_ERRORS - 1), np.ones(LEAST_ERRORS - 1))
+    assert np.isnan(few.find(lift(np.ones((3, 2))), np.ones((3, 2))).radius).all()
+
+
+def test_blank_features_tell_nothing() -> None:
+    segments, place = drive(4)
+    assert make(segments, 0.0 * lift(place), place).threshold_m == 0.0
 
 
 def test_one_segment_tells_nothing() -> None:
@@ -127,6 +151,49 @@ def test_one_image_at_a_time_gives_the_same(table: Confidence) -> None:
 def test_the_table_grows_with_the_area_and_not_with_the_images() -> None:
     small, large = (len(make(s, lift(p), p).place) for s, p in (drive(600), drive(2400)))
     assert large < 1.6 * small
+
+
+def test_short_drives_accept_only_images_whose_places_can_be_interpolated() -> None:
+    segments, place = drive(12)
+    left_out = leave_segments_out(segments, lift(place), place)
+    assert left_out is not None
+    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED))
+    table = make(segments, lift(place), place)
+    assert table.threshold_m < 0.9 * usual
+    _, place = drive(400, seed=2)
+    guessed = interpolate(table, lift(place))
+    error, found = np.linalg.norm(guessed - place, axis=1), table.find(lift(place), guessed)
+    assert (error[found.accepted] > FAR_M).mean() < SELDOM
+    assert (error > FAR_M).mean() > 2.0 * SELDOM
+
+
+def test_long_drives_refuse_the_usual_share() -> None:
+    segments, place = drive(600)
+    left_out = leave_segments_out(segments, lift(place), place)
+    assert left_out is not None
+    assert find_threshold(left_out) == np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher")
+
+
+def test_the_threshold_does_not_change_under_a_rigid_motion() -> None:
+    segments, place = drive(25)
+    moved = place @ np.array([[0.6, 0.8], [0.8, -0.6]]) + [30.0, -20.0]
+    here, there = (make(segments, lift(place), one).threshold_m for one in (place, moved))
+    assert here == pytest.approx(there, rel=0.02)
+
+
+def test_the_novelty_is_found_at_which_positions_are_far_off_with_a_probability() -> None:
+    rng = np.random.default_rng(0)
+    novelty = np.exp(rng.normal(0.0, 1.0, 20000))
+    far = rng.uniform(size=20000) < 1.0 / (1.0 + (novelty / 3.0) ** -2.0)
+    assert find_crossing(novelty, far, 0.5) == pytest.approx(3.0, rel=0.05)
+    assert find_crossing(novelty, far, 0.1) == pytest.approx(1.0, rel=0.05)
+    assert find_crossing(7.0 * novelty, far, 0.1) == pytest.approx(7.0, rel=0.05)
+
+
+def test_novelty_that_tells_nothing_of_errors_refuses_nothing() -> None:
+    novelty = np.linspace(1.0, 2.0, 50)
+    assert find_crossing(novelty, np.zeros(50, bool), 0.1) == np.inf
+    assert find_crossing(novelty, novelty < 1.5, 0.1) == np.inf
 
 
 def test_bars_measure_the_error_whatever_their_place_heading_and_length() -> None:

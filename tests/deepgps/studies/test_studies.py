@@ -177,6 +177,21 @@ def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
         assert (drive.seed, drive.drive.samples, drive.encoder.step_noise) == (plan.scenario.seed, 60, 0.0)
 
 
+@pytest.mark.slow
+def test_recordings_that_differ_in_deployment_share_the_training_drive(tmp_path):
+    cases = [{}, {"deployment.light": 0.5}, {"grid.spacing_m": 0.6}]
+    study = {"scenario": "tiny", "methods": ["knn"], "set": {"drive.samples": 60, "grid.spacing_m": 0.8}}
+    assert (
+        do_here(write_study(tmp_path, **study, cases=cases, axes={}, target={}, report="plain"), tmp_path / "out") == {}
+    )
+    made = sorted((tmp_path / "out" / "recordings").iterdir())
+    assert len(made) == len(cases)
+    assert len({(folder / "observations" / "fisheye.npy").stat().st_ino for folder in made}) == 1
+    assert len({(folder / "test" / "fisheye.npy").stat().st_ino for folder in made}) == len(cases)
+    for folder in made:
+        check_recording(folder)
+
+
 def test_a_study_looks_only_where_a_run_or_its_recording_is_missing(tmp_path):
     axes = {"learn.seed": [0, 1], "encoder.step_noise": [0.0, 0.1]}
     study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5], target={})), tiny=False)

@@ -1,0 +1,58 @@
+"""What was driven and seen in training, taken from another recording in which only deployment and test grid differ."""
+
+from pathlib import Path
+from typing import Any
+
+from sim.files import link_file
+from sim.recording.format import OF_USE, name_source, read_manifest
+from sim.recording.manifest import SCHEMA
+from sim.settings import DeploymentSettings, GridSettings, SimSettings
+
+OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
+"""Beginnings of the names of files that depend on deployment or test grid."""
+COUNTED = (
+    "samples",
+    "segments",
+    "readings",
+    "readings_lost",
+    "samples_dropped",
+    "times_relocated",
+    "distance_driven_m",
+    "gl_renderer",
+)
+"""Entries of the manifest that tell of the training drive."""
+
+
+def choose_taught(settings: SimSettings) -> SimSettings:
+    """The settings without what matters only after training."""
+    return settings.model_copy(update={"deployment": DeploymentSettings(), "grid": GridSettings()})
+
+
+def is_taught_alike(base: Path, settings: SimSettings, seed: int) -> bool:
+    """Whether the training drive of a recording has the bytes that these settings and this seed would give.
+
+    Held-out tests are driven after it, and labels from tags are fitted to training and test images in one.
+
+    Raises:
+        InputError: The recording's manifest cannot be read.
+    """
+    manifest = read_manifest(base)
+    if manifest.number != SCHEMA or manifest.seed != seed:
+        return False
+    other = SimSettings.model_validate(manifest.settings)
+    joined = any(one.grid.held_out or one.tag_camera.mounted for one in (other, settings))
+    return settings.world == "room" and not joined and choose_taught(other) == choose_taught(settings)
+
+
+def link_training(base: Path, folder: Path) -> dict[str, Any]:
+    """Link the files of a recording's training drive, or copy them where links are impossible.
+
+    Returns:
+        Their entries of the manifest.
+    """
+    manifest = read_manifest(base)
+    for name in manifest.sha256:
+        if not (name.startswith(OF_TESTS) or (folder / name).is_file()):
+            link_file(base / name, folder / name)
+    known = manifest.model_dump(by_alias=True, exclude_unset=True)
+    return {name: known[name] for name in COUNTED if name in known} | {"derived_from": name_source(base)}

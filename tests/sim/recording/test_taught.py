@@ -1,0 +1,101 @@
+"""A recording that differs only in deployment or test grid shares the training drive of another, to the byte."""
+
+from pathlib import Path
+
+import pytest
+
+from sim.recording import collect as collecting
+from sim.recording.collect import collect
+from sim.recording.derive import OF_IMAGES
+from sim.recording.format import check_recording, read_manifest
+from sim.recording.taught import is_taught_alike
+from sim.settings import SimSettings
+
+MAKING = {"collect_s", "derived_from", "renderer_deaths", "sha256", *OF_IMAGES}
+
+
+def quiet(label: str, done: int, total: int) -> None:
+    pass
+
+
+def change(settings: SimSettings, **groups: dict) -> SimSettings:
+    """The settings with some fields of some groups changed."""
+    values = settings.model_dump()
+    return SimSettings.model_validate(values | {name: values[name] | group for name, group in groups.items()})
+
+
+def read_files(folder: Path) -> dict[str, bytes]:
+    """All files but those of the manifests, which tell of the making."""
+    found = (path for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "manifest.json")
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in found}
+
+
+@pytest.fixture(scope="module")
+def plain(small_settings: SimSettings) -> SimSettings:
+    return change(small_settings, drive={"samples": 50}, grid={"spacing_m": 0.8, "headings": 1})
+
+
+@pytest.fixture(scope="module")
+def base(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("base") / "recording"
+    collect(plain, 0, folder, quiet, workers=1)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        {"deployment": {"light": 0.3, "moved_m": 0.3}},
+        {"grid": {"spacing_m": 0.6, "headings": 2}},
+        {"deployment": {"drive_samples": 20, "camera_mount": {"roll_deg": 4.0}}},
+    ],
+    ids=["light and furniture", "grid", "drive in use"],
+)
+def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, tmp_path, monkeypatch):
+    settings = change(plain, **groups)
+    assert is_taught_alike(base, settings, 0)
+    collect(settings, 0, tmp_path / "alone", quiet, workers=1)
+    driven, drive_chunk = [], collecting.drive_chunk
+    monkeypatch.setattr(collecting, "drive_chunk", lambda *args: driven.append(args[1]) or drive_chunk(*args))
+    collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
+    assert not any(one.drive.samples == 50 for one in driven), "only the drive in use is driven"
+    check_recording(tmp_path / "shared")
+    assert read_files(tmp_path / "shared") == read_files(tmp_path / "alone")
+    alone, shared = (read_manifest(tmp_path / name).model_dump(exclude=MAKING) for name in ("alone", "shared"))
+    assert shared == alone
+    pose = "truth/pose.npy"
+    assert (tmp_path / "shared" / pose).stat().st_ino == (base / pose).stat().st_ino
+    assert (read_manifest(tmp_path / "shared").model_extra or {})["derived_from"] == base.parent.name
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        {"encoder": {"step_noise": 0.1}},
+        {"drive": {"samples": 40}},
+        {"camera_mount": {"roll_deg": 1.0}},
+        {"image_faults": {"exposure": 0.5}},
+        {"grid": {"held_out": 5}},
+    ],
+    ids=lambda groups: next(iter(groups)),
+)
+def test_another_training_drive_is_not_shared(groups, plain, base):
+    assert not is_taught_alike(base, change(plain, **groups), 0)
+
+
+def test_another_seed_or_world_is_not_shared(plain, base):
+    assert is_taught_alike(base, plain, 0)
+    assert not is_taught_alike(base, plain, 1)
+    assert not is_taught_alike(base, plain.model_copy(update={"world": "landmarks"}), 0)
+
+
+def test_cut_off_it_continues_to_the_same_bytes(plain, base, tmp_path, monkeypatch):
+    settings = change(plain, deployment={"light": 0.3})
+    collect(settings, 0, tmp_path / "alone", quiet, workers=1)
+    with monkeypatch.context() as patch:
+        patch.setattr(collecting, "finish_recording", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
+    collect(settings, 0, tmp_path / "shared", quiet, workers=1, base=base)
+    assert read_files(tmp_path / "shared") == read_files(tmp_path / "alone")
+    check_recording(base)
