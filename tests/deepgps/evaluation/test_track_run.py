@@ -46,6 +46,7 @@ def test_files_and_figures_belong_together(run: Path):
     seen = track.observation != NO_IMAGE
     for name in PATHS:
         error = np.hypot(*(alignment.apply(track.paths[name].pose[seen, :2]) - true[track.observation[seen], :2]).T)
+        assert figures["paths"][name]["images"] == np.isfinite(error).sum()
         assert figures["paths"][name]["rms_m"] == pytest.approx(np.sqrt(np.nanmean(error**2)))
     assert figures["tracked"] == figures["images"] == 120
     assert (np.diff(track.time) > 0.0).all()
