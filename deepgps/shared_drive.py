@@ -1,6 +1,6 @@
 """The drive of an earlier run of the same scenario: what differs only in encoders, image faults or length shares it.
 
-So does what differs only in deployment or test grid, but for its tests.
+Recordings that differ only in deployment or test grid share the training drive, and have tests of their own.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from sim.errors import InputError
 from sim.recording.derive import explain_misfit
 from sim.recording.format import is_whole, read_manifest
 from sim.recording.manifest import Manifest
-from sim.recording.taught import is_taught_alike
+from sim.recording.training_drive import has_same_training_drive
 
 
 def find_base(scenario: Scenario, run: Path) -> Path | None:
@@ -29,12 +29,12 @@ def find_base(scenario: Scenario, run: Path) -> Path | None:
     return _find(scenario, run, lambda base: not explain_misfit(base, scenario.sim, scenario.seed))
 
 
-def find_taught_alike(scenario: Scenario, run: Path) -> Path | None:
+def find_training_drive(scenario: Scenario, run: Path) -> Path | None:
     """Find a recording with the training drive of a run's recording, whose tests are still to be drawn.
 
     Takes the arguments of ``find_base``, and considers the same runs.
     """
-    return _find(scenario, run, lambda base: is_taught_alike(base, scenario.sim, scenario.seed))
+    return _find(scenario, run, lambda base: has_same_training_drive(base, scenario.sim, scenario.seed))
 
 
 def _find(scenario: Scenario, run: Path, fits: Callable[[Path], bool]) -> Path | None:

@@ -13,7 +13,7 @@ from deepgps.progress import Report
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import RUN, find_place
 from deepgps.scenario import Scenario, digest_recording
-from deepgps.shared_drive import find_base, find_taught_alike
+from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import drop_sum, read_arrays, read_json, write_json
@@ -61,7 +61,7 @@ def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     if not is_whole(folder / "recording"):
         with timed(folder, "collect"):
             if not derive_from_base(scenario, folder, progress):
-                make_recording(scenario, folder / "recording", progress, find_taught_alike(scenario, folder))
+                make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))
 
 
 def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool:
@@ -88,7 +88,7 @@ def make_recording(scenario: Scenario, folder: Path, progress: Report, base: Pat
         scenario: The scenario.
         folder: The recording's folder.
         progress: Told of driving and rendering.
-        base: A recording that is taught alike; its training drive is shared if it is not damaged. None: there is none.
+        base: A recording with the same training drive, which is shared unless it is damaged; None: there is none.
     """
     if base is not None:
         try:

@@ -78,7 +78,7 @@ WITHOUT_MUJOCO = {
         "sim.recording.format",
         "sim.recording.manifest",
         "sim.recording.derive",
-        "sim.recording.taught",
+        "sim.recording.training_drive",
         "sim.recording.in_use",
         "sim.recording.turns",
         "sim.renamed",

@@ -39,7 +39,7 @@ from sim.recording.manifest import name_sensors
 from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers
 from sim.recording.sensing import part_files, sense_part
-from sim.recording.taught import link_training
+from sim.recording.training_drive import link_training
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
@@ -101,7 +101,7 @@ def collect(
         progress: Called with a stage (``drive`` or ``render``, or these ``in use``), the number of images done and
             their total.
         workers: Number of rendering processes; None: one for each usable core.
-        base: A finished recording that is taught alike, see ``is_taught_alike``: only what differs is driven and drawn.
+        base: A finished recording for which ``has_same_training_drive`` holds; only what differs is made.
 
     Raises:
         InputError: The room cannot be used, or has no test position.

@@ -31,6 +31,7 @@ from sim.recording.format import (
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import choose_drive_in_use, seed_in_use
 from sim.recording.manifest import SCHEMA, Manifest
+from sim.recording.training_drive import OF_TESTS
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
@@ -44,7 +45,7 @@ OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy", TURNS)
 """Files that depend on the encoder settings."""
-NOT_LEARNED = (*READ_AGAIN, "test/", "truth/test_pose.npy", OF_USE)
+NOT_LEARNED = (*READ_AGAIN, *OF_TESTS)
 """Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
 SAMPLES_IN_USE = "deployment.drive_samples"

@@ -16,7 +16,7 @@ from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole
-from sim.recording.taught import choose_taught, is_taught_alike
+from sim.recording.training_drive import has_same_training_drive, keep_training_settings
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -81,15 +81,14 @@ def _choose_undriven(drives: dict[str, Scenario], wanted: Iterable[str], home: P
 
 def _collect_all(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home: Path, progress: Report) -> Failures:
     total, before, failed = sum(one.drive.samples for one in scenarios.values()), 0, {}
-    taught = {
-        _name_taught(one): home / digest_recording(one) for one in drives if is_whole(home / digest_recording(one))
-    }
+    made = {digest_recording(one): one for one in drives} if scenarios else {}
+    shared = {_name_training_drive(one): home / key for key, one in made.items() if is_whole(home / key)}
     for key, scenario in scenarios.items():
-        base = taught.setdefault(_name_taught(scenario), home / key)
+        base = shared.setdefault(_name_training_drive(scenario), home / key)
         stages = (1 if is_whole(base) else 2) + (2 if scenario.deployment.drive_samples else 0)
         part = _share_out(progress, before, scenario.drive.samples, total, stages)
         try:
-            shares = is_whole(base) and is_taught_alike(base, scenario.sim, scenario.seed)
+            shares = is_whole(base) and has_same_training_drive(base, scenario.sim, scenario.seed)
             make_recording(scenario, home / key, part, base if shares else None)
         except (InputError, WorkError, OSError) as error:
             failed[key] = f"recording: {one_line(error)}"
@@ -98,9 +97,9 @@ def _collect_all(scenarios: dict[str, Scenario], drives: Iterable[Scenario], hom
     return failed
 
 
-def _name_taught(scenario: Scenario) -> str:
+def _name_training_drive(scenario: Scenario) -> str:
     """A hash that is the same for all recordings with the same training drive."""
-    sim = choose_taught(scenario.sim)
+    sim = keep_training_settings(scenario.sim)
     return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
 
 

@@ -1,4 +1,4 @@
-"""What was driven and seen in training, taken from another recording in which only deployment and test grid differ."""
+"""The training drive and its observations, shared by recordings that differ only in deployment or test grid."""
 
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,12 @@ COUNTED = (
 """Entries of the manifest that tell of the training drive."""
 
 
-def choose_taught(settings: SimSettings) -> SimSettings:
-    """The settings without what matters only after training."""
+def keep_training_settings(settings: SimSettings) -> SimSettings:
+    """The settings without deployment and test grid, which do not affect the training drive."""
     return settings.model_copy(update={"deployment": DeploymentSettings(), "grid": GridSettings()})
 
 
-def is_taught_alike(base: Path, settings: SimSettings, seed: int) -> bool:
+def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> bool:
     """Whether the training drive of a recording has the bytes that these settings and this seed would give.
 
     Held-out tests are driven after it, and labels from tags are fitted to training and test images in one.
@@ -41,7 +41,7 @@ def is_taught_alike(base: Path, settings: SimSettings, seed: int) -> bool:
         return False
     other = SimSettings.model_validate(manifest.settings)
     joined = any(one.grid.held_out or one.tag_camera.mounted for one in (other, settings))
-    return settings.world == "room" and not joined and choose_taught(other) == choose_taught(settings)
+    return settings.world == "room" and not joined and keep_training_settings(other) == keep_training_settings(settings)
 
 
 def link_training(base: Path, folder: Path) -> dict[str, Any]:

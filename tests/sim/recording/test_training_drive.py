@@ -8,7 +8,7 @@ from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES
 from sim.recording.format import check_recording, read_manifest
-from sim.recording.taught import is_taught_alike
+from sim.recording.training_drive import has_same_training_drive
 from sim.settings import SimSettings
 
 MAKING = {"collect_s", "derived_from", "renderer_deaths", "sha256", *OF_IMAGES}
@@ -53,7 +53,7 @@ def base(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, tmp_path, monkeypatch):
     settings = change(plain, **groups)
-    assert is_taught_alike(base, settings, 0)
+    assert has_same_training_drive(base, settings, 0)
     collect(settings, 0, tmp_path / "alone", quiet, workers=1)
     driven, drive_chunk = [], collecting.drive_chunk
     monkeypatch.setattr(collecting, "drive_chunk", lambda *args: driven.append(args[1]) or drive_chunk(*args))
@@ -80,13 +80,13 @@ def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, t
     ids=lambda groups: next(iter(groups)),
 )
 def test_another_training_drive_is_not_shared(groups, plain, base):
-    assert not is_taught_alike(base, change(plain, **groups), 0)
+    assert not has_same_training_drive(base, change(plain, **groups), 0)
 
 
 def test_another_seed_or_world_is_not_shared(plain, base):
-    assert is_taught_alike(base, plain, 0)
-    assert not is_taught_alike(base, plain, 1)
-    assert not is_taught_alike(base, plain.model_copy(update={"world": "landmarks"}), 0)
+    assert has_same_training_drive(base, plain, 0)
+    assert not has_same_training_drive(base, plain, 1)
+    assert not has_same_training_drive(base, plain.model_copy(update={"world": "landmarks"}), 0)
 
 
 def test_cut_off_it_continues_to_the_same_bytes(plain, base, tmp_path, monkeypatch):
