@@ -1,5 +1,6 @@
 """The documentation: its commands run, its code works, its tables are complete, its generated parts say everything."""
 
+import itertools
 import re
 from pathlib import Path
 
@@ -56,6 +57,14 @@ def test_the_readme_is_a_door() -> None:
     assert len(text.splitlines()) <= 150
     links = [link for link in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if "://" not in link]
     assert links and not [link for link in links if not (ROOT / link).exists()]
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda page: str(page.relative_to(ROOT)))
+def test_a_page_s_headings_skip_no_level(page: Path) -> None:
+    """Sphinx takes a skipped level for an error; published tables are pages of the documentation too."""
+    prose = re.sub(r"^(`{3,}).*?^\1", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    levels = [0, *(len(marks) for marks in re.findall(r"^(#+) ", prose, re.MULTILINE))]
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
 
 
 def test_every_setting_is_described_with_its_default() -> None:

@@ -47,7 +47,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
                 more = [_write_accepted(ours, name) for name in has]
                 cells.append([change, title_of(method), str(len(ours)), *errors, *more])
         headings = ["change", "method", "runs", *ERRORS.values(), *(ACCEPTED[name][0] for name in has)]
-        blocks += [f"### {title[0].upper()}{title[1:]}", tabulate(headings, cells)]
+        blocks += [f"## {title[0].upper()}{title[1:]}", tabulate(headings, cells)]
     return [*blocks, NOTE]
 
 

@@ -35,7 +35,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         drives = read_drives(some, varied)
         causes = [name for name in TITLES if any(name in drive.shares for drive in drives)]
         headings = ["fault", "refused", *(TITLES[name] for name in causes), "named", *RADII.values(), *LARGE.values()]
-        blocks += [f"### {title}", tabulate(headings, [_write(drive, causes) for drive in drives])]
+        blocks += [f"## {title}", tabulate(headings, [_write(drive, causes) for drive in drives])]
     return [*blocks, NOTE]
 
 
