@@ -212,7 +212,7 @@ def _refine(
         equations = Equations()
         add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
         add_links(equations, bars, links, fit.belief)
-        move, fit.samples = equations.solve(*hold_length(bars), rng)
+        move, fit.samples = equations.solve(*hold_length(bars, links, fit.belief), rng)
         angles = move[:-SHARED].reshape(-1, 4)[:, 2:]
         angles[...] = angles.clip(-LARGEST_TURN, LARGEST_TURN)
         before = bars.camera

@@ -33,7 +33,7 @@ class Equations:
         """Gauss-Newton step (n,) and samples of the errors (n, SAMPLES).
 
         Args:
-            held: Derivative of a sum that the step must make zero (n,).
+            held: Derivative of a sum that the step must make zero (n,); all zero: there is none.
             excess: What this sum is now.
             rng: Draws the samples.
         """
@@ -46,6 +46,8 @@ class Equations:
         )
         drawn = rng.standard_normal((self._count, SAMPLES))
         step, samples = -solver.solve(jacobian.T @ np.concatenate(self._residual)), solver.solve(jacobian.T @ drawn)
+        if not held.any():
+            return step, samples
         along = solver.solve(held)
         along /= held @ along
         return step - along * (held @ step + excess), samples - along[:, None] * (held @ samples)

@@ -133,13 +133,17 @@ def _rescale(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: flo
     return float(np.clip(np.sqrt(factor), 1.0 / MOST, MOST))
 
 
-def hold_length(bars: Bars) -> tuple[np.ndarray, float]:
+def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, float]:
     """Derivative (count,) of the total length of the bars, and by how much it exceeds the distance driven [m].
 
     Both ends of a loop closure are a few centimetres apart, and loop closures that pull them together would shrink a
-    map whose lengths are free.
+    map whose lengths are free. Only bars that a loop closure pulls count: a loose one would take up what the others
+    lack.
     """
-    length, scale = bars.along[bars.last], np.exp(bars.unknown[:, 3])
+    pulled = np.zeros(len(bars.unknown))
+    for end in (links.one, links.other):
+        pulled[bars.row[end[belief.believed]]] = 1.0
+    length, scale = pulled * bars.along[bars.last], np.exp(bars.unknown[:, 3])
     held = np.zeros(bars.count)
     held[3:-SHARED:4] = length * scale
     return held, float(length @ (scale - 1.0))

@@ -140,6 +140,16 @@ def test_noisy_gaps_are_mended_and_the_map_does_not_shrink():
     assert size[0] == pytest.approx(size[1], rel=0.02)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_a_segment_without_loop_closures_keeps_its_measured_length(seed: int):
+    made = drive(160, seed, gaps=0.3)
+    last = made.segments.index[-1, : made.segments.count[-1]].numpy()
+    known = ~np.isin(made.closures.first, last) & ~np.isin(made.closures.second, last)
+    kept = Closures(*(part[known] for part in vars(made.closures).values()))
+    end, begin = find_map(made, kept).places[last[[-1, 0]]]
+    assert np.linalg.norm(end - begin) == pytest.approx(float(made.segments.distance[-1].max()), rel=0.005)
+
+
 @pytest.mark.parametrize("gaps", [0.0, 0.1])
 @pytest.mark.parametrize("scale", [1 / 3, 3.0])
 def test_expected_errors_that_are_three_times_too_small_or_large_hardly_change_the_map(scale: float, gaps: float):
