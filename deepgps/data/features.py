@@ -26,7 +26,7 @@ from safetensors.torch import load_file, save
 
 from deepgps.data.ranks import rank_values
 from deepgps.data.relit import relight
-from deepgps.data.segments import Segments, subsample
+from deepgps.data.segments import Segments, subsample_learned
 from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
 from sim.files import check_sha256, read_json, write_bytes, write_json
@@ -189,12 +189,12 @@ def find_edges(observation: np.ndarray, rings: int) -> torch.Tensor | None:
 def fit_features(
     observation: np.ndarray, segments: Segments, settings: FeatureSettings, generator: torch.Generator
 ) -> tuple[Features, torch.Tensor]:
-    """Fit the projection on training observations and apply it to all; of a long recording, a sample is fitted.
+    """Fit the projection on observations that networks learn from and apply it to all; of many, a sample is fitted.
 
     Returns:
         The projection and the observations' features (N, components); their mean square over the fitted sample is 1.
     """
-    sample, chosen = subsample(segments, len(observation))
+    sample, chosen = subsample_learned(segments, len(observation))
     edges = find_edges(observation, settings.rings)
     described = _describe_all(observation, chosen.numpy(), settings, edges)
     mean = described.mean(dim=0)

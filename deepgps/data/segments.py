@@ -141,9 +141,22 @@ def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) ->
         return segments, torch.arange(observations)
     order = spread_evenly(len(segments.count)).argsort()
     rows = order[segments.count[order].cumsum(0) <= most].sort().values
-    kept = segments.take(rows)
-    chosen = kept.index[kept.valid].unique()
-    return replace(kept, index=torch.searchsorted(chosen, kept.index) * kept.valid), chosen
+    return renumber(segments.take(rows))
+
+
+def subsample_learned(segments: Segments, observations: int) -> tuple[Segments, torch.Tensor]:
+    """Like ``subsample``, without the segments held out: these stay as new as the images of another drive."""
+    if segments.held_out is None:
+        return subsample(segments, observations)
+    learned, known = renumber(segments.learned)
+    kept, chosen = subsample(learned, len(known))
+    return kept, known[chosen]
+
+
+def renumber(segments: Segments) -> tuple[Segments, torch.Tensor]:
+    """The segments with their observations numbered from zero, and the original numbers of these (n,) int64."""
+    chosen = segments.index[segments.valid].unique()
+    return replace(segments, index=torch.searchsorted(chosen, segments.index) * segments.valid), chosen
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:

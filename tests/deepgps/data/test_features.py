@@ -16,7 +16,7 @@ from deepgps.data.features import (
     normalise,
     solve_generalised,
 )
-from deepgps.data.segments import read_segments
+from deepgps.data.segments import find_held_out, read_segments
 from deepgps.learning.training_data import prepare
 from deepgps.settings import FeatureSettings, LearnSettings
 from sim.errors import InputError
@@ -102,6 +102,20 @@ def test_slow_features_leave_noise_out(tmp_path: Path):
 
     assert explained(signal) > 0.95
     assert explained(noise) < 0.1
+
+
+def test_images_held_out_do_not_change_the_projection(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=1500)
+    segments = read_segments(recording)
+    observation = np.array(recording.observation)
+    held = find_held_out(segments, len(observation)).numpy()
+    assert held.any()
+    settings = FeatureSettings(components=8)
+    _, features = fit_features(observation, segments, settings, torch.Generator().manual_seed(0))
+    observation[held] = 0.0
+    _, changed = fit_features(observation, segments, settings, torch.Generator().manual_seed(0))
+    assert changed[~held].equal(features[~held])
+    assert not changed[held].equal(features[held])
 
 
 def test_features_are_taken_from_the_cache_of_the_same_key(tmp_path: Path):
