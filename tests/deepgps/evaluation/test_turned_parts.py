@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.turned_parts import find_turned_parts
-from deepgps.figures.verdict import find_doubts
 from sim.recording.format import Recording, open_recording, open_truth
 
 
@@ -37,9 +36,3 @@ def test_a_part_that_is_mirrored_is_found(recording: Recording, places: np.ndarr
     found = find_turned_parts(folded, recording)
     assert found is not None and found.parts
     assert 0.05 < found.share < 0.6
-
-
-def test_the_verdict_says_how_much_is_turned():
-    turned = {"share": 0.02, "parts": [131], "turns": 182}
-    assert find_doubts({"turned": turned}) == ["131 images, 2 % of the way, are mirrored or turned by the compass"]
-    assert find_doubts({"turned": {**turned, "parts": []}}) == []

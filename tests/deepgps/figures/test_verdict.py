@@ -35,6 +35,19 @@ def test_a_map_that_cannot_be_right_is_named_with_the_reason(figures, reason):
     assert judge_run(make(**figures)) == [f"Not converged: DeepGPS ({reason})."]
 
 
+@pytest.mark.parametrize(
+    ("share", "line"),
+    [
+        (0.041, "Not converged: DeepGPS (131 images, 4.1 % of the way, are mirrored or turned by the compass)."),
+        (0.0141, "DeepGPS: 131 images, 1.4 % of the way, are mirrored or turned by the compass."),
+    ],
+)
+def test_a_small_part_that_is_turned_is_named_and_a_large_one_makes_the_map_wrong(share: float, line: str):
+    turned = {"share": share, "parts": [131], "turns": 182}
+    assert judge_run(make(turned=turned)) == [line]
+    assert judge_run(make(turned={**turned, "parts": []})) == []
+
+
 def test_all_reasons_are_one_line():
     (line,) = judge_run(make(scale=0.5, relative_rms=0.3))
     assert line == "Not converged: DeepGPS (scale 0.50, RMS 30 % of the room's shorter side)."
