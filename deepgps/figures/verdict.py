@@ -11,7 +11,7 @@ LARGEST_RELATIVE_RMS = 0.1
 """RMS, as a fraction of the room's shorter side, from which a map is of no use."""
 LARGEST_TURNED = 0.03
 """Part of the way that may be mirrored or turned in a right map: images taken for a place that looks alike. In twenty
-worlds of corridors and labyrinths it was at most 1.4 % in right maps by distances alone, and 4 to 55 % in wrong ones."""
+worlds of corridors and labyrinths it was at most 1.4 % in right maps by distances alone, 4 to 55 % in wrong ones."""
 LEAST_SEEN = 0.9
 """Fraction of the test positions near a training observation below which the drive is too short."""
 TRY_OUT = "This is a small run that shows the way only; its errors have no meaning."
