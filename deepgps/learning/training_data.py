@@ -30,7 +30,7 @@ class TrainingData:
         projection: The map from observations to features.
         features: Features of the training observations (N, components).
         inputs: The network's input, on the device.
-        shape: Shape of one observation.
+        observation: The training observations (N, ...), set upright if the camera leans.
         upright: Sets images of a leaning camera upright; None: the method takes images as they are.
     """
 
@@ -38,8 +38,13 @@ class TrainingData:
     projection: Features
     features: torch.Tensor
     inputs: Inputs
-    shape: tuple[int, ...]
+    observation: np.ndarray
     upright: Upright | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of one observation."""
+        return tuple(self.observation.shape[1:])
 
     @property
     def device(self) -> torch.device:
@@ -74,7 +79,7 @@ def prepare(
     if settings.network.architecture != "spectral":
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
-    return TrainingData(segments, projection, features, inputs, tuple(recording.observation.shape[1:]), upright)
+    return TrainingData(segments, projection, features, inputs, recording.observation, upright)
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:

@@ -49,7 +49,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     data = replace(data, segments=expect_errors(recording, data.segments))
 
     progress("compass: initial map", 0, 1)
-    found = make_compass_map(recording, data, turns, seed)
+    found = make_compass_map(data, turns, seed)
     write_map(folder, found, data.segments, turns)
     progress("compass: initial map", 1, 1)
 
@@ -76,14 +76,14 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **told})
 
 
-def make_compass_map(recording: Recording, data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
+def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:
     """The map of all training observations by compass, encoders and loop closures; segments have expected errors."""
     first, second, length = find_loop_closures(data.features, data.segments, (NEIGHBOURS,))[0]
     once = first < second
     first, second, length = first[once], second[once], length[once]
-    headings = compare_headings(recording.observation, first, second)
+    headings = compare_headings(data.observation, first, second)
     closures = Closures(first, second, length, np.where(headings.clear, headings.turn, np.nan))
-    rng, curvature = stream(seed, "compass map"), measure_curvature(recording.observation, data.segments)
+    rng, curvature = stream(seed, "compass map"), measure_curvature(data.observation, data.segments)
     return find_compass_map(data.segments, turns, closures, len(data.features), rng, curvature)
 
 

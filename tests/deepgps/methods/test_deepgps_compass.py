@@ -36,9 +36,9 @@ def error(found: np.ndarray, recording: Recording) -> np.ndarray:
 def test_the_map_by_compass_is_right_before_anything_is_trained(recording: Recording, tmp_path: Path):
     data, turns = prepare(recording, SETTINGS, 0, tmp_path), measure_turns(recording)
     data = replace(data, segments=expect_errors(recording, data.segments))
-    found = make_compass_map(recording, data, turns, seed=0)
+    found = make_compass_map(data, turns, seed=0)
     assert np.sqrt((error(found.places, recording) ** 2).mean()) < 0.05
-    again = make_compass_map(recording, data, measure_turns(recording), seed=0)
+    again = make_compass_map(data, measure_turns(recording), seed=0)
     np.testing.assert_array_equal(again.places, found.places)
 
 
@@ -54,3 +54,12 @@ def test_it_needs_turn_images_and_says_so_before_anything_is_driven():
         load_scenario("tiny", {"methods": ["deepgps_compass"], "drive.turn_images": False})
     with pytest.raises(InputError, match="methods: deepgps_compass needs images, which world room"):
         load_scenario("landmarks", {"methods": ["deepgps_compass"]})
+
+
+def test_a_leaning_camera_s_images_are_upright_for_all_that_looks_at_them(recording: Recording, tmp_path: Path):
+    upright = measure_turns(recording).upright
+    assert upright is not None
+    upright = replace(upright, lean=(np.radians(2.0), 0.0))
+    data = prepare(recording, SETTINGS, 0, tmp_path, upright)
+    np.testing.assert_array_equal(data.observation, upright(recording.observation))
+    assert not np.array_equal(data.observation, recording.observation)
