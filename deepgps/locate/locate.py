@@ -67,7 +67,10 @@ def locate(
         except InputError as error:
             return Located(picture._replace(image=None, error=one_line(error)))
         pose = find_poses(positioner, polar[None]).take(0)
-        cause = None if watch is None else watch.step(polar, bool(pose.accepted))
+        cause = None
+        if watch is not None:
+            assert pose.novelty is not None  # a method whose images have causes knows how novel they are
+            cause = watch.step(polar, float(pose.novelty))
         pose = pose if step is None else step(picture.name, pose)
         return Located(picture, polar, pose if alignment is None else pose.align(alignment), cause)
 

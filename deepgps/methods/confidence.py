@@ -56,6 +56,9 @@ class Confidence:
         metres: Distance on the map between entries around each over their distance in features (E,) float32 [m].
         map_std: Standard deviation of the map there, along one axis (E,) float32 [m]; 0 where none is known.
         threshold_m: Largest novelty that is accepted [m].
+        usual_m: Novelty that most images of the drive would have if their own segments had not been driven [m]; larger
+            than ``threshold_m`` where the drive was too short for their positions to be known.
+        refused: Share of these images that would be refused.
         slope: a [m] and b for each of ``LEVELS`` (2, 2); NaN: too few segments were held out to know.
         reach_m: Largest distance between two places of the map.
     """
@@ -66,6 +69,8 @@ class Confidence:
     metres: np.ndarray
     map_std: np.ndarray
     threshold_m: float
+    usual_m: float
+    refused: float
     slope: np.ndarray
     reach_m: float
 
@@ -97,6 +102,8 @@ class Confidence:
         known = np.isfinite(self.slope).all()
         numbers = {
             "threshold_m": self.threshold_m,
+            "usual_m": self.usual_m,
+            "refused": self.refused,
             "slope_m": self.slope.tolist() if known else None,
             "reach_m": self.reach_m,
         }
@@ -111,11 +118,13 @@ ARRAYS = ("features", "scale", "place", "metres", "map_std")
 
 
 def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Confidence:
-    """The table that was packed; raises KeyError where a part is missing."""
+    """The table that was packed, by an older version too; raises KeyError where a part is missing."""
     slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
     return Confidence(
         **{name: np.asarray(arrays[name]) for name in ARRAYS},
         threshold_m=float(numbers["threshold_m"]),
+        usual_m=float(numbers.get("usual_m", numbers["threshold_m"])),
+        refused=float(numbers.get("refused", 0.0)),
         slope=slope,
         reach_m=float(numbers["reach_m"]),
     )

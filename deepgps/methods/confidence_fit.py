@@ -16,7 +16,7 @@ from deepgps.data.segments import Segments, find_held_out, spread_evenly
 from deepgps.methods.bar_errors import measure_bars
 from deepgps.methods.confidence import GROWTH, LEVELS, Confidence
 from deepgps.methods.confidence_table import make_table
-from deepgps.methods.left_out import find_threshold, leave_segments_out
+from deepgps.methods.left_out import leave_segments_out, set_threshold
 
 COMPARED = 500
 LEAST_ERRORS, MOST_ERRORS = 20, 4000
@@ -39,8 +39,7 @@ def make_confidence(
         return None
     held = find_held_out(segments, len(positions)).numpy()
     std = np.zeros(len(positions)) if map_std is None else np.nan_to_num(map_std)
-    table = make_table(features, positions, std, np.flatnonzero(~held))
-    table = replace(table, threshold_m=find_threshold(left_out))
+    table = set_threshold(make_table(features, positions, std, np.flatnonzero(~held)), left_out)
     error = measure_bars(segments, positions, held)
     measured = np.isfinite(error)
     if measured.sum() >= LEAST_ERRORS:

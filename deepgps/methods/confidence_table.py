@@ -33,6 +33,8 @@ def make_table(features: np.ndarray, positions: np.ndarray, std: np.ndarray, row
         metres=_convert(known, place),
         map_std=std[entry].astype(np.float32),
         threshold_m=np.inf,
+        usual_m=np.inf,
+        refused=0.0,
         slope=np.full((len(LEVELS), 2), np.nan),
         reach_m=float(2.0 * middle),
     )

@@ -6,6 +6,7 @@ interpolated between the most alike images of the table are far from those of th
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -69,10 +70,14 @@ def interpolate(table: Confidence, features: np.ndarray) -> np.ndarray:
     return spline(features[:, : len(table.scale)])
 
 
-def find_threshold(left_out: LeftOut) -> float:
-    """Largest novelty [m] that most images of the drive have, and at which a position is seldom far off."""
+def set_threshold(table: Confidence, left_out: LeftOut) -> Confidence:
+    """The table that accepts a novelty [m] that most images of the drive have, and at which a position is seldom far
+    off.
+    """
     usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher"))
-    return min(usual, find_crossing(left_out.guessed, left_out.error > FAR_M, SELDOM))
+    threshold = min(usual, find_crossing(left_out.guessed, left_out.error > FAR_M, SELDOM))
+    refused = float(np.mean(left_out.novelty > threshold))
+    return replace(table, threshold_m=threshold, usual_m=usual, refused=refused)
 
 
 def find_crossing(novelty: np.ndarray, far: np.ndarray, probability: float) -> float:

@@ -15,6 +15,7 @@ from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
 from deepgps.monitoring.image_checks import ImageLimits, check_images, find_driven, find_limits
 from deepgps.monitoring.rules import (
     FAULTY,
+    MORE,
     MOSTLY,
     OFTEN,
     TITLES,
@@ -109,10 +110,10 @@ class Monitor:
         camera, features = positioner.locate_with_features(images)
         compared = self.known.compare(images, camera, upright)
         leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
-        accepted = self.confidence.find(features, camera).accepted
-        seen = self.look(images, find_driven(drive), accepted, compared)
+        novelty = self.confidence.measure(features, camera)[0]
+        seen = self.look(images, find_driven(drive), novelty, compared)
         gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
-        causes = label(weigh(seen, self.known.usual_match, leans and not corrected))
+        causes = label(self.weigh(seen, leans and not corrected))
         accepted = seen.accepted & ~np.isin(causes, FAULTY)
         return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
 
@@ -123,35 +124,42 @@ class Monitor:
         upright, lean = adapt_upright(self.upright, drive)
         return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
 
-    def look(self, images: np.ndarray, moved: np.ndarray, accepted: np.ndarray, compared: Comparison) -> Seen:
-        """What each image shows by itself; ``moved`` (N,) bool: the wheels moved since the image before."""
+    def look(self, images: np.ndarray, moved: np.ndarray, novelty: np.ndarray, compared: Comparison) -> Seen:
+        """What each image shows by itself.
+
+        Args:
+            images: Polar images (N, rings, sectors, 3).
+            moved: Whether the wheels moved since the image before (N,) bool.
+            novelty: Novelty of each (N,) [m].
+            compared: How they compare with the known images.
+        """
         known = compared.correlation > self.known.other_place
         return Seen(
             **vars(check_images(images, moved, self.limits)),
-            accepted=accepted,
+            accepted=novelty <= self.confidence.threshold_m,
+            unusual=novelty > self.confidence.usual_m,
             known_place=known,
             beyond=compared.away_m > self.known.gap_m,
             relit=known & (compared.relit > RELIT * self.known.usual_light),
             correlation=compared.correlation,
         )
 
+    def weigh(self, seen: Seen, leaning: bool) -> Evidence:
+        """What is known of images in the order driven.
 
-def weigh(seen: Seen, usual_match: float, leaning: bool) -> Evidence:
-    """What is known of images in the order driven.
-
-    Args:
-        seen: What each shows by itself.
-        usual_match: Correlation that training images have with each other.
-        leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
-    """
-    often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
-    return Evidence(
-        **{**vars(seen), "relit": seen.relit & (often >= OFTEN)},
-        mostly_relit=often >= MOSTLY,
-        changed=median_around(seen.correlation, seen.accepted) < usual_match,
-        leaning=np.full(len(new), leaning),
-        long_new=find_long(new),
-    )
+        Args:
+            seen: What each shows by itself.
+            leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
+        """
+        often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
+        return Evidence(
+            **{**vars(seen), "relit": seen.relit & (often >= OFTEN)},
+            mostly_relit=often >= MOSTLY,
+            changed=median_around(seen.correlation, seen.accepted) < self.known.usual_match,
+            often_refused=share_around(~seen.accepted) > MORE * self.confidence.refused,
+            leaning=np.full(len(new), leaning),
+            long_new=find_long(new),
+        )
 
 
 def find_least_lean(upright: Upright, rings: int) -> float:

@@ -12,6 +12,8 @@ WINDOW, NEARLY_ALL = 150, 0.95
 AROUND, OFTEN, MOSTLY = 50, 0.25, 0.5
 """The light has changed where values differ in the first share of so many images before and after an image; where they
 differ in the second share, it is also why others are refused."""
+MORE = 2.0
+"""Refused images show that the room has changed if there are so many times more around than the drive explains."""
 FEWEST = 10
 """Accepted images around an image, at least, that show whether the room has changed."""
 
@@ -22,6 +24,8 @@ class Seen(ImageFaults):
 
     Attributes:
         accepted: The method accepts its position (N,) bool.
+        unusual: It is refused because it is more novel than most images of the training drive (N,) bool; others are
+            refused because that drive was too short to know their place well.
         known_place: It matches a training image better than images of different places match (N,) bool.
         beyond: It is farther from all training images on the map than nearly all of these are from other segments (N,)
             bool.
@@ -30,6 +34,7 @@ class Seen(ImageFaults):
     """
 
     accepted: np.ndarray
+    unusual: np.ndarray
     known_place: np.ndarray
     beyond: np.ndarray
     relit: np.ndarray
@@ -43,12 +48,14 @@ class Evidence(Seen):
     Attributes:
         mostly_relit: Most images around it are relit (N,) bool.
         changed: The accepted images around it match training images worse than these match each other (N,) bool.
+        often_refused: More images around it are refused than a short training drive explains (N,) bool.
         leaning: The camera leans otherwise than in training, and the method does not correct it (N,) bool.
         long_new: It is in a long stretch of images nearly all of which are of no known place (N,) bool.
     """
 
     mostly_relit: np.ndarray
     changed: np.ndarray
+    often_refused: np.ndarray
     leaning: np.ndarray
     long_new: np.ndarray
 
@@ -74,8 +81,11 @@ def find_relit(seen: Evidence) -> np.ndarray:
 
 
 def find_changed(seen: Evidence) -> np.ndarray:
-    """Images of known places, where training images are near by or what is accepted shows that the room has changed."""
-    return seen.known_place & (~seen.beyond | seen.changed)
+    """Images of known places, where training images are near by or what is accepted shows that the room has changed;
+    not those that are refused since the training drive was short.
+    """
+    near = ~seen.beyond & (seen.unusual | seen.often_refused)
+    return seen.known_place & (near | seen.changed)
 
 
 RULES = (
@@ -88,7 +98,7 @@ RULES = (
     Cause("camera", "camera leans or moved", lambda seen: seen.known_place & seen.leaning),
     Cause("other_room", "another room", lambda seen: seen.long_new),
     Cause("furniture", "furniture moved or someone in view", find_changed),
-    Cause("new_place", "not been here", lambda seen: ~seen.accepted),
+    Cause("new_place", "never or seldom been here", lambda seen: ~seen.accepted),
 )
 """The first rule that holds names an image's cause. The light can change though an image is accepted."""
 TITLES = {cause.name: cause.title for cause in RULES if cause.name}

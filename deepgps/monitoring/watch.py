@@ -1,4 +1,7 @@
-"""Causes of images as they come, by each image and those before it. A lean shows at turns only, which are not known."""
+"""Causes of images as they come, by each image and those before it.
+
+A camera that leans shows at turns only, and a frozen image by wheels that move: neither is known here.
+"""
 
 from collections import deque
 from dataclasses import replace
@@ -6,8 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from deepgps.methods.pose import locate_camera
-from deepgps.methods.positioner import NetworkPositioner
-from deepgps.monitoring.causes import Monitor, weigh
+from deepgps.monitoring.causes import Monitor
 from deepgps.monitoring.rules import WINDOW, Seen, label
 
 
@@ -18,14 +20,13 @@ class Watch:
         self._monitor = monitor
         self._seen = deque[Seen](maxlen=WINDOW)
 
-    def step(self, image: np.ndarray, accepted: bool) -> str:
-        """Name of the cause of the next polar image (rings, sectors, 3), empty: none; ``accepted`` by the method."""
-        one, positioner = image[None], self._monitor.positioner
-        upright = positioner.upright if isinstance(positioner, NetworkPositioner) else self._monitor.upright
-        compared = self._monitor.known.compare(one, locate_camera(positioner, one), upright)
-        self._seen.append(self._monitor.look(one, np.array([False]), np.array([accepted]), compared))
+    def step(self, image: np.ndarray, novelty: float) -> str:
+        """Name of the cause of the next polar image (rings, sectors, 3) with this novelty [m]; empty: none."""
+        one, monitor = image[None], self._monitor
+        compared = monitor.known.compare(one, locate_camera(monitor.positioner, one), monitor.upright)
+        self._seen.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
         parts = {name: np.concatenate([vars(seen)[name] for seen in self._seen]) for name in vars(self._seen[-1])}
-        found = weigh(Seen(**parts), self._monitor.known.usual_match, False)
+        found = monitor.weigh(Seen(**parts), False)
         if len(self._seen) < WINDOW:  # too few to be another room
             found = replace(found, long_new=np.zeros(len(self._seen), bool))
         return str(label(found)[-1])

@@ -15,9 +15,9 @@ from deepgps.methods.left_out import (
     REFUSED,
     SELDOM,
     find_crossing,
-    find_threshold,
     interpolate,
     leave_segments_out,
+    set_threshold,
 )
 
 SIDE_M, READINGS, SPACING_M = 4.0, 12, 0.08
@@ -171,7 +171,9 @@ def test_long_drives_refuse_the_usual_share() -> None:
     segments, place = drive(600)
     left_out = leave_segments_out(segments, lift(place), place)
     assert left_out is not None
-    assert find_threshold(left_out) == np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher")
+    table = set_threshold(make(segments, lift(place), place), left_out)
+    assert table.threshold_m == table.usual_m == np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher")
+    assert table.refused < REFUSED
 
 
 def test_the_threshold_does_not_change_under_a_rigid_motion() -> None:

@@ -80,7 +80,7 @@ def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatc
         return kept, chosen
 
     monkeypatch.setattr("deepgps.methods.deepgps.subsample", subsample_less)
-    monkeypatch.setattr("deepgps.data.features.subsample", subsample_less)
+    monkeypatch.setattr("deepgps.data.segments.subsample", subsample_less)
     error = measure(fit_method("deepgps", recording, SETTINGS, 0, tmp_path / "run" / "deepgps"), recording)
     assert max(looked_at) <= 800
     assert np.sqrt(np.mean(error**2)) < 0.05

@@ -124,15 +124,15 @@ def test_causes_of_images_as_they_come_are_those_of_the_drive(drawn: Drawn, like
     moved = drive(like, Room(pillars=MOVED), IN_USE, 2)
     for use in (clean, moved, see(clean, FAULTS["light"]), see(clean, FAULTS["covered"])):
         known, watch = monitor.name(use), Watch(monitor)
-        accepted = find_poses(monitor.positioner, use.observation).accepted
-        assert accepted is not None
-        found = [watch.step(*one) for one in zip(use.observation, accepted.tolist(), strict=True)]
+        novelty = find_poses(monitor.positioner, use.observation).novelty
+        assert novelty is not None
+        found = [watch.step(*one) for one in zip(use.observation, novelty.tolist(), strict=True)]
         assert np.mean(np.array(found) == known.label) > 0.8  # the first images know few others
 
 
 def test_another_room_is_told_once_many_images_have_come(drawn: Drawn, like: Recording):
     watch = Watch(drawn[0])
-    found = [watch.step(image, False) for image in drive(like, Room(seed=9), IN_USE, 2).observation[: WINDOW + 5]]
+    found = [watch.step(image, np.inf) for image in drive(like, Room(seed=9), IN_USE, 2).observation[: WINDOW + 5]]
     assert "other_room" not in found[: WINDOW - 1]
     assert found.count("new_place") > 0.9 * WINDOW
     assert set(found[WINDOW:]) == {"other_room"}
