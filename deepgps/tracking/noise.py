@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.tracking.fix import Fix
-from deepgps.tracking.motion import Motion, compose, make_motion
+from deepgps.tracking.motion import STILL, Motion, compose
 
 APART_M = 0.5
 """Way between two images that are compared [m]."""
@@ -21,7 +21,23 @@ OF_MEDIAN = 0.455
 """Median of a squared standard normal variable."""
 MOST = 100.0
 """Errors are at most so many times those expected, and never less than these, which the median of heavy tails hides."""
-KEPT = 64
+LEAST_M = 0.05
+"""Way after which another image is kept, so that a robot that stands still does not fill the trail [m]."""
+
+
+@dataclass(frozen=True)
+class Seen:
+    """An image on the way.
+
+    Attributes:
+        fix: What it says of the pose.
+        motion: By odometry, from it to the next image that is kept, or until now.
+        way_m: Way driven meanwhile [m].
+    """
+
+    fix: Fix
+    motion: Motion
+    way_m: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -29,43 +45,47 @@ class Trail:
     """The last images on a path by odometry.
 
     Attributes:
-        motion: From the first image that is kept until now.
-        way_m: Way driven until now [m].
-        images: Way, place and variance by odometry, and place and variance by image (n, 7).
+        images: Those with which the next may be compared, the last one at the end.
         squared: Squared differences of distances over those expected (m,).
     """
 
-    motion: Motion
-    way_m: float
-    images: np.ndarray
+    images: tuple[Seen, ...]
     squared: np.ndarray
 
 
 def begin_trail() -> Trail:
     """A trail without an image."""
-    return Trail(make_motion(0.0), 0.0, np.empty((0, 7)), np.full(BEFORE, OF_MEDIAN))
+    return Trail((), np.full(BEFORE, OF_MEDIAN))
 
 
 def break_off(trail: Trail) -> Trail:
     """The trail of a robot that was carried: its images are of no use, but its errors are the same."""
-    return replace(begin_trail(), squared=trail.squared)
+    return replace(trail, images=())
 
 
 def extend(trail: Trail, motion: Motion, scale: float) -> Trail:
     """The trail after a motion, whose way is ``scale`` times that by odometry."""
-    scaled = replace(motion, step=motion.step * scale)
-    return replace(trail, motion=compose(trail.motion, scaled), way_m=trail.way_m + motion.length_m)
+    if not trail.images:
+        return trail
+    *others, last = trail.images
+    moved = compose(last.motion, replace(motion, step=motion.step * scale))
+    return replace(trail, images=(*others, Seen(last.fix, moved, last.way_m + motion.length_m)))
 
 
 def add_image(trail: Trail, fix: Fix) -> Trail:
-    """The trail with an image, compared with an earlier one."""
-    spread = float(np.trace(trail.motion.covariance[:2, :2])) / 2.0
-    row = np.array([trail.way_m, *trail.motion.step, spread, *fix.position, fix.position_std**2])
-    squared = trail.squared
-    earlier = np.flatnonzero(trail.way_m - trail.images[:, 0] >= APART_M)
-    if len(earlier) and trail.way_m - trail.images[earlier[-1], 0] <= FARTHEST_M:
-        squared = np.append(squared, _compare(row, trail.images[earlier[-1]]))[-WINDOW:]
-    return replace(trail, images=np.concatenate([trail.images, row[None]])[-KEPT:], squared=squared)
+    """The trail with an image, compared with the last one that is far enough away."""
+    if trail.images and trail.images[-1].way_m < LEAST_M:
+        return trail
+    motion, way_m, squared, kept = STILL, 0.0, trail.squared, [Seen(fix, STILL)]
+    for seen in reversed(trail.images):
+        before, way_m = way_m, way_m + seen.way_m
+        if way_m > FARTHEST_M:
+            break
+        motion = compose(seen.motion, motion)
+        kept.insert(0, seen)
+        if before < APART_M <= way_m:
+            squared = np.append(squared, _compare(fix, seen.fix, motion))[-WINDOW:]
+    return Trail(tuple(kept), squared)
 
 
 def find_factor(trail: Trail) -> float:
@@ -73,7 +93,13 @@ def find_factor(trail: Trail) -> float:
     return float(np.clip(np.sqrt(np.median(trail.squared) / OF_MEDIAN), 1.0, MOST))
 
 
-def _compare(row: np.ndarray, other: np.ndarray) -> float:
-    gap = row - other
-    apart = np.hypot(gap[4], gap[5]) - np.hypot(gap[1], gap[2])
-    return max(apart**2 - max(gap[3], 0.0), 0.0) / (row[6] + other[6])
+def _compare(fix: Fix, earlier: Fix, motion: Motion) -> float:
+    """Squared difference of the distances by image and by odometry, over that expected of the images.
+
+    The variance of the odometry's distance is that along the line between the two places: an error of the heading
+    moves one of them across it.
+    """
+    along = motion.step / max(motion.length_m, 1e-9)
+    spread = float(along @ motion.covariance[:2, :2] @ along)
+    apart = float(np.linalg.norm(fix.position - earlier.position)) - motion.length_m
+    return max(apart**2 - spread, 0.0) / (fix.position_std**2 + earlier.position_std**2)

@@ -1,0 +1,54 @@
+"""The errors of images by odometry: found after any way, with turns known well or badly, and at any rate of images."""
+
+import numpy as np
+import pytest
+
+from deepgps.tracking.fix import Fix
+from deepgps.tracking.motion import make_motion
+from deepgps.tracking.noise import FARTHEST_M, LEAST_M, Trail, add_image, begin_trail, break_off, extend, find_factor
+
+STATED_M = 0.01
+NONE = np.empty(0)
+
+
+def drive(way_m: float, spacing_m: float, times: float, turn_std: float = 0.0, seed: int = 0) -> Trail:
+    """The trail of a drive around a room, whose images err ``times`` as much as they state."""
+    rng, trail, place, yaw = np.random.default_rng(seed), begin_trail(), np.zeros(2), 0.0
+    for step in range(int(way_m / spacing_m)):
+        turn = np.pi / 2 if step % round(2.0 / spacing_m) == 0 else 0.0
+        yaw += turn
+        place = place + spacing_m * np.array([np.cos(yaw), np.sin(yaw)])
+        trail = extend(trail, make_motion(0.0, 0.0, turn, 0.0, turn_std if turn else 0.0), 1.0)
+        trail = extend(trail, make_motion(spacing_m, step_std_m=1e-4), 1.0)
+        seen = place + times * STATED_M * rng.standard_normal(2)
+        trail = add_image(trail, Fix(seen, STATED_M, NONE, NONE, NONE))
+    return trail
+
+
+@pytest.mark.parametrize("turn_std", [0.0, 0.02, 0.3])
+@pytest.mark.parametrize("way_m", [30.0, 200.0])
+def test_errors_are_found_after_any_way_however_badly_turns_are_known(way_m: float, turn_std: float):
+    assert find_factor(drive(way_m, 0.08, 5.0, turn_std)) == pytest.approx(5.0, rel=0.4)
+
+
+@pytest.mark.parametrize("spacing_m", [0.002, 0.0075, 0.08, 0.3])
+def test_errors_are_found_at_any_rate_of_images(spacing_m: float):
+    trail = drive(40.0, spacing_m, 5.0)
+    assert find_factor(trail) == pytest.approx(5.0, rel=0.4)
+    assert len(trail.images) <= FARTHEST_M / LEAST_M + 2
+
+
+def test_images_that_err_as_stated_keep_their_errors():
+    assert find_factor(drive(60.0, 0.08, 1.0)) == pytest.approx(1.0, rel=0.4)
+    assert find_factor(drive(60.0, 0.08, 0.0)) == 1.0
+    assert find_factor(begin_trail()) == 1.0
+
+
+def test_a_robot_that_stands_or_was_carried_compares_nothing():
+    trail = drive(30.0, 0.08, 5.0)
+    for _ in range(500):
+        trail = add_image(extend(trail, make_motion(0.0), 1.0), Fix(np.zeros(2), STATED_M, NONE, NONE, NONE))
+    assert len(trail.images) <= FARTHEST_M / LEAST_M + 2
+    carried = break_off(trail)
+    assert not carried.images
+    assert find_factor(carried) == find_factor(trail)
