@@ -150,7 +150,7 @@ def study_command(words: Sequence[str]) -> None:
             failures = carry_out(study, plans, place, run_all, progress)
         console.print(report_study(study, plans, failures, place), markup=False, soft_wrap=True)
         if arguments.publish:
-            publish(place, arguments.publish / study.name)
+            publish(study, place, arguments.publish / study.name)
             console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
         if len(failures) < len(plans) and not REPORTS[study.report].gather:
             from deepgps.viewer.study.study import write_study

@@ -276,6 +276,8 @@ def link_file(source: Path, target: Path) -> None:
         raise
     except OSError:  # a file system without hard links
         write_atomic(target, lambda part: shutil.copyfile(source, part), source.stat().st_size)
+    else:
+        _sync_folder(target.parent)
 
 
 def remove_files(folder: Path, ours: re.Pattern[str]) -> None:

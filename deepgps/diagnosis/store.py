@@ -89,4 +89,4 @@ def digest_recording(recording: Recording) -> str:
     """Hexadecimal digest of a recording's files and its odometry."""
     manifest = recording.manifest
     named = json.dumps([manifest.sha256, manifest.odometry], sort_keys=True)
-    return hashlib.sha256(named.encode() + recording.reading.tobytes()).hexdigest()[:16]
+    return hashlib.sha256(named.encode()).hexdigest()[:16]

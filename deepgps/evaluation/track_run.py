@@ -1,5 +1,6 @@
 """A trained method of a run tracks the robot through the drive in use, or through another recording."""
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from deepgps.tracking.tum import is_tum, write_tum
 from sim.errors import InputError
 from sim.files import check_overwrite, write_json
 from sim.occupancy import FreeSpace
-from sim.recording.format import Recording, has_truth, open_recording, open_truth, read_manifest
+from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 from sim.user_input import quote
 
@@ -128,14 +129,20 @@ def _choose(run: Path, methods: tuple[str, ...], method: str | None) -> str:
 def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, Path]:
     """What the robot sensed, and where its track is written, without a suffix."""
     if drive is not None:
-        digest = read_manifest(drive).sha256.get("reading.npy", "")[:8]
-        return keep_plausible(open_recording(drive)), run / FOLDER / f"{method}-{digest}"
+        recording = open_recording(drive)
+        return keep_plausible(recording), run / FOLDER / f"{method}-{_digest(recording)}"
     recording = open_drive_in_use(open_recording(run / "recording"))
     if recording is None:
         raise InputError(
             f"{run} has no drive in use, which --deployment.drive-samples makes; or name the folder of a recording"
         )
     return recording, run / FOLDER / method
+
+
+def _digest(recording: Recording) -> str:
+    """Eight hexadecimal digits that differ between recordings, also those of one drive with other images."""
+    sums = sorted(recording.manifest.sha256.items())
+    return hashlib.sha256(repr(sums).encode()).hexdigest()[:8]
 
 
 def _open_reference(folder: Path, recording: Recording, track: Track) -> Reference | None:

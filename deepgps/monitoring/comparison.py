@@ -137,8 +137,8 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
     """
     entry = thin_out(positions, CELL_M)
     rows = np.array_split(entry, -(-len(entry) // CHUNK))
-    parts = [_set_upright(recording.observation[part], upright) for part in rows]
-    phases, values = (np.concatenate([of(part) for part in parts]) for of in (take_phases, take_values))
+    parts = (_set_upright(recording.observation[part], upright) for part in rows)
+    phases, values = map(np.concatenate, zip(*((take_phases(part), take_values(part)) for part in parts), strict=True))
     known = KnownImages(positions[entry], phases, values)
     others = np.setdiff1d(np.arange(len(positions)), entry)
     some = others[:: -(-len(others) // CHECKED) or 1] if len(others) else entry

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.data.dead_reckoning import dead_reckon
-from deepgps.data.segments import read_segments
+from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, headings_of
@@ -81,12 +81,13 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
         InputError: No segment has two readings, or no wheel turned.
     """
     progress("track", 0, 4)
+    segments = read_segments(recording)
     recording, curvature = mend_wheels(recording)
     drive = read_drive(recording, curvature)
     progress("track", 1, 4)
     poses = find_poses(positioner, recording.observation)
     fixes = _list_fixes(positioner, recording, drive, poses)
-    mirrored = find_mirroring(positioner, recording, drive, poses.position) < 0
+    mirrored = find_mirroring(positioner, segments, drive, poses.position) < 0
     motions = [one and mirror(one) for one in drive.motions] if mirrored else drive.motions
     progress("track", 2, 4)
     causal = run_forward(motions, fixes)
@@ -105,12 +106,12 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     return Track(drive.observation, drive.turn_image, _stamp(recording, drive), paths, hypothesis, probability)
 
 
-def find_mirroring(positioner: Positioner, recording: Recording, drive: Drive, position: np.ndarray) -> int:
+def find_mirroring(positioner: Positioner, segments: Segments, drive: Drive, position: np.ndarray) -> int:
     """1; -1 where the map is mirrored, so that a turn to the left is one to the right in it."""
     headings = headings_of(positioner)
     if headings is not None:
         return headings.chirality
-    return find_chirality(position, read_segments(recording), drive.turns.angle)
+    return find_chirality(position, segments, drive.turns.angle)
 
 
 def write_track(path: Path, track: Track) -> None:

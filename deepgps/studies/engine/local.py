@@ -41,7 +41,7 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
                 plan, process = active[pipe]
                 try:
                     told = pipe.recv()
-                except EOFError:  # the process has died
+                except (EOFError, OSError):  # the process has died, perhaps before it had read what it was given
                     failed[plan.run] = f"its process ended with {process.wait()}"
                     told = Told(0, ended=True)
                 if told.failure:
@@ -99,9 +99,9 @@ def _do(plan: Plan, folder: Path, plugins: Sequence[Path], pipe: Connection) -> 
 
 
 def _give(pipe: Connection, waiting: list[Plan]) -> Plan:
-    with suppress(BrokenPipeError):  # the process has died, as reading from it will show
-        pipe.send(waiting[0])
-    return waiting.pop(0)
+    plan = waiting.pop(0)
+    _send(pipe, plan)
+    return plan
 
 
 def _start(folder: Path) -> tuple[Connection, Popen[bytes]]:
@@ -109,5 +109,10 @@ def _start(folder: Path) -> tuple[Connection, Popen[bytes]]:
     code = "from deepgps.studies.engine.local import work; work(int(sys.argv[1]))"
     process = start_process(code, [str(end.fileno())], [end.fileno()])
     end.close()
-    pipe.send((folder, list_files()))
+    _send(pipe, (folder, list_files()))
     return pipe, process
+
+
+def _send(pipe: Connection, message: object) -> None:
+    with suppress(BrokenPipeError):  # the process has died, as reading from it will show
+        pipe.send(message)

@@ -15,7 +15,7 @@ import numpy as np
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.figures.run_report import read_metrics
-from deepgps.methods.catalog import folder_of
+from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.fit import fit_method
 from deepgps.methods.pose import locate_camera
 from deepgps.methods.positioner import load_positioner
@@ -124,7 +124,9 @@ def derive_drives(run: Path, method: str) -> Iterator[Drive]:
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
     position = locate_camera(monitor.positioner, recording.observation)
     part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
-    if part.reading[-1:, 0] >= FEWEST:
+    if (
+        len(np.unique(part.reading[:, 0])) >= FEWEST and METHODS[method].reads_ticks
+    ):  # others learn from labels of all images
         scenario = open_run(run)
         with TemporaryDirectory() as folder:
             taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)

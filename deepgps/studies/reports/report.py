@@ -1,7 +1,7 @@
 """The results of a study: its table as Parquet, and its report as Markdown and figures."""
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -59,30 +59,53 @@ def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Pa
     return [{**row, **dict.fromkeys(names), **columns} for row, columns in zip(rows, added, strict=True)]
 
 
-def publish(folder: Path, target: Path) -> None:
-    """Copy a study's results, without its runs, and their checksums to a folder that can be committed."""
+def publish(study: Study, folder: Path, target: Path) -> None:
+    """Copy a study's results, without its runs, and their checksums to a folder that can be committed.
+
+    A picture that the report no longer draws is removed there. If it is interrupted, it can be repeated.
+
+    Args:
+        study: The study.
+        folder: The study's folder.
+        target: Where its results are published.
+
+    Raises:
+        InputError: A file there is not as deepgps published it.
+    """
     check_publish(target)
-    sums = []
-    for path in [folder / "table.parquet", folder / "table.md", *sorted(folder.glob("figures/*.png"))]:
-        name = path.relative_to(folder).as_posix()
-        write_bytes(target / name, path.read_bytes())
-        sums.append(f"{sha256(path)}  {name}\n")
-    write_text(target / SUMS, "".join(sums))
+    pictures = (f"figures/{name}.png" for name in REPORTS[study.report].pictures)
+    names = [name for name in ("table.parquet", "table.md", *pictures) if (folder / name).is_file()]
+    before, sums = _read_sums(target), [(sha256(folder / name), name) for name in names]
+    _write_sums(target, {*before, *sums})  # until all are copied, a file may be the old or the new one
+    for name in names:
+        write_bytes(target / name, (folder / name).read_bytes())
+    for name in {name for _, name in before}.difference(names):
+        (target / name).unlink(missing_ok=True)
+    _write_sums(target, sums)
 
 
 def check_publish(target: Path) -> None:
     """Raise InputError if publishing would replace a file that deepgps did not publish or that was changed since."""
     if target.exists() and not target.is_dir():
         raise InputError(f"--publish: {target} is not a folder")
-    lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
-    published = {name: digest for digest, _, name in (line.partition("  ") for line in lines)}
+    published = _read_sums(target)
     names = ["table.parquet", "table.md", *(f"figures/{name}.png" for name in PICTURES)]
-    if foreign := set(published) - set(names):
+    if foreign := {name for _, name in published}.difference(names):
         raise InputError(f"--publish: {target / SUMS} lists {min(foreign)}, which is not a file that deepgps publishes")
-    for path in (target / name for name in names):
-        name = path.relative_to(target).as_posix()
-        if os.path.lexists(path) and (path.is_symlink() or sha256(path) != published.get(name)):
+    for name in names:
+        path = target / name
+        if os.path.lexists(path) and (path.is_symlink() or (sha256(path), name) not in published):
             raise InputError(f"--publish: {path} was not published by deepgps or has changed since; move it away")
+
+
+def _read_sums(target: Path) -> set[tuple[str, str]]:
+    """Checksums and names of the files published in a folder."""
+    lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
+    return {(digest, name) for digest, _, name in (line.partition("  ") for line in lines)}
+
+
+def _write_sums(target: Path, sums: Iterable[tuple[str, str]]) -> None:
+    write_text(target / SUMS, "".join(f"{digest}  {name}\n" for digest, name in sums))
 
 
 def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str], rows: Sequence[Row]) -> str:
