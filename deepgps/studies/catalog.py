@@ -16,6 +16,8 @@ class Report:
         columns: (run folder, row) -> the report's own columns in the study's table.
         draw_runs: "package.module:function" that draws the runs: (the study's ``set``, its drives as seed and settings)
             -> seeds and settings of the runs.
+        varies: Settings that must vary in the study's cases or axes, by dotted name.
+        sets: Settings that the study must set, or vary.
         gather: (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained.
     """
 
@@ -26,6 +28,8 @@ class Report:
     columns: str | None = None
     draw_runs: str | None = None
     gather: str | None = None
+    varies: tuple[str, ...] = ()
+    sets: tuple[str, ...] = ()
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
@@ -67,9 +71,14 @@ REPORTS: dict[str, Report] = {
             *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
         ),
         "networks:add_turn_spread",
+        varies=("learn.network.architecture",),
     ),
     "strategies": Report(
-        "compare:report", _COMPARED, "strategies:measure", ("travel_ratio", "samples_ratio", "way_ratio")
+        "compare:report",
+        _COMPARED,
+        "strategies:measure",
+        ("travel_ratio", "samples_ratio", "way_ratio"),
+        varies=("drive.strategy", "drive.samples"),
     ),
     "mds": Report(
         "mds:report",
@@ -84,6 +93,7 @@ REPORTS: dict[str, Report] = {
         "concave:measure",
         ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
         "concave:add_reach",
+        varies=("room.shape",),
     ),
     "curves": Report(
         "curves:report",
@@ -116,6 +126,7 @@ REPORTS: dict[str, Report] = {
         {"change": "change:draw"},
         "change:measure",
         ("light_0.5_ratio", "light_0.2_ratio", "lamps_0_ratio", "mixed_ratio", "person_ratio"),
+        varies=("drive.mixed_light",),
     ),
     "knowing": Report(
         "knowing:report",
@@ -126,6 +137,7 @@ REPORTS: dict[str, Report] = {
             *("other_room_refused", "covered_refused"),
         ),
         "knowing_drives:add_drives",
+        sets=("deployment.drive_samples",),
     ),
     "corridors": Report(
         "corridors:report",
@@ -145,6 +157,7 @@ REPORTS: dict[str, Report] = {
         ),
         draw_runs="deepgps.studies.diagnose_runs:draw_runs",
         gather="diagnose:gather_diagnoses",
+        sets=("drive.samples",),
     ),
     "lidar": Report(
         "lidar:report",

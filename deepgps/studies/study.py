@@ -109,6 +109,17 @@ class Study(Variation):
         return self
 
     @model_validator(mode="after")
+    def _what_the_report_needs_is_there(self) -> "Study":
+        report, varied = REPORTS[self.report], {*self.axes, *(name for case in self.cases for name in case)}
+        for names, known, where in (
+            (report.varies, varied, "vary in cases or axes"),
+            (report.sets, varied | set(self.set), "be in set, cases or axes"),
+        ):
+            if missing := [name for name in names if name not in known]:
+                raise ValueError(f"report {self.report} needs {missing[0]} to {where}")
+        return self
+
+    @model_validator(mode="after")
     def _figures_exist(self) -> "Study":
         known = REPORTS[self.report].targets
         for name in (*self.target, *self.paper):

@@ -14,6 +14,7 @@ from deepgps.figures.run_report import read_metrics
 from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, choose_accepted, split_by, write_accepted
+from sim.errors import InputError
 
 # References that errors are measured against, by the prefix of their column names.
 AGAINST = {"label_": "labels", "": "truth"}
@@ -36,6 +37,8 @@ NOTE = (
 def add(run: Path, row: Row) -> Row:
     """Columns for errors against labels, and for the errors of the labels themselves."""
     metrics = read_metrics(run)
+    if "labels" not in metrics:
+        raise InputError(f"{run}: the report lab needs a recording with labels, as tag_camera.mounted gives it")
     labels, against = metrics["labels"], metrics["methods"][row["method"]]["against_labels"]
     return {
         **{f"label_{name}": against[name] for name in PAPERS_ERRORS},

@@ -333,6 +333,11 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"full": {"casez": []}}, "full.casez: there is no such setting, did you mean cases?"),
         ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
         ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
+        ({"report": "change", "target": {}}, "report change needs drive.mixed_light to vary in cases or axes"),
+        (
+            {"report": "diagnose", "target": {}, "cases": [{}]},
+            "report diagnose needs drive.samples to be in set, cases or axes",
+        ),
     ],
 )
 def test_wrong_studies_are_named_in_one_line(changes, message, tmp_path):
