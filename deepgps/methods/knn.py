@@ -3,8 +3,7 @@
 import time
 from pathlib import Path
 
-from deepgps.data.labels import read_places
-from deepgps.data.segments import find_held_out
+from deepgps.data.labels import leave_held_out, read_places
 from deepgps.learning.training_data import prepare
 from deepgps.methods.positioner import Fitted, NeighbourPositioner
 from deepgps.progress import Report
@@ -19,9 +18,8 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     """Store features and positions of the labelled observations, without those on segments held out."""
     start = time.perf_counter()
     data = prepare(recording, settings, seed, folder.parent)
-    index, places = read_places(recording)
-    learned = ~find_held_out(data.segments, len(data.features))[index]
-    features, places = data.features[index[learned]], places[learned]
+    index, places = leave_held_out(*read_places(recording), data.segments, len(data.features))
+    features = data.features[index]
     positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
     stored = features.numel() + places.numel()
     training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from deepgps.data.segments import find_held_out
+from deepgps.data.labels import leave_held_out
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
@@ -27,7 +27,7 @@ def fit_positions(
 ) -> Fitted:
     """Train on labelled observations with the paper's Eq. 1, the distance between prediction and label.
 
-    Observations on segments held out are left out, as by all methods.
+    Observations on segments held out are left out, as by every method that learns a network or stores features.
 
     Args:
         data: The network's input.
@@ -38,8 +38,7 @@ def fit_positions(
         folder: The method's folder, for its checkpoint.
         progress: Called with the steps done and their number.
     """
-    learned = ~find_held_out(data.segments, len(data.features))[index]
-    index, label = index[learned], label[learned]
+    index, label = leave_held_out(index, label, data.segments, len(data.features))
     # The mean of the labels is the origin, since an untrained network predicts near zero.
     centre = label.float().mean(dim=0)
     device = data.device

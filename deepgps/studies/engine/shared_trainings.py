@@ -8,11 +8,12 @@ at the same time may both do the same training; on one machine, they produce the
 import errno
 import hashlib
 import logging
-import os
 import re
+import secrets
 from pathlib import Path
 
 from deepgps.data.features import check_features, has_features
+from deepgps.data.plausible_readings import keep_plausible
 from deepgps.learning.training_data import FEATURES, digest_features
 from deepgps.methods.catalog import METHODS
 from deepgps.methods.positioner import is_finished, load_positioner, read_training
@@ -54,7 +55,7 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
 
 
 def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
-    home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
+    home, recording = run.parent.parent / "trainings", keep_plausible(open_recording(run / "recording"))
     features = digest_features(recording, scenario.learn, training_seed(scenario))[:8]
     shared = [method for method in scenario.methods if not METHODS[method].reads_ticks]
     return [
@@ -85,7 +86,7 @@ def _is_sound(folder: Path) -> bool:
 
 
 def _link_folder(source: Path, target: Path, aside: Path) -> None:
-    whole = aside / f"{target.name}.{os.getpid()}{PART}"
+    whole = aside / f"{target.name}.{secrets.randbelow(10**12)}{PART}"  # machines may share the folder
     remove_files(whole, TRAINED)
     for path in list_files(source, TRAINED):
         link_file(path, whole / path.name)
