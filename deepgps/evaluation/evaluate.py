@@ -16,10 +16,10 @@ from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
 from deepgps.evaluation.coverage import measure_coverage
-from deepgps.evaluation.error_field import ErrorField, write_fields
+from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.flipped import measure_flipped
 from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
-from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, place_map, read_known_map
+from deepgps.evaluation.map_errors import add_expected, find_true_camera, judge_map, place_map, read_known_map
 from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
@@ -97,7 +97,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
             **read_training(folder_of(run, method)),
         }
         if (stored := read_known_map(folder_of(run, method))) is not None:
-            placed = place_map(stored, locate_camera(recording, truth))
+            placed = place_map(stored, find_true_camera(recording, truth))
             fields[method] = add_expected(fields[method], placed)
             methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
@@ -216,10 +216,10 @@ def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
     return {
         "unlabelled": int((~known).sum()),
         "test_unlabelled": int((~test_known).sum()),
-        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "rms_m": find_rms(error),
         "median_m": float(np.median(error)),
         "max_m": float(error.max()),
-        "test_rms_m": float(np.sqrt(np.mean(test_error**2))),
+        "test_rms_m": find_rms(test_error),
         "scale": alignment.scale,
     }
 
@@ -246,4 +246,4 @@ def measure_trajectory(recording: Recording, truth: Truth) -> dict[str, float]:
     path = dead_reckon(recording)[:, :2]
     driven = truth.pose[recording.reading[:, 1], :2]
     error = np.linalg.norm(fit_alignment(path, driven, "SE2").apply(path) - driven, axis=1)
-    return {"rms_m": float(np.sqrt(np.mean(error**2))), "max_m": float(error.max())}
+    return {"rms_m": find_rms(error), "max_m": float(error.max())}

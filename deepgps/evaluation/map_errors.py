@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.alignment import fit_alignment
-from deepgps.evaluation.error_field import ErrorField
+from deepgps.evaluation.error_field import ErrorField, find_rms
 from deepgps.evaluation.flipped import measure_flipped_patch
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from sim.recording.format import Recording, Truth
@@ -68,7 +68,7 @@ def judge_map(placed: PlacedMap, training: dict[str, Any]) -> dict[str, Any]:
     apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
     measured = {
-        "rms_m": float(np.sqrt(np.mean(error**2))),
+        "rms_m": find_rms(error),
         "median_m": float(np.median(error)),
         "max_m": float(error.max()),
         "flipped_m2": measure_flipped_patch(placed.truth, placed.position),
@@ -106,7 +106,7 @@ def read_known_map(folder: Path) -> StoredMap | None:
     return stored if stored is not None and stored.known.sum() >= 2 else None
 
 
-def locate_camera(recording: Recording, truth: Truth) -> np.ndarray:
+def find_true_camera(recording: Recording, truth: Truth) -> np.ndarray:
     """True positions of the camera at the observations (N, 2) [m], which the map is of; poses are those of the axle."""
     mount = CameraMountSettings.model_validate(recording.manifest.settings.get("camera_mount", {}))
     ahead = np.stack([np.cos(truth.pose[:, 2]), np.sin(truth.pose[:, 2])], axis=1)

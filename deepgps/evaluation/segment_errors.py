@@ -8,6 +8,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
 from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.segments import read_segments
+from deepgps.evaluation.error_field import find_rms
 from sim.recording.format import Recording, Truth
 from sim.sensors.encoder import count_from_first, ticks_to_distance
 from sim.settings import EncoderSettings
@@ -28,7 +29,7 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
     assert segments.weight is not None
     wrong, doubted = find_wrong(segments, error), segments.weight.numpy() < 0.5
     return {
-        "segment_rms_m": float(np.sqrt(np.mean(error**2))),
+        "segment_rms_m": find_rms(error),
         "segment_expected_m": predict_rms(segments, encoder),
         "segments_wrong": int(wrong.sum()),
         "segments_down_weighted": int(doubted.sum()),

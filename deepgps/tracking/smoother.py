@@ -43,10 +43,15 @@ def run_backward(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) 
     return states[::-1]
 
 
-def smooth(motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
-    """The state at each of M images by all of them; arguments as of ``run_forward``."""
-    both = zip(run_forward(motions, fixes), run_backward(motions, fixes), strict=True)
-    return [fuse(forward, backward) for forward, backward in both]
+def smooth(causal: Sequence[State], motions: Sequence[Motion | None], fixes: Sequence[Fix | None]) -> list[State]:
+    """The state at each of M images by all of them.
+
+    Args:
+        causal: The states by the images until then, of ``run_forward``.
+        motions: As for ``run_forward``.
+        fixes: As for ``run_forward``.
+    """
+    return [fuse(*both) for both in zip(causal, run_backward(motions, fixes), strict=True)]
 
 
 def fuse(forward: State, backward: State) -> State:

@@ -16,7 +16,7 @@ from deepgps.tracking.drive import Drive, mend_wheels, read_drive
 from deepgps.tracking.filter import State, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fixes
 from deepgps.tracking.motion import Motion, mirror, move, rotate
-from deepgps.tracking.smoother import fuse, run_backward, run_forward
+from deepgps.tracking.smoother import run_forward, smooth
 from sim.files import read_arrays, write_arrays
 from sim.recording.format import Recording
 from sim.recording.turns import NO_IMAGE
@@ -92,7 +92,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
     progress("track", 2, 4)
     causal = run_forward(motions, fixes)
     progress("track", 3, 4)
-    smoothed = [fuse(*both) for both in zip(causal, run_backward(motions, fixes), strict=True)]
+    smoothed = smooth(causal, motions, fixes)
     progress("track", 4, 4)
     first = _find_first(fixes)
     paths = {

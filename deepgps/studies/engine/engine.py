@@ -132,7 +132,7 @@ def carry_out(study: Study, plans: Sequence[Plan], place: Path, run_all: RunAll,
 
 
 def find_missing(study: Study, plans: Sequence[Plan], place: Path) -> list[Plan]:
-    """Runs whose results, or whose Rerun recording if the study records, are missing or damaged."""
+    """Runs whose results are missing or damaged."""
     missing = []
     for plan in plans:
         run = place / "runs" / plan.run

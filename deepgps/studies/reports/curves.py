@@ -1,6 +1,6 @@
 """The report "curves": errors of every method along a numeric axis, with a panel for each case and a band of seeds."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +34,6 @@ NOTE = (
     "Errors in centimetres on the test grid for the worst heading of each position: means over seeds, and the RMS of "
     "the worst seed; aligned on training samples, never scaled."
 )
-Panels = Mapping[tuple[str, ...], Sequence[Row]]
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.figures.field_plot import print_floor
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import read_metrics
@@ -134,7 +134,7 @@ def draw_places(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
             axes.plot(*np.stack([true, found], axis=1), color="#d62728", linewidth=1.0, zorder=1)
         axes.scatter(*field.truth.T, s=9, color="#ff7f0e", label="truth", zorder=2)
         axes.scatter(*field.predicted.T, s=9, color="#1f77b4", label="predicted", zorder=3)
-        rms = np.sqrt(np.mean(field.error**2))
+        rms = find_rms(field.error)
         axes.set_title(f"{title_of(method)}: RMS {100 * rms:.1f} cm, max {100 * field.error.max():.0f} cm", fontsize=11)
         axes.legend(loc="upper right", fontsize=8)
     picture.suptitle(f"Data set {row['seed']}, {len(field.error)} test samples", fontsize=12)

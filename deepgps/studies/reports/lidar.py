@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 from safetensors import safe_open
 
+from deepgps.evaluation.error_field import find_rms, read_all_headings
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure
-from deepgps.methods.catalog import title_of
+from deepgps.methods.catalog import folder_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
-from sim.files import read_arrays
 
 RIVAL = "pca_knn"
 EACH = {"each_rms_m": "RMS", "each_median_m": "median", "each_max_m": "max"}
@@ -32,10 +32,9 @@ NOTE = (
 
 def add(run: Path, row: Row) -> Row:
     """Columns for the errors over single scans, and for how many numbers the method stores for positioning."""
-    field = read_arrays(run / "error_field.npz")
-    error = np.linalg.norm(field[row["method"]] - field["truth"][:, None], axis=-1)
-    values = (np.sqrt(np.mean(error**2)), np.median(error), error.max())
-    with safe_open(run / row["method"] / "weights.safetensors", "np") as weights:
+    error = read_all_headings(run)[row["method"]].error
+    values = find_rms(error), np.median(error), error.max()
+    with safe_open(folder_of(run, row["method"]) / "weights.safetensors", "np") as weights:
         stored = sum(int(np.prod(weights.get_slice(name).get_shape())) for name in weights.offset_keys())
     return {**dict(zip(EACH, map(float, values), strict=True)), "stored": stored}
 

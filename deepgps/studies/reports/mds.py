@@ -21,6 +21,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure
 from deepgps.initial_map.isomap import find_axes
+from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
 from deepgps.studies.grouping import choices, describe, group_rows
 from deepgps.studies.reports.compare import mean
@@ -126,9 +127,9 @@ def add_distances(run: Path, row: Row) -> Row:
 
 def find_distances(run: Path, method: str) -> Distances:
     """Predict the distances between positions of the test grid with a trained network, and scale them."""
-    positioner = load_positioner(run / method)
+    positioner = load_positioner(folder_of(run, method))
     if not isinstance(positioner, NetworkPositioner):
-        raise InputError(f"{run / method}: {method} has no network that could predict distances")
+        raise InputError(f"{folder_of(run, method)}: {method} has no network that could predict distances")
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     some = _spread(len(recording.test_observation), POSITIONS)
     place = truth.test_pose[some, 0, :2]

@@ -7,6 +7,7 @@ import numpy as np
 
 from deepgps.evaluation.evaluate import measure_heading_spread
 from deepgps.figures.targets import Figure
+from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import Positioner, load_positioner
 from deepgps.studies import grouping
 from deepgps.studies.reports import compare
@@ -50,7 +51,7 @@ def add_turn_spread(run: Path, row: Row) -> Row:
     """A column for how much a trained network's prediction changes when an image is turned."""
     images = open_recording(run / "recording").test_observation
     some = np.linspace(0, len(images) - 1, min(IMAGES, len(images))).round().astype(int)
-    return {"turn_spread_m": measure_turn_spread(load_positioner(run / row["method"]), images[some, 0])}
+    return {"turn_spread_m": measure_turn_spread(load_positioner(folder_of(run, row["method"])), images[some, 0])}
 
 
 def measure_turn_spread(positioner: Positioner, images: np.ndarray) -> float:

@@ -14,7 +14,7 @@ import rerun as rr
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import read_all_headings
-from deepgps.evaluation.map_errors import locate_camera
+from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.figures.verdict import judge_run
@@ -87,7 +87,7 @@ def write_recording(run: Path) -> Path:
         log_pictures(stream, pictures, recording)
         log_encoders(stream, recording, truth)
         if stored is not None:
-            log_making(stream, stored, recording, locate_camera(recording, truth))
+            log_making(stream, stored, recording, find_true_camera(recording, truth))
         for name, history in histories.items():
             log_training(stream, name, history, driven)
         _log_report(stream, metrics)

@@ -62,7 +62,7 @@ def without_heavy_tails(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.usefixtures("without_heavy_tails")
 def test_smoother_is_the_least_squares_of_all():
     drive = make_drive(np.random.default_rng(0), images=40, noise=0.5)
-    states = smooth(drive.motions, drive.fixes)
+    states = smooth(run_forward(drive.motions, drive.fixes), drive.motions, drive.fixes)
     path, covariance = fit_all(drive)
     found = np.array([one.covariance[one.evidence.argmax(), :3, :3] for one in states])
     assert np.abs(find_path(states) - path)[:, :2].max() < 0.02 * PLACE_STD_M, "what is left is of linearising once"
@@ -110,4 +110,4 @@ def _filter(drive: Drive) -> list[State]:
 
 
 def _smooth(drive: Drive) -> list[State]:
-    return smooth(drive.motions, drive.fixes)
+    return smooth(run_forward(drive.motions, drive.fixes), drive.motions, drive.fixes)
