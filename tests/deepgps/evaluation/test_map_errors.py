@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings, write_fields
-from deepgps.evaluation.map_errors import add_expected, judge_map, locate_camera, measure_nees, place_map
+from deepgps.evaluation.map_errors import add_expected, find_true_camera, judge_map, measure_nees, place_map
 from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
 from sim.recording.format import Recording, Truth
 from tests.deepgps.initial_map.test_compass_map import drive, find_map
@@ -73,7 +73,7 @@ def test_the_map_is_of_the_camera_and_not_of_the_axle():
     pose = np.column_stack([np.arange(4.0), np.zeros(4), yaw])
     settings = {"camera_mount": {"ahead_m": 0.05, "left_m": -0.02}}
     recording = SimpleNamespace(manifest=SimpleNamespace(settings=settings))
-    place = locate_camera(cast(Recording, recording), cast(Truth, SimpleNamespace(pose=pose)))
+    place = find_true_camera(cast(Recording, recording), cast(Truth, SimpleNamespace(pose=pose)))
     np.testing.assert_allclose(place[:3], [[0.05, -0.02], [1.02, 0.05], [1.95, 0.02]], atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(place - pose[:, :2], axis=1), np.hypot(0.05, 0.02))
 
