@@ -12,7 +12,7 @@ from tests.helpers.small_study import write_study
 
 
 def test_workers_that_die_before_they_read_anything_fail_their_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    plans = plan_runs(load_study(write_study(tmp_path), tiny=False))
+    plans = plan_runs(load_study(str(write_study(tmp_path)), tiny=False))
     monkeypatch.setattr(
         "deepgps.studies.engine.local.start_process",
         lambda code, words, handles: start_process("raise SystemExit(3)", words, handles),

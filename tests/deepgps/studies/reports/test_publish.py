@@ -14,7 +14,7 @@ from tests.helpers.small_study import write_study
 
 @pytest.fixture
 def study(tmp_path: Path) -> Study:
-    return load_study(write_study(tmp_path, report="compare", target={}), tiny=False)
+    return load_study(str(write_study(tmp_path, report="compare", target={})), tiny=False)
 
 
 def make_results(folder: Path, text: str) -> Path:
