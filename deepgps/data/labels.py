@@ -3,7 +3,6 @@
 import numpy as np
 import torch
 
-from deepgps.data.segments import Segments, find_held_out
 from sim.errors import InputError
 from sim.recording.format import Recording, open_labels, open_truth
 
@@ -20,17 +19,3 @@ def read_places(recording: Recording) -> tuple[torch.Tensor, torch.Tensor]:
     if not len(known):
         raise InputError(f"{recording.folder}: no observation has a label, so there is nothing to learn from")
     return torch.from_numpy(known), torch.from_numpy(place[known].astype("float64"))
-
-
-def leave_held_out(
-    index: torch.Tensor, places: torch.Tensor, segments: Segments, observations: int
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """The labelled observations (n,) and their positions (n, 2) [m] without those that are held out from learning.
-
-    Raises:
-        InputError: None is left.
-    """
-    learned = ~find_held_out(segments, observations)[index]
-    if not learned.any():
-        raise InputError("only segments that are held out have labels, so there is nothing to learn from")
-    return index[learned], places[learned]

@@ -120,6 +120,20 @@ def find_held_out(segments: Segments, observations: int) -> torch.Tensor:
     return (first >= 0) & segments.held_out[first] & segments.held_out[last]
 
 
+def leave_held_out(
+    index: torch.Tensor, places: torch.Tensor, segments: Segments, observations: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The labelled observations (n,) and their positions (n, 2) [m] without those that are held out from learning.
+
+    Raises:
+        InputError: None is left.
+    """
+    learned = ~find_held_out(segments, observations)[index]
+    if not learned.any():
+        raise InputError("only segments that are held out have labels, so there is nothing to learn from")
+    return index[learned], places[learned]
+
+
 def find_runs(recording: Recording) -> list[np.ndarray]:
     """Readings (n,) of each segment in the order driven; ``Segments`` has a row for each with at least two."""
     number = recording.reading[:, 0]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
-from deepgps.evaluation.error_field import ErrorField, find_rms
+from deepgps.evaluation.error_field import ErrorField, find_rms, find_worst
 from deepgps.methods.pose import Poses
 
 PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", "accepted": "accepted"}
@@ -51,12 +51,11 @@ def _judge_accepted(field: ErrorField) -> dict[str, Any]:
     """Shares of images and places accepted, and errors of the places, each at its worst heading of those accepted."""
     if field.accepted is None:
         return {}
-    places = field.accepted.any(axis=1)
-    error = np.where(field.accepted, field.error, 0.0).max(axis=1)[places]
+    error = find_worst(field, field.accepted).error
     figures = summarise(error) if len(error) else dict.fromkeys(summarise(np.zeros(1)))
     return {
         "accepted": float(field.accepted.mean()),
-        "accepted_places": float(places.mean()),
+        "accepted_places": len(error) / max(len(field.truth), 1),
         **{f"{name.removesuffix('_m')}_accepted_m": value for name, value in figures.items()},
     }
 

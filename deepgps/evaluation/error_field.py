@@ -13,6 +13,7 @@ from sim.renamed import name_methods
 
 OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
+MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"
 
 
 @dataclass(frozen=True)
@@ -157,6 +158,3 @@ def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField
 def split_by_acceptance(field: ErrorField) -> tuple[WorstField, WorstField]:
     """The worst accepted image of each position that has one, and the worst refused image of each that has one."""
     return find_worst(field, field.is_accepted), find_worst(field, ~field.is_accepted)
-
-
-MEASURE_AGAIN = "deepgps run with the same scenario and --out measures the methods again"

@@ -5,13 +5,16 @@ from typing import Any
 import numpy as np
 
 from deepgps.alignment import fit_alignment
+from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
 from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.segments import read_segments
 from deepgps.evaluation.error_field import find_rms
 from sim.recording.format import Recording, Truth
-from sim.sensors.encoder import count_from_first, ticks_to_distance
 from sim.settings import EncoderSettings
+
+HEADED_BY_M = 3.0
+"""Way of the true path by which a dead-reckoned one is rotated [m]."""
 
 
 def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
@@ -37,9 +40,6 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
     }
 
 
-HEADED_BY_M = 3.0
-
-
 def measure_segments(recording: Recording, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """True length of each segment, and the encoders' distance minus that length, both (S,) [m].
 
@@ -61,8 +61,6 @@ def reckon_path(recording: Recording, pose: np.ndarray) -> np.ndarray:
         recording: The recording.
         pose: True pose at each observation (N, 3).
     """
-    from deepgps.data.dead_reckoning import dead_reckon
-
     path, true = dead_reckon(recording)[:, :2], pose[recording.reading[:, 1], :2]
     driven = np.cumsum(np.linalg.norm(np.diff(true, axis=0), axis=1))
     first = 2 + int((driven < HEADED_BY_M).sum())
@@ -80,10 +78,8 @@ def measure_distances(recording: Recording, pose: np.ndarray) -> tuple[np.ndarra
     Returns:
         Three arrays (R,) [m]; the last accumulates over all segments.
     """
-    odometry = recording.manifest.odometry
     segment, observation, ticks = recording.reading[:, 0], recording.reading[:, 1], recording.reading[:, 2:]
-    counted = count_from_first(ticks)
-    way = ticks_to_distance(counted, odometry["wheel_radius_m"], odometry["ticks_per_rev"]).mean(axis=1)
+    way = travel(ticks, recording.manifest.odometry).mean(axis=1)
     start, place = find_starts(segment), pose[observation, :2]
     encoder = way - way[start]
     true = np.linalg.norm(place - place[start], axis=1)

@@ -3,7 +3,8 @@
 import time
 from pathlib import Path
 
-from deepgps.data.labels import leave_held_out, read_places
+from deepgps.data.labels import read_places
+from deepgps.data.segments import leave_held_out
 from deepgps.learning.training_data import prepare
 from deepgps.methods.positioner import Fitted, NeighbourPositioner
 from deepgps.progress import Report

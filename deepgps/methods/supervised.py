@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from deepgps.data.labels import leave_held_out
+from deepgps.data.segments import leave_held_out
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters

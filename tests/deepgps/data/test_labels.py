@@ -2,15 +2,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from deepgps.alignment import fit_alignment
-from deepgps.data.labels import leave_held_out, read_places
-from deepgps.data.segments import find_held_out, read_segments
+from deepgps.data.labels import read_places
 from sim.apriltag.bundle_adjustment import TagMap
 from sim.apriltag.detector import Detections
 from sim.apriltag.labels import find_level, flatten, write_labels
-from sim.errors import InputError, WorkError
+from sim.errors import WorkError
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_labels, open_recording, open_truth
 from sim.settings import (
@@ -22,7 +20,6 @@ from sim.settings import (
     TagCameraSettings,
 )
 from tests.helpers.synthetic_tags import CAMERA, make_scene
-from tests.helpers.toy import make_toy
 
 LAB = SimSettings(
     room=RoomSettings(kind="lab", seed=10),
@@ -129,14 +126,3 @@ def test_images_that_show_no_tags_are_refused(tmp_path: Path):
     nothing = Detections(np.empty(0, int), np.empty(0, int), np.empty((0, 4, 2)))
     with pytest.raises(WorkError, match="labels: no test image shows tags enough to tell where it was taken"):
         write_labels(tmp_path, scene.detections, nothing, (80, 1, 1), CAMERA, np.eye(4))
-
-
-def test_labels_on_segments_held_out_alone_are_not_enough(tmp_path: Path):
-    recording = make_toy(tmp_path / "toy", samples=1500)
-    segments, count = read_segments(recording), len(recording.observation)
-    held = find_held_out(segments, count).nonzero()[:, 0]
-    places = torch.zeros((len(held), 2))
-    with pytest.raises(InputError, match="only segments that are held out have labels"):
-        leave_held_out(held, places, segments, count)
-    index, left = leave_held_out(torch.arange(count), torch.zeros((count, 2)), segments, count)
-    assert len(index) == len(left) == count - len(held)

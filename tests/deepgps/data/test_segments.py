@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from deepgps.data.dead_reckoning import dead_reckon, travel
-from deepgps.data.segments import find_owners, read_segments, subsample
+from deepgps.data.segments import find_held_out, find_owners, leave_held_out, read_segments, subsample
 from deepgps.learning.batches import sample_batch
 from sim.errors import InputError
 from sim.recording.format import Recording
@@ -138,3 +138,14 @@ def test_of_a_long_recording_whole_segments_are_kept_spread_evenly(tmp_path: Pat
     for row, count in enumerate(kept.count.tolist()):
         index = chosen[kept.index[row, :count]].tolist()
         assert segments.distance[wholes.index(index), :count].equal(kept.distance[row, :count])
+
+
+def test_labels_on_segments_held_out_alone_are_not_enough(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=1500)
+    segments, count = read_segments(recording), len(recording.observation)
+    held = find_held_out(segments, count).nonzero()[:, 0]
+    places = torch.zeros((len(held), 2))
+    with pytest.raises(InputError, match="only segments that are held out have labels"):
+        leave_held_out(held, places, segments, count)
+    index, left = leave_held_out(torch.arange(count), torch.zeros((count, 2)), segments, count)
+    assert len(index) == len(left) == count - len(held)
