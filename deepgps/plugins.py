@@ -85,6 +85,7 @@ def _import_file(path: Path) -> tuple[ModuleType, Source]:
     try:
         exec(compile(code, str(path), "exec"), module.__dict__)  # the bytes of the checksum
     except (InputError, WorkError):
+        del sys.modules[name]
         raise
     except Exception as error:
         del sys.modules[name]

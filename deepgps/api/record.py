@@ -211,12 +211,15 @@ def _take_turns(
         if turn_observations is not None:
             raise InputError("turn_observations need turns, which say where each was taken")
         return None
-    seen = observation[:0] if turn_observations is None else np.asarray(turn_observations, observation.dtype)
+    seen = observation[:0] if turn_observations is None else np.asarray(turn_observations)
     if seen.shape[1:] != observation.shape[1:]:
         raise InputError(f"turn_observations {seen.shape}: must be like observations, (K, ...) {observation.shape[1:]}")
+    check_observations(seen, "turn_observations")
+    if observation.dtype == np.uint8 and seen.dtype != np.uint8:
+        raise InputError(f"turn_observations {seen.dtype}: must be uint8, as observations are")
     array = np.asarray(turns)
     check_turns(array, len(observation), len(seen), reading[:, 0])
-    return array.astype(np.int64), seen
+    return array.astype(np.int64), seen.astype(observation.dtype)
 
 
 def _describe(

@@ -17,6 +17,8 @@ def open_streams() -> None:
     work continues.
     """
     _open_missing()
+    if sys.stdin is None:  # it was closed, and is /dev/null now
+        sys.stdin = os.fdopen(0, encoding="utf-8", closefd=False)
     sys.stdout = _wrap(sys.stdout, 1)
     sys.stderr = _wrap(sys.stderr, 2)
 

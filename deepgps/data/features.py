@@ -89,7 +89,7 @@ def check_observations(observation: np.ndarray, name: str) -> None:
     wrong = 0
     for start in range(0, len(observation), CHUNK):
         part = np.asarray(observation[start : start + CHUNK])
-        able = np.abs(part) <= LARGEST  # NaN is not
+        able = np.isfinite(part) & (np.abs(part) <= LARGEST)
         wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
     if wrong:
         raise InputError(

@@ -15,7 +15,7 @@ import numpy as np
 from deepgps.data.plausible_ticks import LARGEST, check_ticks
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.recording.turns import lose_turns
+from sim.recording.turns import from_array, lose_turns
 from sim.sensors.encoder import check_odometry
 
 COLUMNS = 4
@@ -36,12 +36,14 @@ class CheckedReadings:
     Attributes:
         reading: int64 (K, 4), as in ``Recording``; ticks unwrapped, and segments divided where the ticks break.
         kept: Mask (R,) bool of these among all readings.
+        broken: Whether the gap before each is left out, as its ticks break (K,) bool.
         counts: ``kept``; the number left out for each of ``FAULTS``; ``wrapped``, gaps at which a counter wrapped
             around; ``breaks``, gaps that are left out.
     """
 
     reading: np.ndarray
     kept: np.ndarray
+    broken: np.ndarray
     counts: dict[str, int]
 
 
@@ -61,6 +63,8 @@ def keep_plausible(recording: Recording) -> Recording:
     if checked.reading is recording.reading:
         return replace(recording, readings=checked.counts)
     turns = recording.turns and lose_turns(recording.turns, recording.reading[:, 0], checked.kept)
+    if turns:  # ticks that break at a turn do not say by how much the wheels turned
+        turns = from_array(turns.array[~checked.broken[turns.after]])
     time = recording.time[checked.kept]
     return replace(recording, readings=checked.counts, reading=checked.reading, time=time, turns=turns)
 
@@ -120,11 +124,11 @@ def check_readings(
     kept[left] = True
     counts = {"kept": len(left), **counts, "wrapped": checked.wrapped, "breaks": int(checked.broken.sum())}
     if reading.dtype == np.int64 and counts["kept"] == len(reading) and not (counts["wrapped"] or counts["breaks"]):
-        return CheckedReadings(reading, kept, counts)
+        return CheckedReadings(reading, kept, checked.broken, counts)
     segment = whole[left, 0]
     divided = checked.broken & np.append(False, np.diff(segment) == 0)
     table = np.column_stack([segment + np.cumsum(divided), whole[left, 1], checked.ticks])
-    return CheckedReadings(table, kept, counts)
+    return CheckedReadings(table, kept, checked.broken, counts)
 
 
 def _check_shapes(reading: np.ndarray, time: np.ndarray) -> None:

@@ -155,6 +155,11 @@ def subsample(segments: Segments, observations: int, most: int = MOST_FITTED) ->
         return segments, torch.arange(observations)
     order = spread_evenly(len(segments.count)).argsort()
     rows = order[segments.count[order].cumsum(0) <= most].sort().values
+    if not len(rows):
+        raise InputError(
+            f"a segment has {int(segments.count[order[0]])} readings, more than the {most} that are fitted at once: "
+            "are straight segments numbered one by one?"
+        )
     return renumber(segments.take(rows))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from deepgps.diagnosis.diagnosis import Diagnosis, diagnose
 from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
+from deepgps.owned_folder import hold, is_older
 from deepgps.progress import Report
 from deepgps.run_folder import RUN, is_study
 from sim.errors import InputError
@@ -35,17 +36,20 @@ def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[D
             "recording"
         )
     run = home.parent if home.name == "recording" and isfile(home.parent / RUN.first) else None
-    if run is not None and is_study(run.resolve().parent.parent):
-        run = None  # a study's runs are not changed
+    if run is not None and (is_older(run, RUN) or is_study(run.resolve().parent.parent)):
+        run = None  # a study's runs, and those of an earlier version, are not changed
     progress("diagnose", 0, 1)
     recording = open_recording(home)
     diagnosis = diagnose(recording)
     progress("diagnose", 1, 1)
     path = out or (run and run / FILE)
-    if path is not None:
-        if run is not None and path == run / FILE and read_diagnosis(run, recording) != diagnosis:
-            drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
-            (run / "run.rrd").unlink(missing_ok=True)
+    if run is not None and path == run / FILE:
+        with hold(run, RUN):
+            if read_diagnosis(run, recording) != diagnosis:
+                drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
+                (run / "run.rrd").unlink(missing_ok=True)
+            write_diagnosis(path, diagnosis, recording)
+    elif path is not None:
         write_diagnosis(path, diagnosis, recording)
     return diagnosis, path
 

@@ -24,6 +24,8 @@ SCALE_STD, CURVE_STD, DRIFT_STD = 1.5e-4, 3e-4, 3e-5
 and of the ratio of the readings. Measured in three rooms without faults."""
 FEWEST_READINGS = 3
 """Readings that a diagnosis needs at least."""
+MOST_APART = 1.9
+"""Largest difference of the wheels' distances over their mean of which a ratio is taken."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +157,8 @@ def _symmetric(value: float, std: float) -> Estimate:
 
 
 def _ratio(apart: float, std: float) -> Estimate:
-    """Right over left from their difference over their mean."""
+    """Right over left from their difference over their mean, which is 2 or -2 where one wheel never counts."""
+    apart = min(max(apart, -MOST_APART), MOST_APART)
     return _symmetric((1.0 + apart / 2.0) / (1.0 - apart / 2.0), std)
 
 

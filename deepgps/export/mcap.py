@@ -50,8 +50,8 @@ def write_drives(folder: Path, run: Run, methods: tuple[str, ...], frame: Frame 
     for one in find_trajectories(run, drives, methods, frame):
         found.append(one)
         progress("trajectories", len(found), len(drives) * (len(methods) + 1))
+    start_ns = find_start(run.recording)  # all drives of a log count from its start
     for drive, recording in drives.items():
-        start_ns = find_start(recording)
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]
         topics += [topic for one in found if one.drive == drive for topic in list_poses(one, start_ns)]
         write_mcap(folder / "mcap" / f"{drive}.mcap", topics, "export", lambda *done: progress("mcap", *done))

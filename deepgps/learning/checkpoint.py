@@ -51,7 +51,7 @@ def load_checkpoint(
     A damaged checkpoint is removed, and training starts from its first step.
 
     Raises:
-        InputError: The checkpoint was made by a training of another network.
+        InputError: The checkpoint was made by a training of another network, or on another kind of device.
     """
     path = folder / NAME
     if not path.is_file():
@@ -65,11 +65,12 @@ def load_checkpoint(
     try:
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
+        generator.set_state(state["generator"].cpu())
     except (RuntimeError, KeyError, ValueError):
         raise InputError(
-            f"{path} belongs to another training; without it this one starts from its first step"
+            f"{path} belongs to another training, or to one on another kind of device; without it this one starts from "
+            "its first step"
         ) from None
-    generator.set_state(state["generator"].cpu())
     for name, values in state["history"].items():
         history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]
     return int(state["step"]), float(state["seconds"])

@@ -19,6 +19,8 @@ def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
         if push == 0.0:
             return loss(out, batch, done)
         points = out[batch.valid]
+        if not points.isfinite().all():  # the training has diverged, as its loss will show
+            return loss(out, batch, done)
         centre, axes = find_plane(points.detach())
         points = points - centre
         return loss(out, batch, done) + push * losses.distance(points, points @ axes @ axes.T).mean()

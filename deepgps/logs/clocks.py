@@ -150,6 +150,8 @@ def _find_delays(times: Times, edge: np.ndarray) -> np.ndarray:
     late, found = times.late_s, np.full(len(edge), np.nan)
     place = np.searchsorted(edge, times.log_s, side="right") - 1
     good = np.isfinite(late) & (place >= 0)
+    if not good.any():
+        return found
     order = np.argsort(place[good], kind="stable")
     numbers, starts = np.unique(place[good][order], return_index=True)
     for number, values in zip(numbers, np.split(late[good][order], starts[1:]), strict=True):

@@ -45,15 +45,16 @@ class Log:
         for part in self._parts:
             wanted = [topic for topic in topics if topic in part.types]
             if wanted:
-                with _explained(self.path):
+                with explained(self.path):
                     for sample in part.read(wanted):
                         yield sample, part
 
     def feed(self, takers: Mapping[str, Callable[[Sample, Part], None]], progress: Report) -> None:
         """Read some topics once, and give each message to what takes its topic."""
         progress("read log", 0, 1)
-        for sample, part in self.read(takers):
-            takers[sample.topic](sample, part)
+        with explained(self.path):
+            for sample, part in self.read(takers):
+                takers[sample.topic](sample, part)
         progress("read log", 1, 1)
 
     def check_topic(self, topic: str, name: str, kinds: Collection[str]) -> str:
@@ -82,16 +83,18 @@ def open_log(path: Path) -> Iterator[Log]:
     if not path.exists():
         raise InputError(f"{shorten(str(path), 300)}: there is no such log")
     if is_plain(path):
-        part = PlainFolder(path)
+        with explained(path):
+            part = PlainFolder(path)
         yield Log(path, part.types, (), [part])
         return
     files = _list_files(path)
-    cut = [file for file in files if is_truncated(file)]
+    with explained(path):
+        cut = [file for file in files if is_truncated(file)]
     notes = tuple(f"{file.name} is cut off: what is complete is read" for file in cut)
     if path.is_dir() and (path / "metadata.yaml").is_file() and not cut:
         files = [path]
     with ExitStack() as stack:
-        with _explained(path):
+        with explained(path):
             parts = [_open_part(file, file in cut, stack) for file in files]
         types = {topic: kind for part in parts for topic, kind in part.types.items()}
         yield Log(path, types, notes, parts)
@@ -143,8 +146,8 @@ class IndexedPart:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
-    """Every exception of the libraries that read logs, as one line."""
+def explained(path: Path) -> Iterator[None]:
+    """Raise every exception of the libraries that read logs as an InputError of one line."""
     try:
         yield
     except (InputError, MemoryError, OSError):

@@ -128,7 +128,7 @@ def _write(
         with TemporaryFile(dir=out.parent) as file:
             source.draw(choice.numbers, file, progress, "unwrap images")
             damage = _describe_damage(source, drive)
-            if len(source.damaged) > max(MOST_DAMAGED * len(choice.numbers), 1):
+            if len(source.damaged) > max(MOST_DAMAGED * len(source.drawn), 1):
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
@@ -163,14 +163,15 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
 def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Images:
     """The images that can be used, with the wheels at their times."""
     order = np.argsort(drive.image_s, kind="stable")
-    angle = drive.wheels.at(np.nan_to_num(drive.image_s[order] + lag_s, nan=-np.inf))
+    wheel_s = drive.image_s[order] + lag_s
+    angle = drive.wheels.at(np.nan_to_num(wheel_s, nan=-np.inf))
     good = np.isfinite(angle).all(axis=1) & ~np.isin(order, list(source.damaged))
     if drive.pose is not None and config.pose and config.pose.use == "truth":
         good &= np.isfinite(drive.pose[order]).all(axis=1)
     good[1:] &= np.diff(drive.image_s[order]) > 0
-    order, angle = order[good], angle[good]
+    order, wheel_s, angle = order[good], wheel_s[good], angle[good]
     path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
-    return Images(order, drive.image_s[order], angle, path)
+    return Images(order, drive.image_s[order], wheel_s, angle, path)
 
 
 def _describe_damage(source: PolarSource, drive: Drive) -> str:

@@ -49,12 +49,14 @@ class Images:
     Attributes:
         number: Number of each in the log (m,).
         time_s: Its time (m,) [s], increasing.
+        wheel_s: The time of the wheels' messages that tell where the robot was then (m,) [s]: later by their lag.
         angle: The wheels' angles then (m, 2) [rad].
         path: Distance and heading then.
     """
 
     number: np.ndarray
     time_s: np.ndarray
+    wheel_s: np.ndarray
     angle: np.ndarray
     path: Path
 
@@ -111,7 +113,7 @@ def _choose(
     if motions[number].kind != "straight":
         return np.empty(0, int)
     first, last = _range_at_rest(motions, number)
-    rows = np.arange(*np.searchsorted(images.time_s, (wheels.time_s[first], wheels.time_s[last])))
+    rows = np.arange(*np.searchsorted(images.wheel_s, (wheels.time_s[first], wheels.time_s[last])))
     if _backs_off(motions[number + 1 :]):
         rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_M]
     if not len(rows):
@@ -144,7 +146,7 @@ def _range_at_rest(motions: Sequence[Motion], number: int) -> tuple[int, int]:
 def _find_after(motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images) -> int | None:
     """Row of the first image that shows a segment's beginning after a turn in place; None: there is none."""
     first, _ = _range_at_rest(motions, number)
-    begin, end = np.searchsorted(images.time_s, wheels.time_s[[first, motions[number].last]])
+    begin, end = np.searchsorted(images.wheel_s, wheels.time_s[[first, motions[number].last]])
     return next((row for row in range(begin, end) if _is_near(images, row, path, motions[number].first)), None)
 
 

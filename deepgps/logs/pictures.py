@@ -4,12 +4,14 @@ from array import array
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
+from rosbags.serde import SerdeError
 
 from deepgps.logs.containers import Log
 from deepgps.logs.images import COMPRESSED, RAW, decoder
 from deepgps.logs.sample import Part, Sample
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 
 KINDS = (RAW, COMPRESSED)
 
@@ -62,10 +64,9 @@ def take_images(
         if number > last:
             return
         if number in wanted:
-            message = part.decode(sample)
             try:
-                image = decode(message)
-            except InputError as error:
-                damaged[number] = str(error)
+                image = decode(part.decode(sample))
+            except (InputError, SerdeError, cv2.error, FileNotFoundError) as error:
+                damaged[number] = one_line(error)
                 continue
             yield number, image

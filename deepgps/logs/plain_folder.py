@@ -81,7 +81,7 @@ def _read_name(folder: Path, name: str) -> int:
     stem = name.rpartition(".")[0]
     try:
         return int(stem) if stem.isdigit() and len(stem) >= NANOSECOND_DIGITS else _read_ns(stem)
-    except ValueError:
+    except (ValueError, OverflowError):
         raise InputError(f"{folder / IMAGES / name}: its name is no time [s], and there is no {TIMES}") from None
 
 
@@ -96,7 +96,7 @@ def _read_ns(text: str) -> int:
 def _read_table(path: Path) -> Iterator[list[str]]:
     """Rows of a CSV file without its header; raises InputError that names the first wrong line."""
     columns = COLUMNS[path.name]
-    with path.open(newline="", encoding="utf-8") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
         if tuple(name.strip() for name in next(rows, [])) != columns:
             raise InputError(f"{path}: its first line must be {','.join(columns)}")

@@ -30,6 +30,7 @@ class PolarSource:
         unwrap: Makes polar images.
         lens: Lens of the polar images.
         damaged: Numbers of images that cannot be used, and why, as far as they have been read.
+        drawn: Numbers of the images that have been read.
     """
 
     log: Log
@@ -38,6 +39,7 @@ class PolarSource:
     unwrap: Unwrapping
     lens: Lens
     damaged: dict[int, str] = field(default_factory=dict)
+    drawn: set[int] = field(default_factory=set)
 
     @property
     def size(self) -> int:
@@ -49,6 +51,7 @@ class PolarSource:
         places = dict[int, list[int]]()
         for place, number in enumerate(wanted):
             places.setdefault(number, []).append(place)
+        self.drawn.update(places)
         store.truncate(len(wanted) * self.size)
         for done, (number, image) in enumerate(take_images(self.log, self.topic, places, self.damaged)):
             try:

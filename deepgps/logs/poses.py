@@ -73,6 +73,8 @@ def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.nda
     order = np.argsort(time_s, kind="stable")
     order = order[np.isfinite(time_s[order])]
     time_s, pose = time_s[order], pose[order]
+    if not len(time_s):
+        return np.full((len(at_s), 3), np.nan)
     columns = [pose[:, 0], pose[:, 1], np.unwrap(pose[:, 2])]
     found = np.column_stack([np.interp(at_s, time_s, values) for values in columns])
     found[:, 2] = wrap(found[:, 2])

@@ -119,6 +119,8 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.
     both = np.isfinite(angle).all(axis=1)
     if both.sum() < 0.5 * max(np.isfinite(angle).sum(axis=0).min(), 1):
         left, right = np.isfinite(angle).T
+        if not (left.any() and right.any()):
+            return np.empty(0), np.empty((0, 2))
         inside = left & (time_s >= time_s[right].min()) & (time_s <= time_s[right].max())
         angle = np.column_stack([angle[:, 0], np.interp(time_s, time_s[right], angle[right, 1])])
         both = inside

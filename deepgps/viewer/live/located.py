@@ -93,8 +93,9 @@ class LocatedView:
             self.stream.set_time(TIME, timestamp=time_s)
         self.number += 1
         self.stream.log("image", rr.Image(enlarge(polar, LARGER)).compress(jpeg_quality=85))
-        self._log_robot(np.asarray(position, float), yaw, radius_m, REFUSED if accepted is False else ROBOT)
-        if accepted is not False and np.isfinite(position).all():
+        refused = accepted is not None and not accepted
+        self._log_robot(np.asarray(position, float), yaw, radius_m, REFUSED if refused else ROBOT)
+        if not refused and np.isfinite(position).all():
             self.trail.append(np.asarray(position, float))
         way = lift(np.array(self.trail).reshape(-1, 2), LAYER_M)
         self.stream.log("world/located/way", rr.LineStrips3D([way], colors=[WAY], radii=0.008))

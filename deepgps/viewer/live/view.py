@@ -22,7 +22,7 @@ from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint
 from deepgps.viewer.live.training import LiveTraining
 from deepgps.viewer.scene import log_room, log_scale
 from sim.occupancy import FreeSpace
-from sim.recording.format import open_recording, open_truth
+from sim.recording.format import has_truth, open_recording, open_truth
 
 
 class LiveView:
@@ -65,7 +65,7 @@ class LiveView:
 
         if self._training is None:
             self._drive.send_chunks(at)
-        if self._training is None and (self._folder / "recording" / "manifest.json").is_file():
+        if self._training is None and self._has_truth():
             self._training = self._send_room(at)
         if self._training is not None:
             self._training.send(dict(self.histories), self._scenario.methods, at)
@@ -73,6 +73,11 @@ class LiveView:
             self._measured = self._send_results(self._space)
         self._send_steps()
         self._arrange()
+
+    def _has_truth(self) -> bool:
+        """Whether the recording is finished and its places are known; without them, only steps are shown."""
+        folder = self._folder / "recording"
+        return (folder / "manifest.json").is_file() and has_truth(folder)
 
     def _send_room(self, at: Spread) -> LiveTraining:
         """Send the room and the rest of the finished recording; return the view of the training that follows."""

@@ -66,6 +66,9 @@ def test_turns_of_one_s_own_are_kept_and_checked(drive: dict, small_recording: P
         wrong[0, column] = value
         with pytest.raises(deepgps.InputError, match=message):
             deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], turns=wrong, **images)
+    seen = np.asarray(given.turn_observation) / 255.0
+    with pytest.raises(deepgps.InputError, match="turn_observations float64: must be uint8, as observations are"):
+        deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], turns=given.turns.array, turn_observations=seen)
     with pytest.raises(deepgps.InputError, match="turn_observations need turns"):
         deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], **images)
 

@@ -1,5 +1,6 @@
 """Readings that cannot be: clean ones stay as they are; faults change no distance but those of what is left out."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -143,6 +144,17 @@ def test_where_a_counter_is_reset_a_segment_is_divided(step: int):
         divided[chosen:, 0] += step != 2**16  # that is a wrap, and nothing is lost
         assert_same(check(reading).reading, divided)
         assert check(reading).counts["breaks"] == int(step != 2**16)
+
+
+def test_a_counter_that_is_reset_at_a_turn_tells_no_turn(small_recording: Path):
+    recording = open_recording(small_recording)
+    assert recording.turns is not None
+    after = int(recording.turns.after[3])
+    reading = recording.reading.copy()
+    reading[after:, 2:] -= 10**6
+    found = keep_plausible(replace(recording, reading=reading)).turns
+    assert found is not None
+    assert found.after.tolist() == [row for row in recording.turns.after.tolist() if row != after]
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -149,3 +149,9 @@ def test_labels_on_segments_held_out_alone_are_not_enough(tmp_path: Path):
         leave_held_out(held, places, segments, count)
     index, left = leave_held_out(torch.arange(count), torch.zeros((count, 2)), segments, count)
     assert len(index) == len(left) == count - len(held)
+
+
+def test_a_segment_that_is_longer_than_what_is_fitted_is_refused():
+    segments = read_segments(recording_of([[0, row, 10 * row, 10 * row] for row in range(40)]))
+    with pytest.raises(InputError, match="a segment has 40 readings, more than the 30 that are fitted at once"):
+        subsample(segments, 40, 30)

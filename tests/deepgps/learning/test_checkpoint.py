@@ -84,3 +84,12 @@ def test_a_flipped_bit_is_found_or_changes_nothing(tmp_path: Path, at: int):
         assert history == {"loss": [1.5]}
         expected = make(0)[0].state_dict()
         assert all(torch.equal(value, expected[name]) for name, value in network.state_dict().items())
+
+
+def test_a_checkpoint_of_another_kind_of_device_is_refused(tmp_path: Path):
+    network, optimiser, generator = make(0)
+    save_checkpoint(tmp_path, 1, network, optimiser, generator, {}, 0.0)
+    state = torch.load(tmp_path / NAME, weights_only=True)
+    torch.save({**state, "generator": torch.zeros(16, dtype=torch.uint8)}, tmp_path / NAME)  # as CUDA's is
+    with pytest.raises(InputError, match="another kind of device; without it this one starts from its first step"):
+        load_checkpoint(tmp_path, *make(0), {})

@@ -23,14 +23,15 @@ def drive(*parts: tuple[float, float], rest_s: float = 0.5) -> np.ndarray:
     return np.cumsum(np.concatenate(steps), axis=0) / RADIUS_M
 
 
-def plan(angle: np.ndarray, spacing_m: float = 0.1, every: int = 2) -> tuple[Plan, Images]:
-    """The plan of a drive with an image at every second message of the wheels."""
+def plan(angle: np.ndarray, spacing_m: float = 0.1, every: int = 2, lag_s: float = 0.0) -> tuple[Plan, Images]:
+    """The plan of a drive with an image at every second message of the wheels, which come late by a lag."""
     time_s = np.arange(len(angle)) * STEP_S
     wheels = clean_wheels(time_s, angle, 4096, "/joint_states")
     path = find_path(wheels.angle, RADIUS_M, TRACK_M)
     motions = find_motions(wheels, path, TRACK_M)
     seen = np.arange(0, len(angle), every)
-    images = Images(seen // every, time_s[seen], wheels.angle[seen], find_path(wheels.angle[seen], RADIUS_M, TRACK_M))
+    there = find_path(wheels.angle[seen], RADIUS_M, TRACK_M)
+    images = Images(seen // every, time_s[seen] - lag_s, time_s[seen], wheels.angle[seen], there)
     found = plan_recording(motions, range(len(motions)), wheels, path, images, spacing_m, 4096)
     check_turns(found.turns, len(found.observation), len(found.turn_image), found.reading[:, 0])
     return found, images
@@ -52,6 +53,14 @@ def test_images_are_spaced_and_turning_places_are_shared() -> None:
     assert (np.diff(found.time_s) > 0).all() and found.reading[found.turns[:, 2], 1].tolist() == found.turns[
         :, 0
     ].tolist()
+
+
+@pytest.mark.parametrize("lag_s", [-0.2, 0.05, 0.5])
+def test_wheels_that_come_late_change_nothing(lag_s: float) -> None:
+    angle = drive((1.0, 0), (0, 2.0), (0.6, 0), (0, -1.2), (0.8, 0), rest_s=0.1)
+    (found, _), (late, _) = plan(angle), plan(angle, lag_s=lag_s)
+    for name in ("reading", "observation", "turn_image", "turns"):
+        np.testing.assert_array_equal(getattr(late, name), getattr(found, name))
 
 
 def test_the_last_way_before_backing_off_is_left_out() -> None:

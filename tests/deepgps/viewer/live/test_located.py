@@ -3,6 +3,7 @@
 import signal
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -43,7 +44,8 @@ def test_refused_images_are_no_part_of_the_way(tmp_path: Path):
     stream = rr.RecordingStream("test")
     stream.save(str(tmp_path / "one.rrd"))
     view, polar = LocatedView(stream, None), np.zeros((4, 8, 3), np.uint8)
-    for number, accepted in enumerate((True, False, None)):
+    of_a_pose: Any = np.bool_(False)  # as a pose holds it
+    for number, accepted in enumerate((True, False, None, of_a_pose)):
         view.show(1e9 + number, polar, np.array([number, 0.0]), None, None, accepted)
     stream.flush()
     assert [place[0] for place in view.trail] == [0.0, 2.0]
