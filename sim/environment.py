@@ -114,9 +114,9 @@ class RoomEnvironment(dm_env.Environment):
         return dm_env.transition(0.0, self._observe())
 
     def action_spec(self) -> specs.BoundedArray:
-        """Wheel speeds (2,) left, right within the motors' limits [rad/s]."""
-        model = self._world.model
-        limits = np.array([model.actuator(PREFIX + wheel).ctrlrange for wheel in WHEELS])
+        """Wheel speeds (2,) left, right within the motors' limits, if they have any [rad/s]."""
+        motors = [self._world.model.actuator(PREFIX + wheel) for wheel in WHEELS]
+        limits = np.array([one.ctrlrange if one.ctrllimited[0] else (-np.inf, np.inf) for one in motors])
         return specs.BoundedArray((2,), np.float64, limits[:, 0], limits[:, 1], "wheel_speed")
 
     def observation_spec(self) -> dict[str, specs.Array]:

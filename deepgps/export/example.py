@@ -33,10 +33,7 @@ class Locator:
 
 if __name__ == "__main__":
     locator = Locator()
+    flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
     for name in sys.argv[1:]:
-        pose = locator.locate(
-            cv2.cvtColor(
-                np.asarray(cv2.imread(name, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)), cv2.COLOR_BGR2RGB
-            )
-        )
+        pose = locator.locate(cv2.cvtColor(np.asarray(cv2.imread(name, flags)), cv2.COLOR_BGR2RGB))
         print(name, {part: value.tolist() for part, value in pose.items()})

@@ -6,15 +6,18 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.robot.model import BASE, BUMPER, CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
+from sim.robot.model import BASE, CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
 from sim.robot.scene import compile_scene
 from sim.rooms.spec import PREFIX, empty_room
 from sim.settings import SimSettings
+from sim.user_input import shorten
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _SETTLE_S = 1.0
 LEVEL = 0.999
 """Smallest cosine of the lean at which a user's own robot comes to rest."""
+ON_FLOOR_M, FALLEN_M = 0.01, 1.0
+"""Largest height of its origin above the floor at rest, and depth below it from which a robot has fallen [m]."""
 
 
 class Chassis:
@@ -34,7 +37,7 @@ class Chassis:
         self.data = mujoco.MjData(self.model)
         self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
         self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
-        self._bumper = self.model.sensor(PREFIX + BUMPER).adr[0]
+        self._bumper = self.model.sensor_adr[self.model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH]
         self._base = self.model.body(PREFIX + BASE).id
         self._rest = _settle(settings)
 
@@ -59,13 +62,16 @@ class Chassis:
         """Drive the wheels at speeds (2,) left, right [rad/s] for one control period.
 
         Raises:
-            WorkError: MuJoCo gave a warning, as it also does when the state is no longer finite.
+            WorkError: MuJoCo gave a warning, as it also does when the state is no longer finite; or the robot fell
+                through a hole in the floor.
         """
         data = self.data
         data.ctrl[:] = wheel_speed
         self.advance(self._substeps)
         if data.warning.number.any():
             raise WorkError(f"physics failed at {data.time:.2f} s: {_name_warning(data)}")
+        if data.qpos[2] < -FALLEN_M:
+            raise WorkError(f"the robot fell through the room's floor at {data.time:.2f} s: the floor has a hole")
         # After a step the sensors are one step behind the joints: evaluate them for the current state.
         mujoco.mj_kinematics(self.model, data)
         mujoco.mj_sensorPos(self.model, data)
@@ -80,8 +86,8 @@ class Chassis:
         return np.array((sensor[self._left], sensor[self._right]))
 
     def bumped(self) -> bool:
-        """Whether something presses against the body or the mast."""
-        return bool(self.data.sensordata[self._bumper] > 0.0)
+        """Whether something presses against the robot's body, or a part that is fixed to it."""
+        return bool((self.data.sensordata[self._bumper] > 0.0).any())
 
     def time(self) -> float:
         """Return the time since the start [s]."""
@@ -117,8 +123,15 @@ def _settle(settings: SimSettings) -> np.ndarray:
     data = mujoco.MjData(model)
     mujoco.mj_step(model, data, round(_SETTLE_S / TIMESTEP_S))
     rest = data.qpos.copy()
-    if settings.robot.mjcf is not None and 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) < LEVEL:
-        raise InputError(f"robot.mjcf {settings.robot.mjcf}: it does not stay level on a level floor")
+    if settings.robot.mjcf is not None:
+        what = f"robot.mjcf {shorten(settings.robot.mjcf, 300)}"
+        if not 1.0 - 2.0 * (rest[4] ** 2 + rest[5] ** 2) >= LEVEL:  # NaN is not
+            raise InputError(f"{what}: it does not stay level on a level floor")
+        if not abs(rest[2]) <= ON_FLOOR_M:
+            raise InputError(
+                f"{what}: at rest, its body's origin is {rest[2]:.3g} m above the floor; at most {ON_FLOOR_M:g} m is "
+                "allowed"
+            )
     rest[:2], rest[6], rest[7:] = 0.0, 0.0, 0.0
     rest[3:7] /= np.linalg.norm(rest[3:7])
     return rest

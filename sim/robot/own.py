@@ -32,14 +32,25 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
         InputError: The file is refused, or lacks a part; one line names the setting and what is needed.
     """
     spec = _read(robot)
-    radius_m = describe_own(robot).radius_m
-    middle = (LOWEST_M + HIGHEST_M) / 2
-    size = (radius_m + BUMPER_M, HIGHEST_M - middle, 0.0)
-    spec.body(BASE).add_site(
-        name=BUMPER, type=mujoco.mjtGeom.mjGEOM_CYLINDER, size=size, pos=(0, 0, middle), group=4, rgba=(0, 0, 0, 0)
-    )
-    spec.add_sensor(name=BUMPER, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=BUMPER)
+    _add_bumpers(spec, describe_own(robot).radius_m + BUMPER_M)
     return spec
+
+
+def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
+    """Add a touch sensor around the robot to its body and to each that is fixed to it: one feels its own body alone."""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    base, middle = model.body(BASE).id, np.array([0.0, 0.0, (LOWEST_M + HIGHEST_M) / 2])
+    size = (radius_m, HIGHEST_M - middle[2], 0.0)
+    fixed = [(body, body.id) for body in spec.bodies if model.body_weldid[body.id] == base]  # elements change the ids
+    for number, (body, row) in enumerate(fixed):
+        back, turn = data.xmat[row].reshape(3, 3).T, np.empty(4)
+        mujoco.mju_mat2Quat(turn, back.ravel())
+        name, place = f"{BUMPER}_{number}" if number else BUMPER, back @ (data.xpos[base] + middle - data.xpos[row])
+        cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
+        body.add_site(name=name, type=cylinder, size=size, pos=place, quat=turn, group=4, rgba=(0, 0, 0, 0))
+        spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
 
 
 def describe_own(robot: RobotSettings) -> Body:

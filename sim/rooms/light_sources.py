@@ -44,9 +44,10 @@ def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
         model: The room, with or without a robot.
         source: ``lamps`` or ``windows``; screens count as windows, by their size.
     """
-    material = model.geom_matid
-    glows = (material >= 0) & (model.mat_emission[material] > 0.0)
-    pictured = (model.mat_texid[material] >= 0).any(axis=1)
+    material, has = model.geom_matid, model.geom_matid >= 0
+    glows, pictured = has.copy(), np.zeros_like(has)
+    glows[has] = model.mat_emission[material[has]] > 0.0
+    pictured[has] = (model.mat_texid[material[has]] >= 0).any(axis=1)
     geoms = np.flatnonzero(glows & (pictured == (source == "windows")))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -56,7 +56,10 @@ class Files:
             InputError: A file cannot be read or parsed or is outside the folder, or there are too many files.
         """
         self.what = f"{field} {shorten(str(path), 300)}"
-        self.folder = path.resolve().parent
+        try:
+            self.folder = path.resolve().parent
+        except (OSError, RuntimeError):
+            raise InputError(f"{self.what}: cannot be found: its links lead in a circle") from None
         self.documents: dict[Path, Document] = {}
         self._found: dict[str, list[Path]] = {}
         self._elements = self._attributes = self._checks = 0

@@ -10,7 +10,7 @@ from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
-from sim.rooms.free_space import find_free_space
+from sim.rooms.free_space import START, find_free_space
 from sim.rooms.light_sources import KINDS, Sources, find_sources, hang_lamp
 from sim.sensors.camera_faults import decode, encode
 from sim.sensors.camera_mount import drive_on
@@ -62,6 +62,8 @@ def _find_free_space(settings: SimSettings) -> FreeSpace | None:
     if not (settings.deployment.person or settings.deployment.lamp_on):
         return None
     room = change_room(build_room(settings.room), settings.deployment)
+    if (start := room.site(START)) is not None:
+        room.delete(start)  # where the robot starts, a person may not fit
     return find_free_space(room.compile(), PERSON_RADIUS_M, PERSON_HEIGHT_M)
 
 

@@ -91,8 +91,8 @@ def _whiten(model: mujoco.MjModel, sources: Mapping[str, Sources], shining: str)
     """A white copy of a room in which the sources of one kind glow, and those of the others are dark."""
     white = copy.copy(model)
     white.vis.quality.numquads = QUADS
-    material = model.geom_matid
-    opacity = np.where(material >= 0, model.mat_rgba[material, 3], model.geom_rgba[:, 3])
+    material, opacity = model.geom_matid, model.geom_rgba[:, 3].copy()
+    opacity[material >= 0] = model.mat_rgba[material[material >= 0], 3]
     white.geom_rgba[:, :3], white.geom_rgba[:, 3] = 1.0, opacity
     white.geom_matid[:] = -1
     for kind, some in sources.items():

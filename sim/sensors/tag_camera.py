@@ -92,7 +92,7 @@ def mount(robot: mujoco.MjSpec, settings: SimSettings) -> None:
         type=mujoco.mjtGeom.mjGEOM_BOX,
         pos=place,
         size=(0.012, 0.02, 0.012),
-        material="shell",
+        material="shell" if robot.material("shell") is not None else "",
         mass=0.0,
         contype=0,
         conaffinity=0,
