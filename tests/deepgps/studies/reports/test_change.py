@@ -37,9 +37,9 @@ ROWS = [
 def test_each_training_has_a_table_in_which_changes_stand_beside_none():
     blocks = change.report(ROWS, VARIED)
     assert [block for block in blocks if block.startswith("###")] == [
-        "### Trained in one light, features of ranks",
-        "### Trained in one light, features of pixels",
-        "### Trained in several lights, features of ranks",
+        "## Trained in one light, features of ranks",
+        "## Trained in one light, features of pixels",
+        "## Trained in several lights, features of ranks",
     ]
     ranks = blocks[1].replace(" ", "").splitlines()
     assert ranks[2].startswith("|nochange|DeepGPS,compass|1|2.0(1.00)|1.0(1.00)")

@@ -46,7 +46,7 @@ ROWS = [
 
 def test_each_drive_has_a_line_with_what_is_refused_and_named():
     heading, table, note = knowing.report(ROWS, [LIGHT])
-    assert heading == "### DeepGPS, compass, features of ranks, one room"
+    assert heading == "## DeepGPS, compass, features of ranks, one room"
     lines = table.splitlines()
     assert [line.split("|")[1].strip() for line in lines[2:]] == [
         "no change",
