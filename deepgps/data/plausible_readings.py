@@ -63,7 +63,7 @@ def keep_plausible(recording: Recording) -> Recording:
     if checked.reading is recording.reading:
         return replace(recording, readings=checked.counts)
     turns = recording.turns and lose_turns(recording.turns, recording.reading[:, 0], checked.kept)
-    if turns:  # ticks that break at a turn do not say by how much the wheels turned
+    if turns is not None:  # ticks that break at a turn do not say by how much the wheels turned
         turns = from_array(turns.array[~checked.broken[turns.after]])
     time = recording.time[checked.kept]
     return replace(recording, readings=checked.counts, reading=checked.reading, time=time, turns=turns)

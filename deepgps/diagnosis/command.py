@@ -43,12 +43,12 @@ def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[D
     diagnosis = diagnose(recording)
     progress("diagnose", 1, 1)
     path = out or (run and run / FILE)
-    if run is not None and path is not None and path == run / FILE:
+    if run is not None and path == run / FILE:
         with hold(run, RUN):
             if read_diagnosis(run, recording) != diagnosis:
                 drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
                 (run / "run.rrd").unlink(missing_ok=True)
-            write_diagnosis(path, diagnosis, recording)
+            write_diagnosis(run / FILE, diagnosis, recording)
     elif path is not None:
         write_diagnosis(path, diagnosis, recording)
     return diagnosis, path

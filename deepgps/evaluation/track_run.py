@@ -1,6 +1,5 @@
 """A trained method of a run tracks the robot through the drive in use, or through another recording."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from deepgps.alignment import Alignment
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.diagnosis.store import digest_recording
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
@@ -130,19 +130,13 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
     """What the robot sensed, and where its track is written, without a suffix."""
     if drive is not None:
         recording = open_recording(drive)
-        return keep_plausible(recording), run / FOLDER / f"{method}-{_digest(recording)}"
+        return keep_plausible(recording), run / FOLDER / f"{method}-{digest_recording(recording)[:8]}"
     recording = open_drive_in_use(open_recording(run / "recording"))
     if recording is None:
         raise InputError(
             f"{run} has no drive in use, which --deployment.drive-samples makes; or name the folder of a recording"
         )
     return recording, run / FOLDER / method
-
-
-def _digest(recording: Recording) -> str:
-    """Eight hexadecimal digits that differ between recordings, also those of one drive with other images."""
-    sums = sorted(recording.manifest.sha256.items())
-    return hashlib.sha256(repr(sums).encode()).hexdigest()[:8]
 
 
 def _open_reference(folder: Path, recording: Recording, track: Track) -> Reference | None:

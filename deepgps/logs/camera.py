@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.logs.containers import Log, explained
+from deepgps.logs.containers import Log
 from deepgps.logs.robot_config import CameraConfig
 from deepgps.plain_yaml import read_yaml
 from sim.errors import InputError
@@ -95,8 +95,7 @@ def _read_info(log: Log, topic: str) -> RawCamera:
     log.check_topic(topic, "camera.info", [INFO])
     for sample, part in log.read([topic]):
         try:
-            with explained(log.path):
-                camera = read_info(part.decode(sample))
+            camera = read_info(part.decode(sample))
         except InputError as error:
             raise InputError(f"{topic}: {error}") from None
         if camera is None:

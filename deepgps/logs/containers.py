@@ -15,10 +15,10 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from deepgps.logs.plain_folder import PlainFolder, is_plain
-from deepgps.logs.sample import Part, Sample, read_stamp
+from deepgps.logs.sample import Part, Sample, explained, read_stamp
 from deepgps.logs.truncated import is_truncated, salvage
 from deepgps.progress import Report
-from sim.errors import InputError, one_line
+from sim.errors import InputError
 from sim.user_input import shorten
 
 SUFFIXES = (".bag", ".mcap", ".db3")
@@ -52,9 +52,8 @@ class Log:
     def feed(self, takers: Mapping[str, Callable[[Sample, Part], None]], progress: Report) -> None:
         """Read some topics once, and give each message to what takes its topic."""
         progress("read log", 0, 1)
-        with explained(self.path):
-            for sample, part in self.read(takers):
-                takers[sample.topic](sample, part)
+        for sample, part in self.read(takers):
+            takers[sample.topic](sample, part)
         progress("read log", 1, 1)
 
     def check_topic(self, topic: str, name: str, kinds: Collection[str]) -> str:
@@ -125,14 +124,14 @@ def _open_part(file: Path, cut: bool, stack: ExitStack) -> Part:
     if cut:
         return salvage(file)
     defaults = get_typestore(Stores.ROS2_HUMBLE)  # rosbag2 up to version 5 stores no definitions of types
-    return IndexedPart(stack.enter_context(AnyReader([file], default_typestore=defaults)))
+    return IndexedPart(file, stack.enter_context(AnyReader([file], default_typestore=defaults)))
 
 
 class IndexedPart:
     """A part that ``rosbags`` reads by its index."""
 
-    def __init__(self, reader: AnyReader) -> None:
-        self.reader = reader
+    def __init__(self, file: Path, reader: AnyReader) -> None:
+        self.file, self.reader = file, reader
         self.types = {one.topic: one.msgtype for one in reader.connections}
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
@@ -142,16 +141,5 @@ class IndexedPart:
             yield Sample(connection.topic, log_ns, stamp_ns, data)
 
     def decode(self, sample: Sample) -> Any:
-        return self.reader.deserialize(sample.data, self.types[sample.topic])
-
-
-@contextmanager
-def explained(path: Path) -> Iterator[None]:
-    """Raise every exception of the libraries that read logs as an InputError of one line."""
-    try:
-        yield
-    except (InputError, MemoryError, OSError):
-        raise
-    except Exception as error:
-        why = one_line(error) or type(error).__name__
-        raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None
+        with explained(self.file):
+            return self.reader.deserialize(sample.data, self.types[sample.topic])

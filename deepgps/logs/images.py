@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from sim.errors import InputError
+from sim.errors import InputError, one_line
 from sim.user_input import quote
 
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -51,8 +51,16 @@ ENCODINGS = {
 
 
 def decoder(kind: str) -> Callable[[Any], np.ndarray]:
-    """The function that turns a message of a type into an image (height, width, 3) uint8 RGB."""
-    return decode_raw if kind == RAW else decode_compressed
+    """The function that turns a message of a type into an image (height, width, 3) uint8 RGB, or raises InputError."""
+    take = decode_raw if kind == RAW else decode_compressed
+
+    def decode(message: Any) -> np.ndarray:
+        try:
+            return take(message)
+        except cv2.error as error:  # a size that the encoding cannot have, or that no memory could hold
+            raise InputError(one_line(error)) from None
+
+    return decode
 
 
 def decode_raw(message: Any) -> np.ndarray:

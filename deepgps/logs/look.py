@@ -5,17 +5,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from deepgps.logs import plain_folder, poses
 from deepgps.logs.camera import INFO, read_info
 from deepgps.logs.clocks import APART_S, compare, find_starts, take_times
-from deepgps.logs.containers import Log, explained, open_log
+from deepgps.logs.containers import Log, open_log
 from deepgps.logs.images import COMPRESSED, RAW, decoder
 from deepgps.logs.joints import JOINT_STATE, ODOMETRY
 from deepgps.progress import Report
-from sim.errors import InputError, one_line
+from sim.errors import InputError
 from sim.user_input import shorten
 
 FIRST = 50
@@ -68,8 +67,7 @@ def look(path: Path, progress: Report) -> str:
             one.log_ns.append(sample.log_ns)
             one.stamp_ns.append(sample.stamp_ns)
             if len(one.log_ns) <= FIRST and one.kind in DECODED:
-                with explained(path):
-                    _take_details(one, part.decode(sample))
+                _take_details(one, part.decode(sample))
         progress("look", 1, 1)
         lines = [f"# {shorten(str(path), 300)}", *(f"# note: {note}" for note in log.notes), "#"]
         for topic, one in seen.items():
@@ -88,8 +86,8 @@ def _take_details(one: Seen, message: Any) -> None:
         try:
             height, width = decoder(one.kind)(message).shape[:2]
             one.details[f"{said}, {width} x {height} px"] = None
-        except (InputError, cv2.error) as error:
-            one.details[f"{said}: {one_line(error)}"] = None
+        except InputError as error:
+            one.details[f"{said}: {error}"] = None
 
 
 def _describe_info(one: Seen, message: Any) -> str:

@@ -4,14 +4,12 @@ from array import array
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
-from rosbags.serde import SerdeError
 
 from deepgps.logs.containers import Log
 from deepgps.logs.images import COMPRESSED, RAW, decoder
 from deepgps.logs.sample import Part, Sample
-from sim.errors import InputError, one_line
+from sim.errors import InputError
 
 KINDS = (RAW, COMPRESSED)
 
@@ -66,7 +64,7 @@ def take_images(
         if number in wanted:
             try:
                 image = decode(part.decode(sample))
-            except (InputError, SerdeError, cv2.error, FileNotFoundError) as error:
-                damaged[number] = one_line(error)
+            except InputError as error:
+                damaged[number] = str(error)
                 continue
             yield number, image

@@ -59,13 +59,20 @@ class PlainFolder:
 
     def decode(self, sample: Sample) -> Any:
         if sample.topic == IMAGES:
-            return SimpleNamespace(format="", data=sample.data.read_bytes())
+            return SimpleNamespace(format="", data=_read_image(sample.data))
         if sample.topic == WHEELS:
             return SimpleNamespace(name=JOINTS, position=list(sample.data))
         x, y, yaw = sample.data
         place = SimpleNamespace(x=x, y=y, z=0.0)
         turn = SimpleNamespace(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
         return SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn))
+
+
+def _read_image(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"{path} is missing") from None
 
 
 def _list_images(folder: Path) -> list[tuple[int, str]]:

@@ -2,9 +2,14 @@
 
 import struct
 from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from rosbags.typesys.store import Typestore
+
+from sim.errors import InputError, one_line
+from sim.user_input import shorten
 
 HEADER = "std_msgs/msg/Header"
 
@@ -39,8 +44,20 @@ class Part(Protocol):
         ...
 
     def decode(self, sample: Sample) -> Any:
-        """The message with its fields."""
+        """The message with its fields; raises InputError if it is damaged."""
         ...
+
+
+@contextmanager
+def explained(path: Path) -> Iterator[None]:
+    """Raise every exception of the libraries that read logs as an InputError of one line."""
+    try:
+        yield
+    except (InputError, MemoryError, OSError):
+        raise
+    except Exception as error:
+        why = one_line(error) or type(error).__name__
+        raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None
 
 
 def read_stamp(store: Typestore, kind: str, data: bytes, ros1: bool = False) -> int:

@@ -17,7 +17,7 @@ from rosbags.rosbag2.storage_mcap import decompress
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from deepgps.logs.sample import Sample, read_stamp
+from deepgps.logs.sample import Sample, explained, read_stamp
 from sim.errors import InputError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
@@ -76,7 +76,8 @@ class Salvaged:
 
     def decode(self, sample: Sample) -> Any:
         take = self._store.deserialize_ros1 if self._ros1 else self._store.deserialize_cdr
-        return take(sample.data, self.types[sample.topic])
+        with explained(self.file):
+            return take(sample.data, self.types[sample.topic])
 
 
 def salvage(file: Path) -> Salvaged:

@@ -22,7 +22,7 @@ OF_MEDIAN = 0.455
 MOST = 100.0
 """Errors are at most so many times those expected, and never less than these, which the median of heavy tails hides."""
 LEAST_M = 0.05
-"""Way after which another image is kept, so that a robot that stands still does not fill the trail [m]."""
+"""Way after which another image is kept, so that a robot that does not move does not fill the trail [m]."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
     for number, (body, row) in enumerate(fixed):
         back, turn = data.xmat[row].reshape(3, 3).T, np.empty(4)
         mujoco.mju_mat2Quat(turn, back.ravel())
-        name, place = f"{BUMPER}_{number}" if number else BUMPER, back @ (data.xpos[base] + middle - data.xpos[row])
+        name, place = f"{BUMPER}_{number}", back @ (data.xpos[base] + middle - data.xpos[row])
         cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
         body.add_site(name=name, type=cylinder, size=size, pos=place, quat=turn, group=4, rgba=(0, 0, 0, 0))
         spec.add_sensor(name=name, type=mujoco.mjtSensor.mjSENS_TOUCH, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)

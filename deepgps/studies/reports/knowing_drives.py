@@ -124,9 +124,8 @@ def derive_drives(run: Path, method: str) -> Iterator[Drive]:
         yield describe(TITLES["other_room"], "other_room", monitor.name(other))
     position = locate_camera(monitor.positioner, recording.observation)
     part = keep_segments(recording, position[:, 0] < np.quantile(position[:, 0], SEEN))
-    if (
-        len(np.unique(part.reading[:, 0])) >= FEWEST and METHODS[method].reads_ticks
-    ):  # others learn from labels of all images
+    learns = METHODS[method].reads_ticks  # others learn from labels, which are of all images
+    if learns and len(np.unique(part.reading[:, 0])) >= FEWEST:
         scenario = open_run(run)
         with TemporaryDirectory() as folder:
             taught = fit_method(method, part, scenario.learn, training_seed(scenario), Path(folder) / method)
