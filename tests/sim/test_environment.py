@@ -14,7 +14,8 @@ from dm_env import StepType, test_utils
 from sim.environment import RoomEnvironment
 from sim.errors import InputError, WorkError
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
-from sim.settings import CameraMountSettings, CameraSettings, EncoderSettings, SimSettings
+from sim.settings import CameraMountSettings, CameraSettings, EncoderSettings, RobotSettings, SimSettings
+from tests.sim.robot.test_own import EXAMPLE
 
 SETTINGS = SimSettings(camera=CameraSettings(rings=8, sectors=32, face_px=16))
 
@@ -131,3 +132,10 @@ def test_without_dm_control_the_error_says_what_to_do(monkeypatch: pytest.Monkey
     monkeypatch.delitem(sys.modules, "sim.environment")
     with pytest.raises(WorkError, match=r"needs dm-control, which has no wheels for this Python: use Python 3\.11"):
         __import__("sim.environment")
+
+
+def test_motors_without_limits_take_any_speed() -> None:
+    own = RobotSettings(mjcf=str(EXAMPLE), left_joint="left_drive", right_joint="right_drive", camera_site="eye")
+    made = RoomEnvironment(SETTINGS.model_copy(update={"robot": own}), np.random.default_rng(0))
+    made.action_spec().validate(np.array([3.0, -3.0]))
+    made.close()

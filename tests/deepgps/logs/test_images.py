@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deepgps.logs.images import decode_compressed, decode_raw
+from deepgps.logs.images import RAW, decode_compressed, decode_raw, decoder
 from sim.errors import InputError
 from tests.helpers.robot_log import ENCODERS, encode
 
@@ -72,3 +72,11 @@ def test_damaged_pictures_are_refused(image: np.ndarray) -> None:
         decode_compressed(SimpleNamespace(format="jpeg", data=data[:20]))
     with pytest.raises(InputError, match="format 'h264', 4 bytes: neither JPEG nor PNG"):
         decode_compressed(SimpleNamespace(format="h264", data=b"\0\0\0\1"))
+
+
+@pytest.mark.parametrize(("encoding", "width", "height"), [("nv12", 5, 4), ("nv12", 5, 5), ("yuyv", 5, 4)])
+def test_a_size_that_an_encoding_cannot_have_is_refused_in_one_line(encoding: str, width: int, height: int):
+    message = SimpleNamespace(encoding=encoding, width=width, height=height, step=0, data=bytes(1000))
+    with pytest.raises(InputError) as caught:
+        decoder(RAW)(message)
+    assert "\n" not in str(caught.value)

@@ -1,7 +1,9 @@
 """A robot of one's own: measured, driven and refused; the testbed's own robot stays as it is, byte for byte."""
 
+import os
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -113,6 +115,43 @@ def test_one_that_is_missing_or_falls_over_is_refused(tmp_path: Path):
     falls = changed(tmp_path, ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"'))
     with pytest.raises(InputError, match="does not stay level"):
         RoomWorld(SimSettings(robot=robot(falls)), empty_room())
+
+
+def test_one_whose_origin_is_not_on_the_floor_is_refused(tmp_path: Path):
+    high = changed(
+        tmp_path,
+        ('pos="0 0.16 0.066"', 'pos="0 0.16 0.046"'),
+        ('pos="0 -0.16 0.066"', 'pos="0 -0.16 0.046"'),
+        ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.0"'),
+    )
+    with pytest.raises(InputError, match=r"its body's origin is 0\.02 m above the floor; at most 0\.01 m is allowed"):
+        RoomWorld(SimSettings(robot=robot(high)), empty_room())
+
+
+def test_a_pipe_is_not_waited_for_and_nothing_is_refused_in_one_line(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe.xml")
+    for path in (tmp_path / "pipe.xml", tmp_path, tmp_path / "nothing.xml"):
+        with pytest.raises(InputError, match=r"robot\.mjcf"):
+            RoomWorld(SimSettings(robot=robot(path)), empty_room())
+
+
+SHELL = (
+    '<geom type="cylinder" size="0.20 0.15" pos="0 0 0.19" mass="0" friction="0.2 0.005 0.0001" rgba="0.2 0.3 0.5 1"/>'
+)
+
+
+@pytest.mark.parametrize("shell", [SHELL, f'<body name="shell" pos="0 0.01 0" euler="0 0 30">{SHELL}</body>'])
+def test_a_part_that_is_fixed_to_it_feels_what_it_touches(shell: str, tmp_path: Path):
+    room = empty_room()
+    room.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=(0.1, 1.0, 0.5), pos=(0.5, 0.0, 0.5))
+    world = RoomWorld(SimSettings(robot=robot(changed(tmp_path, (SHELL, shell)))), room)
+    world.place(np.zeros(3))
+    assert not world.bumped()
+    for _ in range(100):
+        world.step(np.full(2, 3.0))
+        if world.bumped():
+            return
+    pytest.fail("it drove against a wall for seconds and felt nothing")
 
 
 def test_settings_that_contradict_it_are_refused():

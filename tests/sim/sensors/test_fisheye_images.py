@@ -1,7 +1,10 @@
 """Images in use: light of sources adds up, exposure takes none of their order, a person is only drawn."""
 
 from collections.abc import Callable
+from pathlib import Path
+from typing import Literal
 
+import mujoco
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -142,3 +145,26 @@ def test_a_person_is_no_part_of_physics_or_free_space():
     changed = RoomWorld(SimSettings(room=ROOM, camera=CAMERA, deployment=use), drawn=False)
     assert changed.model.ngeom == plain.model.ngeom and np.array_equal(changed.state(), plain.state())
     assert np.array_equal(changed.free_space.reachable, plain.free_space.reachable)
+
+
+NARROW = """<mujoco><worldbody>
+  <site name="start" pos="-1.3 0 0"/>
+  <geom type="box" size="1.6 .05 1.2" pos="0 1.25 1.2"/><geom type="box" size="1.6 .05 1.2" pos="0 -1.25 1.2"/>
+  <geom type="box" size=".05 1.3 1.2" pos="1.55 0 1.2"/><geom type="box" size=".05 1.3 1.2" pos="-1.55 0 1.2"/>
+</worldbody></mujoco>"""
+
+
+def test_a_person_needs_no_room_where_the_robot_starts(tmp_path: Path):
+    (tmp_path / "narrow.xml").write_text(NARROW)
+    room = SimSettings(room=RoomSettings(mjcf=str(tmp_path / "narrow.xml")), camera=CAMERA)
+    states = RoomWorld(room, drawn=False).rest_states(np.zeros((1, 3)))
+    use = DeploymentSettings.model_validate({"person": True})
+    seen = observe("fisheye", room.model_copy(update={"deployment": use}), states)
+    assert not np.array_equal(seen, observe("fisheye", room, states))
+
+
+@pytest.mark.parametrize("source", ["lamps", "windows"])
+def test_a_room_without_materials_has_no_sources(source: Literal["lamps", "windows"]):
+    model = mujoco.MjModel.from_xml_string(NARROW)
+    assert model.nmat == 0
+    assert not len(find_sources(model, source).geoms)
