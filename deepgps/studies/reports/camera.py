@@ -126,7 +126,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes.set_yticks(range(len(faults)), [fault.title for fault in faults])
     axes.set(xscale="log", ylim=(len(faults) - 0.5, -0.5))
     axes.set_xlabel(
-        "error of the worst heading [cm]\nfilled: RMS, open: median, means over seeds; lines: without faults"
+        "error of the worst heading [cm]\nfilled: RMS, open: median, means over seeds\nlines: without faults"
     )
     count_by_decades(axes.xaxis)
     axes.grid(alpha=0.2, which="major", axis="x")
