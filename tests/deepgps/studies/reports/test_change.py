@@ -36,7 +36,7 @@ ROWS = [
 
 def test_each_training_has_a_table_in_which_changes_stand_beside_none():
     blocks = change.report(ROWS, VARIED)
-    assert [block for block in blocks if block.startswith("###")] == [
+    assert [block for block in blocks if block.startswith("##")] == [
         "## Trained in one light, features of ranks",
         "## Trained in one light, features of pixels",
         "## Trained in several lights, features of ranks",
