@@ -1,14 +1,14 @@
 """A table of runs: what each changes in its scenario, how far it is, its errors, and its age."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import RUN, describe_no_run, list_runs, open_run
-from deepgps.scenario import Scenario, load_scenario, names_in
+from deepgps.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.spelling import as_option
 from sim.errors import InputError
 from sim.files import read_json
@@ -39,7 +39,7 @@ def tabulate_runs(folder: Path) -> str:
 
 def list_differences(scenario: Scenario) -> dict[str, Any]:
     """Settings in which a scenario differs from the one of its name, or from the defaults, by dotted name."""
-    base, own = _flatten(_load_base(scenario.name)), _flatten(scenario.model_dump(mode="json"))
+    base, own = _list_base(scenario.name), list_settings(scenario)
     return {name: value for name, value in own.items() if name != "name" and base.get(name) != value}
 
 
@@ -73,17 +73,8 @@ def _find_time(run: Path) -> float:
 
 
 @cache
-def _load_base(name: str) -> dict[str, Any]:
-    base = load_scenario(name, {}) if name in names_in(SCENARIOS) else Scenario()
-    return base.model_dump(mode="json")
-
-
-def _flatten(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    flat = {}
-    for name, value in values.items():
-        inner = _flatten(value, f"{before}{name}.") if isinstance(value, Mapping) else {f"{before}{name}": value}
-        flat.update(inner)
-    return flat
+def _list_base(name: str) -> dict[str, Any]:
+    return list_settings(load_scenario(name, {}) if name in names_in(SCENARIOS) else Scenario())
 
 
 def _write(value: Any) -> str:

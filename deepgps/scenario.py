@@ -232,6 +232,11 @@ def write_out(scenario: Scenario) -> str:
     return yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
 
 
+def list_settings(scenario: Scenario) -> dict[str, Any]:
+    """All settings of a scenario by dotted name."""
+    return _flatten(scenario.model_dump(mode="json"))
+
+
 def read_room(path: str) -> bytes | None:
     """The bytes of a room's or robot's file, or None if there is no file; raises InputError if it cannot be read."""
     return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) if isfile(Path(path)) else None
@@ -257,6 +262,13 @@ def _hash(settings: str, scenario: Scenario, read: Callable[[str], bytes | None]
     for path in (scenario.room.mjcf, scenario.robot.mjcf):
         state.update((path and read(path)) or b"")
     return state.hexdigest()[:8]
+
+
+def _flatten(values: Mapping[str, Any], group: str = "") -> dict[str, Any]:
+    flat = {}
+    for name, value in values.items():
+        flat |= _flatten(value, f"{group}{name}.") if isinstance(value, Mapping) else {f"{group}{name}": value}
+    return flat
 
 
 def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ def split(rng: np.random.Generator, *name: str | int) -> np.random.Generator:
 
 
 def derive_seed(seed: int, *name: str | int) -> int:
-    """A seed of 62 bits for one purpose, for generators that are not NumPy's and for drives of their own."""
+    """A seed of 63 bits for one purpose, for generators that are not NumPy's and for drives of their own."""
     state = _key(np.random.SeedSequence(seed), name).generate_state(2, np.uint32)
     return int(state[0]) << 31 | int(state[1]) >> 1
 

@@ -14,7 +14,8 @@ from sim.user_input import quote, shorten
 FLOOR = "floor"
 _SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
 _SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
-_SUPPORT_M = 0.001
+_SUPPORT_M, _BELOW_M = 0.001, 0.002
+"""How far from z = 0 the top of a floor may be, and how far below z = 0 the plane under boxes is [m]."""
 SLOW_TRIANGLES = 100_000
 """Number of triangles above which a warning says that the room draws slowly."""
 
@@ -23,7 +24,8 @@ def load_room(path: Path) -> mujoco.MjSpec:
     """Read an MJCF file as a static room without actuators, keeping its own floor.
 
     Files that it includes or uses must be in its own folder. A floor is a plane, a horizontal box top or a terrain at
-    z = 0; if there is none, an infinite plane ``floor`` is added.
+    z = 0. Unless it is a plane or a terrain, an infinite plane ``floor`` is added: at z = 0, or just below boxes, which
+    may end before the room does.
 
     Raises:
         InputError: The file is missing, is not MJCF, refers outside its folder, uses plugins or is too large.
@@ -40,9 +42,10 @@ def load_room(path: Path) -> mujoco.MjSpec:
         raise InputError(f"{what}: {error}") from None
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
-    if not _has_floor(model):
+    if (floor := _find_floor(model)) is None or floor == mujoco.mjtGeom.mjGEOM_BOX:
         name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
-        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), group=3)
+        z_m = 0.0 if floor is None else -_BELOW_M
+        spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), pos=(0, 0, z_m), group=3)
     return spec
 
 
@@ -111,23 +114,19 @@ def _count_triangles(model: mujoco.MjModel) -> int:
     return int(model.mesh_facenum[drawn[drawn >= 0]].sum())
 
 
-def _has_floor(model: mujoco.MjModel) -> bool:
-    """Whether something horizontal at z = 0 collides and could carry the robot."""
+def _find_floor(model: mujoco.MjModel) -> int | None:
+    """Type of the geom at z = 0 that collides and could carry the robot; a box only where nothing else does."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
+    found = set()
     for geom in range(model.ngeom):
         if not (model.geom_contype[geom] & 1 or model.geom_conaffinity[geom] & 1):
             continue
-        up = data.geom_xmat[geom].reshape(3, 3)[2]
-        height = data.geom_xpos[geom, 2]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_PLANE and up[2] > 0.9999:
-            top = height
-        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX and np.abs(up).max() > 0.9999:
-            top = height + np.abs(up) @ model.geom_size[geom]
-        elif model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_HFIELD:
-            top = height
-        else:
+        kind, up, top = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)[2], data.geom_xpos[geom, 2]
+        if kind == mujoco.mjtGeom.mjGEOM_BOX and np.abs(up).max() > 0.9999:
+            top += np.abs(up) @ model.geom_size[geom]
+        elif kind != mujoco.mjtGeom.mjGEOM_HFIELD and (kind != mujoco.mjtGeom.mjGEOM_PLANE or up[2] <= 0.9999):
             continue
         if abs(top) < _SUPPORT_M:
-            return True
-    return False
+            found.add(kind)
+    return min(found - {int(mujoco.mjtGeom.mjGEOM_BOX)}, default=max(found, default=None))

@@ -7,7 +7,6 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError
-from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
@@ -37,8 +36,9 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
     """Open the camera in the scene; if the robot drives during the exposure, an image is the mean light of several."""
     model, driven_m = scene(), settings.camera_mount.driven_m
     camera, data = Fisheye(model, settings.camera, settings.camera_mount), mujoco.MjData(model)
-    space = _find_free_space(settings)
-    lamp = place_lamp(space, settings.deployment.seed) if space and settings.deployment.lamp_on else None
+    room = _build_empty(settings) if settings.deployment.person or settings.deployment.lamp_on else None
+    space = find_free_space(room, PERSON_RADIUS_M, PERSON_HEIGHT_M) if room else None
+    lamp = place_lamp(space, room, settings.deployment.seed) if space and room and settings.deployment.lamp_on else None
     relight = _open_relight(settings, model, lamp)
 
     def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
@@ -57,14 +57,12 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
     return Opened(sense, camera.renderer_string)
 
 
-def _find_free_space(settings: SimSettings) -> FreeSpace | None:
-    """Where a person has room; None if neither a person nor a lamp needs a place."""
-    if not (settings.deployment.person or settings.deployment.lamp_on):
-        return None
+def _build_empty(settings: SimSettings) -> mujoco.MjModel:
+    """The room as it is in use, without the robot and the place where it starts, at which a person may not fit."""
     room = change_room(build_room(settings.room), settings.deployment)
     if (start := room.site(START)) is not None:
-        room.delete(start)  # where the robot starts, a person may not fit
-    return find_free_space(room.compile(), PERSON_RADIUS_M, PERSON_HEIGHT_M)
+        room.delete(start)
+    return room.compile()
 
 
 def _open_relight(settings: SimSettings, model: mujoco.MjModel, lamp: np.ndarray | None) -> Relight | None:

@@ -17,7 +17,9 @@ PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
 NEAREST_M = 0.5
 """A person's middle is at least this far from the camera [m]: more than the person's radius and the robot's."""
 LAMP_M, LAMP_RADIUS_M = 2.0, 0.08
-"""Height of a lamp above the floor, and its radius [m]."""
+"""Largest height of a lamp above the floor, and its radius [m]."""
+BELOW_CEILING_M = 0.1
+"""How far a lamp's middle is below what is above it [m]."""
 SKIN = ((0.96, 0.8, 0.69), (0.78, 0.57, 0.44), (0.45, 0.3, 0.22))
 
 
@@ -68,10 +70,21 @@ def place_person(space: FreeSpace, state: np.ndarray, seed: int) -> list[Shape]:
     return _draw_person(places[rng.integers(len(places))], rng) if len(places) else []
 
 
-def place_lamp(space: FreeSpace, seed: int) -> np.ndarray:
-    """Place (3,) [m] of a lamp above a random place where a person has room."""
+def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int) -> np.ndarray:
+    """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one.
+
+    Args:
+        space: Where a person has room.
+        room: The room without the robot.
+        seed: Seed of the draw.
+    """
     places = _list_free(space)
-    return np.array([*places[stream(seed, "lamp").integers(len(places))], LAMP_M])
+    place = np.array([*places[stream(seed, "lamp").integers(len(places))], PERSON_HEIGHT_M / 2])
+    data = mujoco.MjData(room)
+    mujoco.mj_kinematics(room, data)
+    above = mujoco.mj_ray(room, data, place, np.array([0.0, 0.0, 1.0]), None, 1, -1, np.zeros(1, np.int32))
+    place[2] = LAMP_M if above < 0 else min(LAMP_M, place[2] + above - BELOW_CEILING_M)
+    return place
 
 
 def draw_lamp(place: np.ndarray) -> list[Shape]:

@@ -1,6 +1,6 @@
 """Comparison of two runs: which settings differ, which figures changed, and where the error grew or fell."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from deepgps.figures.field_plot import SCALE_M
 from deepgps.figures.run_report import COLUMNS, Column, read_metrics
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
+from deepgps.scenario import list_settings
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
@@ -167,22 +168,9 @@ def _compare(pair: Pair, method: str, column: Column) -> str:
 
 def _list_settings(pair: Pair) -> list[str]:
     """A table of the settings that differ, without ``methods``, since only common methods are shown."""
-    a, b = (_read_settings(side.folder) for side in (pair.a, pair.b))
+    a, b = (list_settings(open_run(side.folder)) for side in (pair.a, pair.b))
     differ = [name for name in a if a[name] != b[name] and name != "methods"]
     if not differ:
         return ["Both runs have the same settings."]
     rows = (f"| {name} | {a[name]} | {b[name]} |" for name in differ)
     return ["| different setting | A | B |", "|---|---:|---:|", *rows]
-
-
-def _read_settings(folder: Path) -> dict[str, Any]:
-    """All settings of a run by dotted name, including those that did not exist yet when the run was made."""
-    return dict(_flatten(open_run(folder).model_dump(mode="json")))
-
-
-def _flatten(values: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flatten(value, f"{above}{name}.")
-        else:
-            yield f"{above}{name}", value

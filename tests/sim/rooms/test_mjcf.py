@@ -5,12 +5,15 @@ import zlib
 from pathlib import Path
 
 import mujoco
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import InputError
+from sim.robot.model import wheel_speeds
 from sim.robot.scene import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
+from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
 from sim.rooms.mjcf import list_notes, load_room, vet
 from sim.settings import SimSettings
@@ -46,19 +49,31 @@ def test_a_room_without_a_floor_gets_one_and_its_free_space_is_found(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "floor",
+    ("floor", "planes"),
     [
-        '<geom type="plane" size="5 5 1"/>',
-        '<geom type="box" size="3 3 0.1" pos="0 0 -0.1"/>',
-        '<body pos="0 0 -1"><geom type="box" size="3 3 0.5" pos="0 0 0.5"/></body>',
+        ('<geom type="plane" size="5 5 1"/>', 1),
+        ('<geom type="plane" size="5 5 1"/><geom type="box" size="0.4 0.3 0.1" pos="0 0 -0.1"/>', 1),
+        ('<geom type="box" size="3 3 0.1" pos="0 0 -0.1"/>', 1),
+        ('<body pos="0 0 -1"><geom type="box" size="3 3 0.5" pos="0 0 0.5"/></body>', 1),
     ],
 )
-def test_its_own_floor_is_kept(tmp_path, floor):
-    bare = load_room(_write(tmp_path, WALLS)).compile()
+def test_its_own_floor_is_kept_and_carries_the_robot(tmp_path, floor, planes):
     model = load_room(_write(tmp_path, WALLS + floor)).compile()
-    assert model.ngeom == bare.ngeom
-    assert "floor" not in [model.geom(i).name for i in range(model.ngeom)]
+    assert (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).sum() == planes
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    assert mujoco.mj_ray(model, data, np.array([0.2, 0.1, 1.0]), np.array([0.0, 0, -1]), None, 1, -1, None) == 1.0
     assert find_free_space(model, 0.105, 0.37).shorter_side_m == pytest.approx(3.0, abs=0.02)
+
+
+def test_a_robot_that_drives_off_a_box_that_is_the_only_floor_does_not_fall(tmp_path):
+    path = _write(tmp_path, WALLS + '<geom name="doormat" type="box" size="0.3 0.3 0.01" pos="0 0 -0.01"/>')
+    world = RoomWorld(SimSettings(), load_room(path))
+    world.place(np.zeros(3))
+    for period in range(200):
+        world.step(wheel_speeds(min(0.004 * period, 0.3), 0.0))
+    assert world.pose()[0] > 0.5  # the doormat ends at 0.3 m
+    assert world.snapshot()[2] == pytest.approx(-0.002, abs=0.001)
 
 
 def test_a_floor_that_is_only_drawn_is_no_floor(tmp_path):

@@ -136,7 +136,21 @@ def test_a_person_has_room_and_never_touches_the_robot(states: np.ndarray):
         assert np.linalg.norm(middle - state[:2]) > PERSON_RADIUS_M + RADIUS_M
         assert space.is_reachable(middle[None])[0]
     assert len(np.unique(np.round(places, 3), axis=0)) > 50
-    assert space.is_reachable(place_lamp(space, 0)[None, :2])[0]
+
+
+@pytest.mark.parametrize(("ceiling_m", "lamp_m"), [(None, 2.0), (3.0, 2.0), (1.85, 1.75)])
+def test_a_lamp_hangs_where_a_person_has_room_and_below_the_ceiling(
+    tmp_path: Path, ceiling_m: float | None, lamp_m: float
+):
+    ceiling = f'<geom type="box" size="2 2 .05" pos="0 0 {ceiling_m + 0.05}"/></worldbody>' if ceiling_m else ""
+    (tmp_path / "room.xml").write_text(NARROW.replace("</worldbody>", ceiling or "</worldbody>"))
+    room = build_room(RoomSettings(mjcf=str(tmp_path / "room.xml")))
+    room.delete(room.site("start"))
+    model = room.compile()
+    space = find_free_space(model, PERSON_RADIUS_M, PERSON_HEIGHT_M)
+    place = place_lamp(space, model, 0)
+    assert space.is_reachable(place[None, :2])[0]
+    assert place[2] == pytest.approx(lamp_m)
 
 
 def test_a_person_is_no_part_of_physics_or_free_space():
