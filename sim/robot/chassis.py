@@ -132,7 +132,8 @@ def _settle(settings: SimSettings) -> np.ndarray:
                 f"{what}: at rest, its body's origin is {rest[2]:.3g} m above the floor; at most {ON_FLOOR_M:g} m is "
                 "allowed"
             )
-    rest[:2], rest[6], rest[7:] = 0.0, 0.0, 0.0
+    rest[:2], rest[6] = 0.0, 0.0
+    rest[[model.joint(PREFIX + name).qposadr[0] for name in WHEELS]] = 0.0  # springs stay as they settled
     rest[3:7] /= np.linalg.norm(rest[3:7])
     return rest
 

@@ -32,8 +32,18 @@ def load_own_robot(robot: RobotSettings) -> mujoco.MjSpec:
         InputError: The file is refused, or lacks a part; one line names the setting and what is needed.
     """
     spec = _read(robot)
+    _add_camera(spec)
     _add_bumpers(spec, describe_own(robot).radius_m + BUMPER_M)
     return spec
+
+
+def _add_camera(spec: mujoco.MjSpec) -> None:
+    """Add the camera that dm_env shows, as our robot has it: it looks up, the top of its picture is ahead."""
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    place = data.site(CAMERA_SITE).xpos - data.body(BASE).xpos  # of a site that may be in a part of the body
+    spec.body(BASE).add_camera(name=CAMERA, pos=place, quat=UPWARD, fovy=90.0)
 
 
 def _add_bumpers(spec: mujoco.MjSpec, radius_m: float) -> None:
@@ -130,8 +140,6 @@ def _rename(spec: mujoco.MjSpec, body: Any, wheels: list[Any], site: Any) -> Non
     free[0].name = BASE
     for wheel, name in zip(wheels, WHEELS, strict=True):
         wheel.name = name
-    # as our robot's camera: it looks up, the top of its picture is ahead
-    body.add_camera(name=CAMERA, pos=site.pos, quat=UPWARD, fovy=90.0)
 
 
 def _find(find: Any, among: Any, robot: RobotSettings, setting: str) -> Any:

@@ -82,10 +82,14 @@ class RangeFinder:
 
 
 def fan_heights(height_m: float) -> np.ndarray:
-    """Return the heights of the fans [m]: the lowest, then evenly from 0.10 m to just below the top of the robot."""
-    top = height_m - 0.015
-    count = int(np.ceil((top - 0.10) / HIGHEST_GAP_M)) + 1
-    return np.concatenate([[LOWEST_M], np.linspace(0.10, top, count)])
+    """Return the heights of the fans [m]: the lowest, then evenly from 0.10 m to just below the top of the robot.
+
+    A robot that is lower than that has one fan below its top.
+    """
+    top = max(height_m - 0.015, LOWEST_M)
+    second = min(0.10, top)
+    count = int(np.ceil((top - second) / HIGHEST_GAP_M)) + 1
+    return np.concatenate([[LOWEST_M], np.linspace(second, top, count)])
 
 
 def clear_length(distance: np.ndarray, radius_m: float = RADIUS_M) -> float:

@@ -11,12 +11,12 @@ from deepgps.scenario import digest, load_scenario
 from sim.errors import InputError
 from sim.robot.calibrate import run
 from sim.robot.drive import DriveMode, next_segment
-from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.own import describe_own
 from sim.robot.range_finder import clear_length
 from sim.robot.world import RoomWorld
 from sim.robot_log.check import check_log
-from sim.rooms.spec import empty_room
+from sim.rooms.spec import PREFIX, empty_room
 from sim.settings import RobotSettings, RoomSettings, SimSettings
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "my_robot.xml"
@@ -133,6 +133,31 @@ def test_a_pipe_is_not_waited_for_and_nothing_is_refused_in_one_line(tmp_path: P
     for path in (tmp_path / "pipe.xml", tmp_path, tmp_path / "nothing.xml"):
         with pytest.raises(InputError, match=r"robot\.mjcf"):
             RoomWorld(SimSettings(robot=robot(path)), empty_room())
+
+
+EYE = '<site name="eye" pos="0 0 0.5"/>'
+
+
+def test_the_camera_that_dm_env_shows_is_where_the_eye_is(tmp_path: Path):
+    mast = f'<body name="mast" pos="0.1 0 0.2" euler="0 0 90">{EYE.replace("0 0 0.5", "0 0.1 0.3", 1)}</body>'
+    turned = mast.replace('0.3"/>', '0.3" euler="0 0 -90"/>')
+    for path in (EXAMPLE, changed(tmp_path, (EYE, turned))):
+        world = RoomWorld(SimSettings(robot=robot(path)), empty_room())
+        world.place(np.zeros(3))
+        data = world.data
+        assert data.cam(PREFIX + CAMERA).xpos == pytest.approx(data.site(PREFIX + CAMERA_SITE).xpos)
+        assert data.cam(PREFIX + CAMERA).xmat.reshape(3, 3)[2] == pytest.approx([0.0, 0.0, -1.0], abs=0.01)
+
+
+def test_springs_are_at_rest_where_it_is_placed(tmp_path: Path):
+    spring = '<joint name="spring" type="slide" axis="0 0 1" stiffness="100" damping="10"/>'
+    load = f'<body name="load" pos="0 0 0.45">{spring}<geom type="sphere" size="0.01" mass="0.5" contype="0"/></body>'
+    world = RoomWorld(SimSettings(robot=robot(changed(tmp_path, (EYE, load + EYE)))), empty_room())
+    world.place(np.zeros(3))
+    settled_m = world.data.joint(f"{PREFIX}spring").qpos[0]
+    assert settled_m == pytest.approx(-0.5 * 9.81 / 100, rel=0.02)
+    world.advance(200)
+    assert world.data.joint(f"{PREFIX}spring").qpos[0] == pytest.approx(settled_m, abs=1e-4)
 
 
 SHELL = (

@@ -157,7 +157,7 @@ def test_rays_see_what_collides_and_nothing_else():
     assert clear_length(world.ranges(0.7)) == pytest.approx(0.7 - RADIUS_M)
 
 
-@pytest.mark.parametrize("height_m", [0.2, 0.35, 1.5])
+@pytest.mark.parametrize("height_m", [0.06, 0.11, 0.2, 0.35, 1.5])
 def test_fans_reach_from_floor_to_top(height_m):
     heights = fan_heights(height_m)
     assert heights[0] < 0.02 and height_m - 0.02 < heights[-1] < height_m
