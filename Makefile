@@ -23,7 +23,7 @@ docs: setup-dev  ## the documentation, in build/docs; warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs
 	@echo "look at it: build/docs/index.html"
 
-faults: setup-dev  ## attack all of it from outside and write docs/faults.md: some ten minutes, other cases each time
+faults: setup-dev  ## attack all of it from outside and write docs/faults.md: half an hour, other cases each time
 	$(BIN)/python -m tests.faults --out docs/faults.md
 
 check: setup-dev  ## style, types and who may import whom

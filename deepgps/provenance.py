@@ -2,6 +2,7 @@
 
 import platform
 import subprocess
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,30 @@ from typing import Any
 from sim.processes import usable_cores
 from sim.recording.format import read_manifest
 
+NAMED = ("mujoco", "torch", "numpy")
+"""Packages that a study's report names."""
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
 
 
 def describe_environment(folder: Path) -> dict[str, Any]:
     """The renderer, packages, commit and machine that a run's figures were made with."""
-    manifest = read_manifest(folder / "recording")
+    return {"gl_renderer": read_manifest(folder / "recording").gl_renderer, **_describe_process()}
+
+
+def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
+    """A sentence on the commits, machines and packages that runs were made with; without any, on this process."""
+    environments = environments or [_describe_process()]
+    commits, machines, pythons = (_join(one[name] for one in environments) for name in ("git", "cpu", "python"))
+    packages = _join(", ".join(f"{name} {one['packages'][name]}" for name in NAMED) for one in environments)
+    return f"Made at {commits} on {machines}, with Python {pythons}, {packages}."
+
+
+def _join(values: Iterable[str]) -> str:
+    return " and ".join(dict.fromkeys(values))
+
+
+def _describe_process() -> dict[str, Any]:
     return {
-        "gl_renderer": manifest.gl_renderer,
         "packages": {name: version(name) for name in PACKAGES},
         "python": platform.python_version(),
         "git": _git_revision(),

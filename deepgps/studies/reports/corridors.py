@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.alignment import fit_alignment
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, write
+from deepgps.figures.targets import Figure, median_of, write
 from deepgps.methods.catalog import METHODS, folder_of, title_of
 from deepgps.methods.positioner import load_positioner
 from deepgps.studies.reports.rooms import draw_errors
@@ -64,9 +64,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, title in (("rms_m", "RMS"), ("median_m", "median")) if exact else ():
         mine, other = np.array([(row[name], rivals[row["recording"]][name]) for row in exact]).T
         key = f"compass_{name.removesuffix('_m')}_ratio"
-        ratio = mine / other
-        worst = float(ratio.max())
-        figures[key] = Figure(f"{title} / PoseNet's, median over worlds", float(np.median(ratio)), "", worst=worst)
+        figures[key] = median_of(f"{title} / PoseNet's, median over worlds", (mine / other).tolist(), "")
     for key, method in (("compass_unsaid", "deepgps_compass"), ("deepgps_unsaid", "deepgps")):
         some = [row for row in rows if row["method"] == method]
         if some:

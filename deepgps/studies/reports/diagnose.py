@@ -1,6 +1,6 @@
 """The report of diagnoses: which faults were named, whether intervals hold, and how exact the wheels are known."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from deepgps.diagnosis.store import FILE
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, median_of, share_of
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.table import Row, read_setting
@@ -164,14 +164,11 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     track = [_error(row, "track_m") for row in rows]
     ratio = [max(_error(row, "reading_ratio"), _error(row, "wheel_ratio")) for row in rows]
     return {
-        "recall": Figure(f"found, of {len(must)} faults", _share(a in b for a, b in must), "%", at_least=True),
-        "recall_all": Figure(
-            f"the same with those too small to be detected, {len(every)}",
-            _share(a in b for a, b in every),
-            "%",
-            at_least=True,
+        "recall": share_of(f"found, of {len(must)} faults", [a in b for a, b in must]),
+        "recall_all": share_of(
+            f"the same with those too small to be detected, {len(every)}", [a in b for a, b in every]
         ),
-        "precision": Figure(f"right, of {len(told)} findings", _share(a in b for a, b in told), "%", at_least=True),
+        "precision": share_of(f"right, of {len(told)} findings", [a in b for a, b in told]),
         "false_alarms": Figure(
             f"alarms in {len(none)} without faults", sum(bool(row["found"]) for row in none), "count"
         ),
@@ -182,8 +179,8 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         ),
         "coverage_least": Figure("intervals hold, least of all quantities", float(min(held)), "%", at_least=True),
         "coverage_most": Figure("intervals hold, most of all quantities", float(max(held)), "%"),
-        "track_error": Figure("track width, median error", float(np.median(track)), "%", worst=max(track)),
-        "ratio_error": Figure("ratios of the wheels, median error", float(np.median(ratio)), "%", worst=max(ratio)),
+        "track_error": median_of("track width, median error", track, "%"),
+        "ratio_error": median_of("ratios of the wheels, median error", ratio, "%"),
     }
 
 
@@ -219,8 +216,3 @@ def _describe_pair(row: Row) -> str:
     return (
         ", ".join([*(f"{name} missed" for name in sorted(missed)), *(f"{name} wrong" for name in sorted(wrong))]) or "-"
     )
-
-
-def _share(flags: Iterable[bool]) -> float | None:
-    flags = list(flags)
-    return float(np.mean(flags)) if flags else None

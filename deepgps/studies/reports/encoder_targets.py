@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import title_of
 from deepgps.studies.reports.encoder_sweeps import FEWER_IS_WORSE, PERFECT, TITLES, UNEQUAL_WHEELS, find_sweeps
 from deepgps.studies.reports.seeds import is_folded
@@ -20,8 +20,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for method, prefix in (("deepgps", ""), ("deepgps_noise_aware", "aware_")):
         title, perfect = title_of(method), _find(rows, method, FEWER_IS_WORSE, PERFECT[FEWER_IS_WORSE])
         if group := _find(rows, method, NOISE, 0.1):
-            worst = max(row["rms_m"] for row in group)
-            figures[f"{prefix}rms_w"] = Figure(f"RMS at w = 0.10, {title}", mean(group, "rms_m"), "cm", worst=worst)
+            figures[f"{prefix}rms_w"] = mean_of(f"RMS at w = 0.10, {title}", [row["rms_m"] for row in group], "cm")
         for ticks in (16, 4):
             if (group := _find(rows, method, FEWER_IS_WORSE, ticks)) and perfect:
                 figures[f"{prefix}ticks_{ticks}"] = _compare(f"RMS at {ticks} ticks / perfect, {title}", group, perfect)
@@ -37,9 +36,8 @@ def _measure_compass(rows: Sequence[Row]) -> dict[str, Figure]:
             words = f"{title}: RMS / {title_of('deepgps')}'s, {TITLES[(setting,)]} {value:g}"
             figures[f"compass_{key}"] = _compare(words, ours, alone)
     if stuck := _find(rows, method, STUCK, STUCK_HALF):
-        worst = max(row["rms_m"] for row in stuck)
         words = f"{title}: RMS, one encoder stuck for half of the drive"
-        figures["compass_stuck_rms_m"] = Figure(words, mean(stuck, "rms_m"), "cm", worst=worst)
+        figures["compass_stuck_rms_m"] = mean_of(words, [row["rms_m"] for row in stuck], "cm")
         words = f"{title}: maps folded of {len(stuck)}, one encoder stuck for half of the drive"
         figures["compass_stuck_folded"] = Figure(words, sum(map(is_folded, stuck)), "count")
     straight = _find(rows, method, UNEQUAL_WHEELS, 0.0)

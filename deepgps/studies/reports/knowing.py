@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.patches import Rectangle
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, write
+from deepgps.figures.targets import Figure, share_of, write
 from deepgps.methods.catalog import title_of
 from deepgps.monitoring.rules import TITLES
 from deepgps.studies.reports.knowing_drives import Drive, read_drives
@@ -55,7 +55,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     moved = [one.figures["large_refused"] for one in faulty if one.expected == "furniture"]
     title = f"drives with a fault whose first cause is right, of {len(faulty)}"
     found = {
-        "drives_right": Figure(title, _mean([float(one.right) for one in faulty]), "%", at_least=True),
+        "drives_right": share_of(title, [bool(one.right) for one in faulty]),
         "images_right": Figure(
             "images with a cause that have the right one, means over drives", _mean(images), "%", True
         ),

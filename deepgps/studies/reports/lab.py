@@ -11,7 +11,7 @@ from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.figures.field_plot import print_floor
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import read_metrics
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, choose_accepted, split_by, write_accepted
 from sim.errors import InputError
@@ -83,9 +83,8 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
             for name, title in PAPERS_ERRORS.items():
                 values = [row[prefix + name] for row in group]
                 heading = f"{title_of(method)}, {title}, against {kind}"
-                figures[f"{method}_{prefix}{name}"] = Figure(heading, float(np.mean(values)), "cm", worst=max(values))
-    errors = [row["labels_rms_m"] for row in rows]
-    figures["labels_rms_m"] = Figure("labels' own RMS", float(np.mean(errors)), "cm", worst=max(errors))
+                figures[f"{method}_{prefix}{name}"] = mean_of(heading, values, "cm")
+    figures["labels_rms_m"] = mean_of("labels' own RMS", [row["labels_rms_m"] for row in rows], "cm")
     return figures
 
 

@@ -8,7 +8,7 @@ from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row
 
@@ -52,9 +52,8 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for (kind, method), group in _group(rows).items():
         values = [row["rms_m"] for row in group]
         title = f"RMS, {kind}, {title_of(method)}"
-        figures[f"{method}_{kind}"] = Figure(title, float(np.mean(values)), "mm", worst=max(values))
-    seconds = [row["train_s"] for row in rows]
-    figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
+        figures[f"{method}_{kind}"] = mean_of(title, values, "mm")
+    figures["train_s"] = mean_of("training", [row["train_s"] for row in rows], "s")
     return figures
 
 

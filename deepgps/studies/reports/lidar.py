@@ -10,7 +10,7 @@ from safetensors import safe_open
 from deepgps.evaluation.error_field import find_rms, read_all_headings
 from deepgps.figures.field_plot import add_scale, print_error_field
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import folder_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 
@@ -63,8 +63,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     for name, title in PAPERS_ERRORS.items():
         if ours and name != "max_m":
-            values = [row[name] for row in ours]
-            figures[name] = Figure(title, float(np.mean(values)), "cm", worst=max(values))
+            figures[name] = mean_of(title, [row[name] for row in ours], "cm")
     for name in ("rms_m", "median_m"):
         if both:
             ratios = [mine[name] / other[name] for mine, other in both]
@@ -74,8 +73,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         less = [other["stored"] / mine["stored"] for mine, other in both]
         figures["stored_ratio"] = Figure("stored by PCA / by DeepGPS", min(less), "", at_least=True, worst=min(less))
     if ours:
-        seconds = [row["train_s"] for row in ours]
-        figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
+        figures["train_s"] = mean_of("training", [row["train_s"] for row in ours], "s")
     return figures
 
 

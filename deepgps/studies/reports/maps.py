@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.style import count_by_decades
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, median_of
 from deepgps.studies.reports.rooms import name_room
 from deepgps.studies.table import Row, split_by
 
@@ -51,7 +51,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, group in _split(rows).items():
         for part, title, unit in (("rms_m", "RMS of the map", "cm"), ("nees", "NEES / 2", "")):
             values = [row[f"map_{part}"] for row in group]
-            figures[f"{part} {name}"] = Figure(f"{title}, {name}", float(np.median(values)), unit, worst=max(values))
+            figures[f"{part} {name}"] = median_of(f"{title}, {name}", values, unit)
     return figures
 
 

@@ -19,7 +19,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from deepgps.alignment import fit_alignment
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.initial_map.isomap import find_axes
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
@@ -95,15 +95,11 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     if plane:
         same = [row["mds_own_m"] for row in plane]
-        figures["apart"] = Figure("distance of MDS from own, two outputs", float(np.mean(same)), "mm", worst=max(same))
+        figures["apart"] = mean_of("distance of MDS from own, two outputs", same, "mm")
         ratios = [row["unjoined_m"] / row["joined_m"] for row in plane]
-        title = "error of distances, not joined / joined"
-        figures["not_joined_ratio"] = Figure(title, float(np.mean(ratios)), "", worst=max(ratios))
+        figures["not_joined_ratio"] = mean_of("error of distances, not joined / joined", ratios, "")
     if space:
-        shares = [row["planar"] for row in space]
-        figures["planar"] = Figure(
-            "planar, more outputs", float(np.mean(shares)), "%", at_least=True, worst=min(shares)
-        )
+        figures["planar"] = mean_of("planar, more outputs", [row["planar"] for row in space], "%", at_least=True)
     if plane and space:
         ratio = mean(space, "mds_m") / mean(plane, "own_m")
         figures["mds_ratio"] = Figure("RMS, MDS of more outputs / own of two", ratio, "")

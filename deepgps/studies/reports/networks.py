@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.evaluation.evaluate import measure_heading_spread
-from deepgps.figures.targets import Figure
+from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import Positioner, load_positioner
 from deepgps.studies import grouping
@@ -34,12 +34,10 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     figures = {}
     for name, group in shifted.items():
         if group:
-            worst = max(row["rms_m"] for row in group)
-            figures[name] = Figure(f"RMS, {name}", mean(group, "rms_m"), "cm", worst=worst)
+            figures[name] = mean_of(f"RMS, {name}", [row["rms_m"] for row in group], "cm")
     for name in ("spectral", "invariant"):
         if group := groups.get(name):
-            spreads = [row["turn_spread_m"] for row in group]
-            figures[f"{name}_turned"] = Figure(f"turned, {name}", float(np.mean(spreads)), "mm", worst=max(spreads))
+            figures[f"{name}_turned"] = mean_of(f"turned, {name}", [row["turn_spread_m"] for row in group], "mm")
     if shifted.get("resnet_plain") and shifted.get("resnet_paper"):
         for name, column, title in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
             plain, paper = (mean(shifted[one], column) for one in ("resnet_plain", "resnet_paper"))

@@ -7,8 +7,10 @@ from pkgutil import resolve_name
 from typing import Any
 
 from deepgps.figures.markdown import tabulate
+from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import to_png
 from deepgps.figures.targets import Figure, tabulate_targets
+from deepgps.provenance import describe_origin
 from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.study import Plan, Study
 from deepgps.studies.table import Row, gather, write_table
@@ -44,7 +46,7 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     if report.columns:
         rows = add_columns(rows, load(report.columns), folder)
     write_table(folder / "table.parquet", rows)
-    text = write_report(study, plans, failures, rows)
+    text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(_read_environments(plans, folder))}\n"
     write_text(folder / "table.md", text)
     measured = [row for row in rows if row["failure"] is None]
     for name, draw in report.pictures.items() if measured else ():
@@ -125,6 +127,11 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
         cells = [[*(str(row[name]) for name in varied), row["run"], row["failure"]] for row in failed]
         blocks += ["## Failed", tabulate([*varied, "run", "reason"], cells)]
     return "\n\n".join(blocks) + "\n"
+
+
+def _read_environments(plans: Sequence[Plan], folder: Path) -> list[dict[str, Any]]:
+    runs = [folder / "runs" / plan.run for plan in plans]
+    return [read_metrics(run)["environment"] for run in runs if (run / "metrics.json").is_file()]
 
 
 def varied_names(study: Study) -> list[str]:

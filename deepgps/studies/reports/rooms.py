@@ -9,7 +9,7 @@ from scipy.stats import binomtest
 
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.style import count_by_decades
-from deepgps.figures.targets import Figure, write
+from deepgps.figures.targets import Figure, mean_of, median_of, ratio_of, share_of, write
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.table import (
     ACCEPTED,
@@ -55,24 +55,20 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS over all rooms, then every rival; the ratio to PoseNet is of mean RMS over the rooms that both have."""
-    methods, rival = split_by(rows, "method"), _rival(rows)
-    ours = methods.pop("deepgps", [])
-    if not ours:
-        return {}
-    figures = _measure_errors(ours)
-    both = [(row["rms_m"], rival[row["recording"]]) for row in ours if row["recording"] in rival]
-    if both:
-        mine, other = np.array(both).T
-        ratio, worst = float(mine.mean() / other.mean()), float((mine / other).max())
-        figures["posenet_ratio"] = Figure("RMS / PoseNet's RMS", ratio, "", worst=worst)
-        wins = float((mine < other).mean())
-        figures["wins"] = Figure("rooms with RMS below PoseNet's", wins, "%", at_least=True)
-    seconds = [row["train_s"] for row in ours]
-    figures["train_s"] = Figure("training", float(np.mean(seconds)), "s", worst=max(seconds))
-    for method, group in methods.items():
-        title = f"{title_of(method)}, "
-        figures |= {f"{method}_{name}": figure for name, figure in _measure_errors(group, title).items()}
+    """The errors of every method over all rooms; for ours also the ratio of mean RMS to PoseNet's over common rooms."""
+    methods, rival, figures = split_by(rows, "method"), _rival(rows), {}
+    for method in [*(name for name in OURS[::-1] if name in methods), *(name for name in methods if name not in OURS)]:
+        group, own = methods[method], method == "deepgps"
+        prefix, title = ("", "") if own else (f"{method}_", f"{title_of(method)}, ")
+        found = _measure_errors(group, title)
+        both = [(row["rms_m"], rival[row["recording"]]) for row in group if row["recording"] in rival]
+        if both and method in OURS:
+            mine, other = zip(*both, strict=True)
+            found["posenet_ratio"] = ratio_of(f"{title}RMS / PoseNet's RMS", mine, other)
+            found["wins"] = share_of(f"{title}rooms with RMS below PoseNet's", [one < two for one, two in both])
+        if own:
+            found["train_s"] = mean_of("training", [row["train_s"] for row in group], "s")
+        figures |= {prefix + name: figure for name, figure in found.items()}
     return figures
 
 
@@ -109,11 +105,11 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
     figures = {}
     for name, heading in ERRORS.items():
         values = [row[name] for row in group]
-        figures[name] = Figure(title + heading.removesuffix(" [cm]"), float(np.mean(values)), "cm", worst=max(values))
+        figures[name] = mean_of(title + heading.removesuffix(" [cm]"), values, "cm")
     for name in ("rms_accepted_m", "max_accepted_m"):
         if values := [row[name] for row in group if row.get(name) is not None]:
             words = f"{title}{ACCEPTED[name].removesuffix(' [cm]')}, median over rooms"
-            figures[name] = Figure(words, float(np.median(values)), "cm", worst=max(values))
+            figures[name] = median_of(words, values, "cm")
     return figures
 
 

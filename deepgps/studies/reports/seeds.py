@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 
 from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, write
+from deepgps.figures.targets import Figure, share_of, write
 from deepgps.studies.table import ERRORS, Row, write_errors
 
 # In maps of 8,000 images, 1 to 5 % of the neighbourhoods were flipped if the map was right, 21 to 47 % if folded.
@@ -39,9 +39,9 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     folded = [row["fold_found"] for row in rows if is_folded(row)]
     right = [row["fold_found"] for row in rows if not is_folded(row)]
     return {
-        "unfolded": Figure(f"unfolded, of {len(own)} maps without random starts", _share(own), "%", at_least=True),
-        "found": Figure(f"folds found, of {len(folded)}", _share(folded), "%", at_least=True),
-        "false_alarms": Figure(f"false alarms, of {len(right)} unfolded maps", _share(right), "%"),
+        "unfolded": share_of(f"unfolded, of {len(own)} maps without random starts", own),
+        "found": share_of(f"folds found, of {len(folded)}", folded),
+        "false_alarms": share_of(f"false alarms, of {len(right)} unfolded maps", right, at_least=False),
     }
 
 
@@ -82,7 +82,3 @@ def _by_start(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, list[Row]
             title = ", ".join(f"{name} {row[name]}" for name in varied if name != "learn.seed")
             groups.setdefault(title or "all", []).append(row)
     return groups
-
-
-def _share(flags: Sequence[bool]) -> float | None:
-    return float(np.mean(flags)) if flags else None

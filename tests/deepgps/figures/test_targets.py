@@ -1,8 +1,9 @@
 """Figures beside their targets: how they are written, and when a target is met."""
 
+import numpy as np
 import pytest
 
-from deepgps.figures.targets import Figure, judge, tabulate_targets, write
+from deepgps.figures.targets import Figure, judge, mean_of, median_of, ratio_of, share_of, tabulate_targets, write
 
 
 @pytest.mark.parametrize(
@@ -46,5 +47,30 @@ def test_table_sets_each_figure_beside_the_target_and_the_paper_of_its_name() ->
     table = tabulate_targets({"rms": Figure("RMS", 0.0123, "cm", worst=0.03)}, {"rms": 0.01}, {"rms": 0.101})
 
     assert [cell.strip() for cell in table.splitlines()[-1].strip("|").split("|")] == [
-        "RMS", "1.2 cm", "3.0 cm", "<= 1.0 cm", "missed", "10.1 cm",
+        "RMS", "1.2 cm", "-", "3.0 cm", "<= 1.0 cm", "missed", "10.1 cm",
     ]  # fmt: skip
+
+
+def test_intervals_hold_the_true_value_in_about_95_of_100_cases() -> None:
+    rng, held = np.random.default_rng(0), {"mean": 0, "median": 0, "ratio": 0, "share": 0}
+    for _ in range(200):
+        ours, theirs = rng.normal(2.0, 0.5, (2, 30))
+        found = {
+            "mean": (mean_of("", ours.tolist(), "cm"), 2.0),
+            "median": (median_of("", ours.tolist(), "cm"), 2.0),
+            "ratio": (ratio_of("", ours.tolist(), theirs.tolist()), 1.0),
+            "share": (share_of("", (rng.random(30) < 0.9).tolist()), 0.9),
+        }
+        for name, (figure, true) in found.items():
+            assert figure.interval is not None and figure.value is not None
+            low, high = figure.interval
+            assert low <= figure.value <= high
+            held[name] += low <= true <= high
+    assert all(175 <= count <= 199 for count in held.values()), held
+
+
+def test_few_values_have_no_interval_and_the_worst_is_on_the_wrong_side() -> None:
+    assert mean_of("", [1.0, 2.0, 3.0, 4.0], "cm").interval is None
+    assert share_of("", []).value is None
+    assert mean_of("", [1.0, 2.0], "%", at_least=True).worst == 1.0
+    assert ratio_of("", [1.0, 3.0], [2.0, 2.0]).worst == 1.5

@@ -123,7 +123,9 @@ def test_the_study_runs_to_its_picture(tmp_path: Path):
     assert carry_out(study, plans, folder, run_all=run_all_here, progress=ignore) == {}
     text = report_study(study, plans, {}, folder)
     assert "(1.00)" in cells(text, "no fault", "training and deployment", "Nearest neighbour")[1]
-    assert text == write_report(study, plans, {}, camera_rows(folder))
+    report, origin = text.rsplit("\n\n", 1)
+    assert report + "\n" == write_report(study, plans, {}, camera_rows(folder))
+    assert origin.startswith("Made at ") and "torch" in origin
     assert (folder / "figures" / "camera.png").stat().st_size > 10_000
     clean, noisy, dim, knocked = (folder / "recordings" / plan.recording for plan in plans)
     assert read_manifest(noisy).model_dump()["derived_from"] == clean.name
