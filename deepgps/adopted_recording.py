@@ -9,7 +9,7 @@ from typing import Any
 from deepgps.scenario import Scenario, digest, override_scenario
 from sim.errors import InputError
 from sim.files import sha256
-from sim.recording.format import read_manifest
+from sim.recording.format import is_whole, read_manifest
 
 DEFAULT_METHODS = ("deepgps",)
 """Methods that are trained on a recording if none are named: it may hold neither truth nor labels."""
@@ -44,6 +44,20 @@ def link_recording(recording: Path, run: Path) -> None:
         link.symlink_to(recording.resolve(), target_is_directory=True)
     elif link.resolve() != recording.resolve():
         raise InputError(f"{run} holds a run on another recording, {link.resolve()}; choose another folder")
+
+
+def find_adopted(run: Path) -> Path | None:
+    """The recording elsewhere that a run's folder links to; None: it has its own, or none yet.
+
+    Raises:
+        InputError: It is no longer where the link says.
+    """
+    link = run / "recording"
+    if not link.is_symlink():
+        return None
+    if not is_whole(link):
+        raise InputError(f"{run}: its recording {link.resolve()} is missing or not finished; put it back")
+    return link.resolve()
 
 
 def _name(recording: Path) -> str:

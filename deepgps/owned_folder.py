@@ -126,30 +126,47 @@ def check_owner(folder: Path, kind: Kind) -> None:
 
 
 def replace(folder: Path, kind: Kind) -> None:
-    """Replace the folder's files by those that ``--fresh`` has built; if interrupted, this is finished later."""
+    """Replace the folder's files by those that ``--fresh`` has built; if interrupted, this is finished later.
+
+    Raises:
+        InputError: A file of somebody else's is in a folder that a file or link must replace.
+    """
     fresh = folder / FRESH
     built = [path.relative_to(fresh).as_posix() for path in list_files(fresh, kind.files)]
+    _refuse_blocked(folder, kind, built)
     write_json(fresh / COMPLETE, {"files": built})
     finish_replacement(folder, kind)
 
 
 def finish_replacement(folder: Path, kind: Kind) -> None:
-    """Finish a replacement that was begun: move new files to their places, then remove the old ones that remain."""
+    """Finish a replacement that was begun: remove the old files that do not stay, then move the new ones there.
+
+    In this order no new file is moved through an old link, such as that to a recording elsewhere.
+    """
     fresh = folder / FRESH
     if not (fresh / COMPLETE).is_file():
         return
     built = set(read_json(fresh / COMPLETE)["files"])
+    for path in list_files(folder, kind.files):
+        if path.relative_to(folder).as_posix() not in built:
+            path.unlink()
+            remove_empty(path.parent, folder)
     for name in built:
         if os.path.lexists(fresh / name):
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (fresh / name).replace(folder / name)
             remove_empty((fresh / name).parent, fresh)
-    for path in list_files(folder, kind.files):
-        if path.relative_to(folder).as_posix() not in built:
-            path.unlink()
-            remove_empty(path.parent, folder)
     (fresh / COMPLETE).unlink()
     remove_empty(fresh, folder)
+
+
+def _refuse_blocked(folder: Path, kind: Kind, built: list[str]) -> None:
+    ours = set(list_files(folder, kind.files))
+    for name in built:
+        if (folder / name).is_dir() and not (folder / name).is_symlink():
+            inside = [path for path in (folder / name).rglob("*") if path.is_symlink() or not path.is_dir()]
+            if foreign := sorted(set(inside) - ours):
+                raise InputError(f"--out {folder}: {foreign[0]} is not deepgps's; nothing was replaced: move it away")
 
 
 def discard(folder: Path, place: Path, kind: Kind) -> None:

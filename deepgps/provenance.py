@@ -23,8 +23,11 @@ def describe_environment(folder: Path) -> dict[str, Any]:
 def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
     """A sentence on the commits, machines and packages that runs were made with; without any, on this process."""
     environments = environments or [_describe_process()]
-    commits, machines, pythons = (_join(one[name] for one in environments) for name in ("git", "cpu", "python"))
-    packages = _join(", ".join(f"{name} {one['packages'][name]}" for name in NAMED) for one in environments)
+    commits, machines, pythons = (
+        _join(one.get(name, "-") for one in environments) for name in ("git", "cpu", "python")
+    )
+    versions = [one.get("packages", {}) for one in environments]
+    packages = _join(", ".join(f"{name} {one.get(name, '-')}" for name in NAMED) for one in versions)
     return f"Made at {commits} on {machines}, with Python {pythons}, {packages}."
 
 

@@ -10,7 +10,7 @@ from deepgps.scenario import Scenario
 from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
 from deepgps.timing import timed
 from sim.files import is_intact
-from sim.recording.format import has_truth
+from sim.recording.format import has_truth, read_manifest
 
 
 def run(
@@ -55,7 +55,9 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
             progress("show", 0, 3)
             draw_figures(folder)
             progress("show", 1, 3)
-            if scenario.world == "room" and scenario.observation == "polar_image" and not (folder / PICTURES).is_file():
+            simulated = read_manifest(folder / "recording").seed is not None  # of other drives the room is not known
+            draws = simulated and scenario.world == "room" and scenario.observation == "polar_image"
+            if draws and not (folder / PICTURES).is_file():
                 observation, poses = choose_views(folder)
                 if (pictures := draw_views(scenario, poses)) is not None:
                     write_pictures(folder, observation, pictures)

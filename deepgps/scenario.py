@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import (
     AfterValidator,
+    BaseModel,
     Field,
     ValidationError,
     ValidationInfo,
@@ -232,9 +233,18 @@ def write_out(scenario: Scenario) -> str:
     return yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
 
 
-def list_settings(scenario: Scenario) -> dict[str, Any]:
-    """All settings of a scenario by dotted name."""
-    return _flatten(scenario.model_dump(mode="json"))
+def list_settings(group: BaseModel, before: str = "") -> dict[str, Any]:
+    """All settings of a scenario, or of a group of it, by dotted name, with those that are at their defaults."""
+    found: dict[str, Any] = {}
+    for name in type(group).model_fields:
+        value = getattr(group, name)
+        if isinstance(value, BaseModel):
+            found |= list_settings(value, f"{before}{name}.")
+        elif isinstance(value, Mapping):  # plugins by name
+            found |= {f"{before}{name}.{key}": one for key, one in value.items()}
+        else:
+            found[before + name] = list(value) if isinstance(value, tuple) else value
+    return found
 
 
 def read_room(path: str) -> bytes | None:
@@ -262,13 +272,6 @@ def _hash(settings: str, scenario: Scenario, read: Callable[[str], bytes | None]
     for path in (scenario.room.mjcf, scenario.robot.mjcf):
         state.update((path and read(path)) or b"")
     return state.hexdigest()[:8]
-
-
-def _flatten(values: Mapping[str, Any], group: str = "") -> dict[str, Any]:
-    flat = {}
-    for name, value in values.items():
-        flat |= _flatten(value, f"{group}{name}.") if isinstance(value, Mapping) else {f"{group}{name}": value}
-    return flat
 
 
 def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording
+from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, find_adopted
 from deepgps.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
 from deepgps.scenario import Scenario, Spell, load_scenario, names_in, override_scenario
 from deepgps.spelling import as_option
@@ -61,7 +61,7 @@ def _find_folder(folder: Path, overrides: Mapping[str, Any], out: Path | None, f
         scenario = override_scenario(held.model_dump(mode="json"), folder / RUN.first, overrides, spell)
         if (out is None or out.resolve() == folder.resolve()) and set(overrides) <= {"methods"}:
             _refuse_part_of_study(folder)
-            return Source(scenario if fresh else join_methods(scenario, folder), folder)
+            return Source(scenario if fresh else join_methods(scenario, folder), folder, find_adopted(folder))
         _refuse_settings_of_drive(scenario, held, recording, overrides, spell)
     elif isfile(recording / MANIFEST):
         defaults = {"methods": list(DEFAULT_METHODS)}

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from deepgps.adopted_recording import find_adopted
 from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
@@ -58,7 +59,7 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Make the recording, unless it is finished: from an earlier run of the same drive, or else by driving."""
-    if not is_whole(folder / "recording"):
+    if not find_adopted(folder) and not is_whole(folder / "recording"):
         with timed(folder, "collect"):
             if not derive_from_base(scenario, folder, progress):
                 make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))

@@ -66,7 +66,7 @@ def train(
 
     Args:
         recording: The recording's folder, which the run links to.
-        methods: Methods to train; None: DeepGPS alone.
+        methods: Methods to train; None: those of ``settings``, or DeepGPS alone.
         out: The run's folder; None: runs/<recording>/seed<seed>-<hash>.
         settings: Values by dotted name, such as ``{"learn.train.steps": 2000}``.
         plugins: Files of plugins to load.
@@ -79,7 +79,8 @@ def train(
     """
     load_plugins(plugins)
     home = Path(recording)
-    scenario = describe_recording(home, {**(settings or {}), **_name_methods(methods or DEFAULT_METHODS)})
+    chosen = {"methods": list(DEFAULT_METHODS), **(settings or {}), **_name_methods(methods)}
+    scenario = describe_recording(home, chosen)
     folder = choose_folder(home, scenario) if out is None else Path(out)
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)

@@ -50,7 +50,7 @@ OF_USE = f"{IN_USE}/manifest.json"
 """Path of the manifest of the drive in use."""
 OF_RUN = "recording"
 """Name of the folder of a run's recording; other recordings have names of their own."""
-RECORD_AGAIN = "restore it from a copy, or make the recording again with --fresh"
+RECORD_AGAIN = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
 
 
 @dataclass(frozen=True)

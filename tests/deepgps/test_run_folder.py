@@ -15,6 +15,7 @@ from deepgps.cli import main
 from deepgps.owned_folder import FRESH, MARK
 from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
+from deepgps.source import find_source
 from deepgps.stages import STAGES
 from sim.errors import DamagedError, InputError
 from sim.files import write_json
@@ -275,3 +276,50 @@ def test_every_name_that_a_run_writes_is_known(tmp_path: Path):
     run(small, tmp_path, False, lambda *_: None)
     unknown = [name for name in remember(tmp_path) if not RUN.files.fullmatch(name)]
     assert unknown == [MARK]
+
+
+@pytest.mark.parametrize("number", [*range(1, 9), None])
+def test_fresh_over_a_link_to_a_recording_elsewhere_never_writes_through_it(
+    number: int | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    robot, run = tmp_path / "robot", tmp_path / "run"
+    write_files(robot, ("observation.npy", "manifest.json"), "the only copy")
+    with claim(SCENARIO, run, fresh=False):
+        (run / "recording").symlink_to(robot)
+    before = remember(robot)
+    with monkeypatch.context() as patch, suppress(KeyboardInterrupt):
+        if number is not None:
+            kill_at(number, patch)
+        with claim(OTHER, run, fresh=True) as place:
+            write_files(place, OURS[:1], "new")
+    assert remember(robot) == before
+    with claim(OTHER, run, fresh=True) as place:
+        write_files(place, OURS[:1], "new")
+    assert remember(robot) == before
+    assert not (run / "recording").is_symlink() and (run / OURS[0]).read_text() == "new"
+
+
+def test_fresh_puts_a_link_in_place_of_a_recording_unless_a_user_s_file_is_in_it(tmp_path: Path):
+    robot, run = tmp_path / "robot", tmp_path / "run"
+    write_files(robot, ("observation.npy",), "the only copy")
+    make_run(run)
+    write_files(run, ("recording/data.csv",), "mine")
+    before = remember(run)
+    refusal = pytest.raises(InputError, match=r"data\.csv is not deepgps's; nothing was replaced: move it away")
+    with refusal, claim(OTHER, run, fresh=True) as place:
+        (place / "recording").symlink_to(robot)
+    found = remember(run)
+    assert {name: found[name] for name in before} == before
+    (run / "recording" / "data.csv").unlink()
+    with claim(OTHER, run, fresh=True):
+        pass
+    assert (run / "recording").resolve() == robot and open_run(run) == OTHER
+
+
+def test_a_recording_that_has_moved_is_asked_for_and_nothing_is_driven(tmp_path: Path):
+    with claim(SCENARIO, tmp_path / "run", fresh=False) as place:
+        (place / "recording").symlink_to(tmp_path / "moved")
+        with pytest.raises(InputError, match=r"its recording .*moved is missing or not finished; put it back"):
+            STAGES["collect"](SCENARIO, place, lambda *_: None)
+    with pytest.raises(InputError, match="put it back"):
+        find_source(str(tmp_path / "run"), {}, None, fresh=True)

@@ -62,6 +62,7 @@ def test_nothing_to_list(folder, says, tmp_path):
 def test_a_scenario_of_another_name_differs_from_the_defaults():
     assert list_differences(Scenario(name="mine", seed=3)) == {"seed": 3}
     assert list_differences(load_scenario("paper", {})) == {}
+    assert list_differences(load_scenario("corridor", {"room.look_alike": "false"})) == {"room.look_alike": False}
 
 
 def test_ages():

@@ -131,7 +131,7 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
 
 def _read_environments(plans: Sequence[Plan], folder: Path) -> list[dict[str, Any]]:
     runs = [folder / "runs" / plan.run for plan in plans]
-    return [read_metrics(run)["environment"] for run in runs if (run / "metrics.json").is_file()]
+    return [read_metrics(run).get("environment", {}) for run in runs if (run / "metrics.json").is_file()]
 
 
 def varied_names(study: Study) -> list[str]:

@@ -169,8 +169,8 @@ def _compare(pair: Pair, method: str, column: Column) -> str:
 def _list_settings(pair: Pair) -> list[str]:
     """A table of the settings that differ, without ``methods``, since only common methods are shown."""
     a, b = (list_settings(open_run(side.folder)) for side in (pair.a, pair.b))
-    differ = [name for name in a if a[name] != b[name] and name != "methods"]
+    differ = [name for name in a | b if a.get(name) != b.get(name) and name != "methods"]
     if not differ:
         return ["Both runs have the same settings."]
-    rows = (f"| {name} | {a[name]} | {b[name]} |" for name in differ)
+    rows = (f"| {name} | {a.get(name, '-')} | {b.get(name, '-')} |" for name in differ)  # of plugins, one may lack some
     return ["| different setting | A | B |", "|---|---:|---:|", *rows]

@@ -44,9 +44,13 @@ def write_study(folder: Path) -> Path:
 
 
 def find_study(folder: Path) -> Path:
-    """Return a study's recording, written if it is missing or damaged; raise InputError if it cannot be read."""
-    path = folder / STUDY
-    if not is_intact(path):
+    """Return a study's recording, written if it is missing, damaged or older than the report.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    path, report = folder / STUDY, folder / "table.md"
+    if not is_intact(path) or (report.is_file() and path.stat().st_mtime < report.stat().st_mtime):
         return write_study(folder)
     open_rrd(path)
     return path

@@ -113,6 +113,16 @@ def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_defa
     assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
 
 
+def test_settings_that_are_not_written_at_their_defaults_are_compared_as_well(copied: tuple[Path, Path]) -> None:
+    changed = {"deployment": {"daylight": 0.3}, "learn": {"features": {"values": "ranks"}}, "drive": {"arcs": 0.5}}
+    plain, other = Scenario(name="living_room"), Scenario.model_validate({"name": "living_room", **changed})
+    for pair in ((plain, other), (other, plain)):
+        for folder, scenario in zip(copied, pair, strict=True):
+            write_text(folder / "scenario.yaml", write_out(scenario))
+        text = describe_pair(open_pair(copied))
+        assert all(f"| {name} |" in text for name in ("deployment.daylight", "learn.features.values", "drive.arcs"))
+
+
 def test_changes_are_drawn_on_one_fixed_scale() -> None:
     change = np.array([-5.0, -1.0, -0.1, -0.01, 0.0, 0.005, 0.01, 0.1, 1.0, 5.0])
     share = scale_change(change)

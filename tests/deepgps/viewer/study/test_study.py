@@ -243,6 +243,8 @@ def test_equal_studies_give_equal_contents_and_what_stands_is_not_written_again(
     (copied / "table.md").write_text("another report")
     assert write_rrd(copied).stat().st_mtime_ns > before
     assert list(static(pair[1], "/report/table")) == [["another report"]]
+    (copied / "table.md").write_text("a report after which the study was interrupted")
+    assert list(static(find_study(copied), "/report/table")) == [["a report after which the study was interrupted"]]
 
 
 def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
