@@ -45,7 +45,7 @@ IN_USE = "--deployment.drive-samples"
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
-    "deepgps locate runs/my_drive drive.mcap --config robot.yaml --track": "tests/deepgps/locate/test_log_source.py",
+    "deepgps locate runs/mine drive.mcap --config robot.yaml --track": "tests/deepgps/locate/test_log_source.py",
     "deepgps study change": "tests/deepgps/studies/reports/test_change.py",
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps bench": "tests/deepgps/bench/test_bench.py",

@@ -86,7 +86,7 @@ def test_strategies_are_compared_at_equal_travel_and_at_equal_images():
     study = load_study("strategies", tiny=False)
     plan, *_ = plan_runs(study)
     text = write_report(study, [plan], {}, [{**row, "run": plan.run, "failure": None} for row in STRATEGIES])
-    assert cells(text, "RMS, end-point / dense, equal travel")[:4] == ["25.00", "-", ">= 1.00", "met"]
+    assert cells(text, "RMS, end-point / dense, equal travel")[:5] == ["25.00", "-", "-", ">= 1.00", "met"]
     assert cells(text, "RMS, end-point / dense, equal images")[0] == "2.00"
     assert cells(text, "travel, end-point / dense, equal images")[0] == "20.00"
     assert set(strategies.measure(STRATEGIES)) == set(REPORTS["strategies"].targets)
