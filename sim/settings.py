@@ -88,6 +88,8 @@ class RoomSettings(WithLater):
 
     @model_validator(mode="after")
     def _walls_inside_have_room(self) -> "RoomSettings":
+        if self.kind == "lab" and self.look_alike:
+            raise ValueError("look_alike: a lab has tags that are all different")
         smallest = SMALLEST_M.get(self.kind)
         if smallest is None or self.mjcf is not None:
             return self
@@ -481,6 +483,11 @@ class SimSettings(Group):
                 f"deployment.drive_samples {self.deployment.drive_samples} needs world room, and the world is "
                 f"{self.world}"
             )
+        default = DriveSettings()
+        changed = [name for name in DRIVES_IN_ROOMS if getattr(self.drive, name) != getattr(default, name)]
+        if self.world != "room" and changed:
+            value = getattr(self.drive, changed[0])
+            raise ValueError(f"drive.{changed[0]} {value} needs world room, and the world is {self.world}")
         return self
 
     @model_validator(mode="after")
@@ -503,6 +510,8 @@ class SimSettings(Group):
         return self
 
 
+DRIVES_IN_ROOMS = ("strategy", "lengths", "enter", "search", "arcs", "stop_distance_m")
+"""Settings of the drive that a robot in a plane, which has no range finder, does not use."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),
     "camera_mount": CameraMountSettings(),

@@ -119,7 +119,7 @@ def write_recording(
     }
     if turned is not None:
         arrays |= {TURNS: turned[0], turn_file(sensor): turned[1]}
-    travelled_m = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
+    travelled_m = ticks_to_distance(reading[:, 2:], odometry["wheel_radius_m"], odometry["ticks_per_rev"])
     if labels is not None:
         arrays["labels/pose.npy"] = _shaped(labels, (len(observation), 3), "labels")
         arrays["labels/test_pose.npy"] = np.full((*test.shape[:2], 3), np.nan)

@@ -76,6 +76,9 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
     numbers = {int(row): number for number, row in enumerate(turns.after)}
     rows, turned, squared = [], 0.0, 0.0
     jump, jump_squared = np.zeros(2), MEETING_M**2
+    gap = np.diff(recording.reading[:, :2], axis=0)
+    beside = (gap[:, 0] == 0) & (gap[:, 1] == 1)
+    step_m = float(np.median(np.abs(np.diff(travelled)[beside]))) if beside.any() else 0.0
     begun = False
     for before, run in zip([runs[0], *runs], runs, strict=False):
         number = numbers.get(int(run[0]))
@@ -89,7 +92,9 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
             if KINDS[turns.kind[number]] == "relocated":
                 squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
             elif KINDS[turns.kind[number]] == "backed_off":
-                jump, jump_squared = jump + way_m * ahead, jump_squared + BACKED_OFF_M**2
+                on_m = max(first - place - 1, 0) * step_m  # driven after it, before the first reading that arrived
+                jump = jump + (way_m - on_m) * ahead + on_m * _direct(turned + angle[number])
+                jump_squared += BACKED_OFF_M**2 + (UNEVEN * on_m) ** 2
             elif last < place or first > place:  # readings beside the turn were lost: images are evenly spaced
                 share = (place - last) / (first - last)
                 jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))

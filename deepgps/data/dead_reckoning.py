@@ -12,7 +12,7 @@ from sim.sensors.encoder import check_odometry, count_from_first, ticks_to_dista
 def travel(ticks: np.ndarray, constants: Mapping[str, Any]) -> np.ndarray:
     """Distance travelled by each wheel [m] from its cumulative ticks, both (R, 2); only differences are meaningful."""
     odometry = check_odometry(constants)
-    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"]))
+    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
 
 
 def dead_reckon(recording: Recording) -> np.ndarray:

@@ -227,7 +227,7 @@ def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -
 
 def _measure_tick(odometry: Mapping[str, Any]) -> float:
     """Distance that a wheel travels in one tick [m]."""
-    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
+    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
 
 
 def _median(speed: np.ndarray, otherwise: float) -> float:

@@ -14,9 +14,15 @@ def turns_with_images(recording: Recording) -> Turns | None:
 def take_images(recording: Recording, turns: Turns) -> tuple[np.ndarray, np.ndarray]:
     """Images before and after some of a recording's turns, both (T, rings, sectors, channels)."""
     assert recording.turn_observation is not None
-    after, taken = recording.observation[recording.reading[turns.after, 1]], turns.image != NO_IMAGE
+    after, taken = recording.observation[find_next(recording, turns)], turns.image != NO_IMAGE
     after[taken] = recording.turn_observation[turns.image[taken]]
     return recording.observation[turns.before], after
+
+
+def find_next(recording: Recording, turns: Turns) -> np.ndarray:
+    """First observation (T,) of the segment after each turn: where the robot backed off, its reading may be lost."""
+    first = recording.reading[turns.after, 1]
+    return np.where(turns.kind == KINDS.index("backed_off"), np.minimum(turns.before + 1, first), first)
 
 
 def find_in_place(turns: Turns) -> np.ndarray:

@@ -60,7 +60,7 @@ def read_gaps(recording: Recording) -> Gaps:
     reading, odometry = recording.reading, recording.manifest.odometry
     ticks = np.diff(reading[:, 2:], axis=0)
     step = max(int(np.gcd.reduce(np.abs(ticks), axis=None)), 1)
-    tick_m = float(ticks_to_distance(np.array(step), odometry["wheel_radius_m"], int(odometry["ticks_per_rev"])))
+    tick_m = float(ticks_to_distance(np.array(step), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
     way, inside = np.diff(travel(reading[:, 2:], odometry), axis=0), np.diff(reading[:, 0]) == 0
     stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(way, inside, wheel, tick_m))
     good = np.ones(len(way), bool)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepgps.data.turn_images import take_images, turns_with_images
+from deepgps.data.turn_images import find_next, take_images, turns_with_images
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.recording.turns import NO_IMAGE, from_array
@@ -51,7 +51,7 @@ def see_turns(recording: Recording, sight: Sight) -> Hypotheses:
             f"{recording.folder} has no images after turns (turns.npy), with which the wheels are compared; record "
             "with drive.turn_images and an upward camera"
         )
-    other = np.where(turns.image == NO_IMAGE, -1 - recording.reading[turns.after, 1], turns.image)
+    other = np.where(turns.image == NO_IMAGE, -1 - find_next(recording, turns), turns.image)
     keys = list(zip(turns.before.tolist(), other.tolist(), strict=True))
     if missing := [number for number, key in enumerate(keys) if key not in sight.turns]:
         found = find_turns(*take_images(recording, from_array(turns.array[missing])), _lens(recording))

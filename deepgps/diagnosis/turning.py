@@ -110,7 +110,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     straight[turns.after[turns.kind == KINDS.index("in_place")] - 1] = True  # beside the turn: readings that were lost
     way = np.append(0.0, np.cumsum(np.where(straight, gaps.way.mean(axis=1), 0.0)))
     row = np.full(len(recording.observation), -1)
-    row[reading[:, 1]] = np.arange(len(reading))
+    row[reading[::-1, 1]] = np.arange(len(reading))[::-1]  # at a turn: as it was before the turn
     pairs, angles = see_pairs(recording, sight)
     one, two = row[pairs[:, 0]], row[pairs[:, 1]]
     used = (one >= 0) & (two >= 0) & (chain[one] == chain[two]) & np.isfinite(angles.angle[:, 0])

@@ -85,6 +85,8 @@ def sample_batch(segments: Segments, count: int, samples: int, generator: torch.
     valid = torch.arange(segments.index.shape[1], device=row.device) < segments.count[row, None]
     key = torch.rand(valid.shape, generator=generator, device=valid.device)
     place = key.masked_fill(~valid, 2.0).argsort(dim=1)[:, :samples]
+    valid = valid.gather(1, place)
+    place = place % segments.count[row, None]  # what fills short segments is theirs: batch normalisation sees it
     index, along = segments.index[row].gather(1, place), segments.distance[row].gather(1, place)
     variance = None if segments.variance is None else segments.variance[row].gather(1, place)
-    return Batch(index, along, valid.gather(1, place), variance)
+    return Batch(index, along, valid, variance)

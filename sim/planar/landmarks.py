@@ -14,6 +14,8 @@ from sim.rng import stream
 from sim.settings import SimSettings
 
 CELL_M = 0.02
+CHUNK = 1024
+"""Poses whose distances are computed at once."""
 
 
 class LandmarkWorld:
@@ -43,8 +45,12 @@ class LandmarkWorld:
 
     def observe(self, poses: np.ndarray) -> np.ndarray:
         """Return distances (..., M) float32 [m] from poses (..., 3) to the landmarks, capped at the reach."""
-        distance = np.linalg.norm(poses[..., None, :2] - self.landmark, axis=-1)
-        return np.minimum(distance, self.settings.reach_m or np.inf).astype(np.float32)
+        flat, reach_m = poses.reshape(-1, poses.shape[-1]), self.settings.reach_m or np.inf
+        distance = np.empty((len(flat), len(self.landmark)), np.float32)
+        for start in range(0, len(flat), CHUNK):
+            apart = flat[start : start + CHUNK, None, :2] - self.landmark
+            distance[start : start + CHUNK] = np.minimum(np.linalg.norm(apart, axis=-1), reach_m)
+        return distance.reshape(*poses.shape[:-1], -1)
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
         """Draw a random place (2,) [m]."""

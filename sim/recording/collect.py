@@ -49,6 +49,8 @@ from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings
 
+ROUNDED = 1e-6
+"""How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
@@ -193,7 +195,10 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     headings from +x; raises InputError if there is none."""
     spacing, headings = settings.grid.spacing_m, settings.grid.headings
     (low_x, low_y), (high_x, high_y) = world.bounds
-    x, y = (np.arange(np.ceil(a / spacing), b / spacing) * spacing for a, b in ((low_x, high_x), (low_y, high_y)))
+    x, y = (
+        spacing * np.arange(np.ceil(a / spacing - ROUNDED), np.floor(b / spacing + ROUNDED) + 1)
+        for a, b in ((low_x, high_x), (low_y, high_y))
+    )
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
     points = points[world.free_space.is_reachable(points[:, 0])]
     if settings.deployment.moved_m:

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError
+from sim.rng import stream
 from sim.rooms.free_space import collides
 from sim.rooms.spec import freeze
 from sim.settings import DeploymentSettings
@@ -38,7 +39,7 @@ def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjS
     Raises:
         InputError: No piece can be pushed that far, so nothing would change.
     """
-    spec, rng = room.copy(), np.random.default_rng(seed)
+    spec, rng = room.copy(), stream(seed, "moved furniture")
     model = spec.compile()
     solid = np.flatnonzero(collides(model) & (model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE))
     pushed = 0

@@ -15,6 +15,8 @@ from sim.rng import stream
 from sim.sensors.catalog import Measure, Measures
 from sim.settings import ImageFaultSettings, SimSettings
 
+LEAST_SECTORS = 1e-6
+"""A smear that is narrower than this, in sectors, is none."""
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
@@ -77,7 +79,7 @@ def smear(light: np.ndarray, turn_deg: float) -> np.ndarray:
     mean.
     """
     width = turn_deg / 360.0 * light.shape[2]
-    if width == 0.0:
+    if width < LEAST_SECTORS:
         return light
     reach = int(np.ceil(width / 2 + 1.0))
     smeared = np.zeros_like(light)

@@ -74,7 +74,7 @@ def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarra
     return {"floor": np.floor, "nearest": np.rint}[settings.rounding](turns).astype(np.int64)
 
 
-def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: int) -> np.ndarray:
+def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: float) -> np.ndarray:
     """Distance (...) [m] travelled by a wheel that counted ``ticks`` (...): 2 pi r ticks / ticks_per_rev."""
     return np.asarray(ticks) * (2 * np.pi * wheel_radius_m / ticks_per_rev)
 

@@ -89,6 +89,14 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{world: obstacles, deployment: {drive_samples: 50}}",
             "deployment.drive_samples 50 needs world room, and the world is obstacles",
         ),
+        (
+            "{world: landmarks, drive: {strategy: endpoint}}",
+            "drive.strategy endpoint needs world room, and the world is landmarks",
+        ),
+        (
+            "{room: {kind: lab, look_alike: true}}",
+            "look_alike: a lab has tags that are all different",
+        ),
         ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
         (
             "deployment: {drive_samples: 100001}",

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError, WorkError
+from sim.occupancy import FreeSpace
 from sim.recording import chunks, renderers, sensing
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
@@ -329,6 +330,18 @@ def test_a_grid_without_a_position_is_one_clear_line(small_settings):
     grid = change(small_settings, 30, grid=GridSettings(spacing_m=0.8))
     with pytest.raises(InputError, match=r"grid\.spacing_m 0\.8 m must be smaller: it leaves no test position"):
         collecting.lay_grid(world, grid)
+
+
+@pytest.mark.parametrize("cell_m", [0.02, 0.016])
+def test_the_grid_has_all_that_can_be_reached_up_to_the_last_row(small_settings, cell_m: float):
+    world = RoomWorld(small_settings, drawn=False)
+    reachable = np.ones((11, 16), bool)
+    world.free_space = FreeSpace(np.array([0.08, -0.16]), cell_m, reachable, reachable, np.zeros(2), 0.2)
+    pose = collecting.lay_grid(world, change(small_settings, 30, grid=GridSettings(spacing_m=0.08)))
+    last = np.array([0.08, -0.16]) + cell_m * (np.array(reachable.shape[::-1]) - 1)
+    for axis, (low, high) in enumerate(zip((0.08, -0.16), last, strict=True)):
+        assert pose[..., axis].min() == pytest.approx(low)
+        assert pose[..., axis].max() == pytest.approx(0.08 * np.floor(high / 0.08 + 1e-9))
 
 
 @pytest.mark.slow

@@ -156,4 +156,5 @@ def test_smearing_is_the_mean_of_many_turned_images():
 def test_no_turn_smears_nothing_and_a_little_one_hardly():
     light = draw_light()
     np.testing.assert_array_equal(smear(light, 0.0), light)
-    np.testing.assert_allclose(smear(light, 0.01), light, atol=1e-3)
+    for turn_deg in (0.01, 1e-13, 1e-16):
+        np.testing.assert_allclose(smear(light, turn_deg), light, atol=1e-3)
