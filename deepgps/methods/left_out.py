@@ -81,7 +81,9 @@ def set_threshold(table: Confidence, left_out: LeftOut) -> Confidence:
 
 
 def find_crossing(novelty: np.ndarray, far: np.ndarray, probability: float) -> float:
-    """Novelty [m] at which a position is far off with a probability; infinite where none is, or novelty tells nothing.
+    """Novelty [m] at which a position is far off with a probability.
+
+    Infinite where none is; where novelty tells nothing, infinite or zero, by the share of all that is far off.
 
     Logistic regression of ``far`` (n,) bool on the logarithm of the novelty (n,) [m]; its penalty, ``RIDGE``, matters
     only where a novelty separates the two completely.
@@ -90,6 +92,7 @@ def find_crossing(novelty: np.ndarray, far: np.ndarray, probability: float) -> f
     novelty, far = novelty[known], far[known]
     if not far.any():
         return np.inf
+    usual = np.inf if far.mean() <= probability else 0.0
     scale = float(np.median(novelty))
     line = np.column_stack([np.ones(len(novelty)), np.log(novelty / scale)])
     sign = np.where(far, -1.0, 1.0)
@@ -98,7 +101,7 @@ def find_crossing(novelty: np.ndarray, far: np.ndarray, probability: float) -> f
         return float(np.logaddexp(0.0, sign * (line @ weight)).mean() + RIDGE * weight @ weight)
 
     offset, growth = minimize(cost, np.array([0.0, 1.0])).x
-    return float(scale * np.exp((logit(probability) - offset) / growth)) if growth > 0.0 else np.inf
+    return float(scale * np.exp((logit(probability) - offset) / growth)) if growth > 0.0 else usual
 
 
 def _split(segments: Segments, observations: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -82,7 +82,12 @@ class KnownImages:
     gap_m: float = np.inf
 
     def compare(
-        self, images: np.ndarray, positions: np.ndarray, upright: Upright | None = None, apart_m: float = 0.0
+        self,
+        images: np.ndarray,
+        positions: np.ndarray,
+        upright: Upright | None = None,
+        apart_m: float = 0.0,
+        own: np.ndarray | None = None,
     ) -> Comparison:
         """Compare images (B, rings, sectors, channels) predicted to be at positions (B, 2) [m].
 
@@ -91,17 +96,22 @@ class KnownImages:
             positions: Predicted positions of the camera.
             upright: What sets them upright; None: they are.
             apart_m: Known images nearer to the position than this are left out [m].
+            own: The known image that each of them is itself (B,), which is left out; -1 or None: none.
         """
         chunks = [slice(start, start + CHUNK) for start in range(0, len(images), CHUNK)]
-        found = [self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m) for chunk in chunks]
+        own = np.full(len(images), -1) if own is None else own
+        found = [
+            self._compare(_set_upright(images[chunk], upright), positions[chunk], apart_m, own[chunk])
+            for chunk in chunks
+        ]
         correlation, relit, gain = np.concatenate([np.empty((3, 0)), *found], axis=1)
         return Comparison(correlation, relit, gain, np.asarray(self._tree.query(positions)[0]))
 
-    def _compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float) -> np.ndarray:
+    def _compare(self, images: np.ndarray, positions: np.ndarray, apart_m: float, own: np.ndarray) -> np.ndarray:
         phases = take_phases(images)
         rows = self._choose(phases, positions, apart_m)
         angle, height = correlate(self.phases[rows], phases)
-        best = height[..., 0].argmax(axis=1)[:, None]
+        best = np.where(rows == own[:, None], -np.inf, height[..., 0]).argmax(axis=1)[:, None]
         row, angle, height = (
             np.take_along_axis(one, best, axis=1)[:, 0] for one in (rows, angle[..., 0], height[..., 0])
         )
@@ -140,11 +150,12 @@ def learn_images(recording: Recording, upright: Upright | None, positions: np.nd
     parts = (_set_upright(recording.observation[part], upright) for part in rows)
     phases, values = map(np.concatenate, zip(*((take_phases(part), take_values(part)) for part in parts), strict=True))
     known = KnownImages(positions[entry], phases, values)
-    others = np.setdiff1d(np.arange(len(positions)), entry)
-    some = others[:: -(-len(others) // CHECKED) or 1] if len(others) else entry
-    images, place = recording.observation[some], positions[some]
+    number = np.full(len(positions), -1)
+    number[entry] = np.arange(len(entry))
+    some = np.arange(0, len(positions), -(-len(positions) // CHECKED))
+    images, place, own = recording.observation[some], positions[some], number[some]
     apart_m = min(APART_M, np.linalg.norm(positions - positions.mean(axis=0), axis=1).max() / 2.0)
-    here, elsewhere = (known.compare(images, place, upright, away_m) for away_m in (0.0, apart_m))
+    here, elsewhere = (known.compare(images, place, upright, away_m, own) for away_m in (0.0, apart_m))
     return replace(
         known,
         other_place=float(np.quantile(elsewhere.correlation, 0.99)),

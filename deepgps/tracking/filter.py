@@ -123,9 +123,10 @@ def see(state: State, fix: Fix) -> State:
     moved, counts = state.moved_m / SHARED_M, min(1.0, state.moved_m / EVIDENCE_M)
     updated = update(state.mean, state.covariance, _weaken(fix, moved, moved + state.turned_rad / SHARED_RAD))
     evidence = state.evidence + counts * np.minimum(updated.likelihood, MOST_EVIDENCE)
-    most = LEAD if fix.accepted else max(MOST_BY_REFUSED, float(state.evidence.max(initial=0.0)))
+    if not fix.accepted:
+        evidence = _hold_back(state.evidence, evidence)
     state = State(updated.mean, updated.covariance, evidence, trail, 0.0, 0.0)
-    return _keep_best(_add_new(state, fix), most)
+    return _keep_best(_add_new(state, fix))
 
 
 def estimate(state: State) -> Estimate:
@@ -159,6 +160,13 @@ def _weaken(fix: Fix, moved: float, turned: float) -> Fix:
     return replace(fix, position_std=fix.position_std / place, yaw_std=fix.yaw_std / yaw)
 
 
+def _hold_back(before: np.ndarray, evidence: np.ndarray) -> np.ndarray:
+    """Evidence (K,) after an image that its method refuses: what was certain does not rise, and nothing becomes so."""
+    certain = before > MOST_BY_REFUSED
+    excess = max(float(evidence[~certain].max(initial=0.0)) - MOST_BY_REFUSED, 0.0)
+    return np.where(certain, np.minimum(evidence, before), evidence - excess)
+
+
 def _add_new(state: State, fix: Fix) -> State:
     """The state with hypotheses at the image's own pose, where none is near."""
     yaw, std, weight = fix.yaw, fix.yaw_std, fix.yaw_weight
@@ -176,8 +184,8 @@ def _add_new(state: State, fix: Fix) -> State:
     )
 
 
-def _keep_best(state: State, most: float) -> State:
-    """The likeliest hypotheses, the first with at most this evidence.
+def _keep_best(state: State) -> State:
+    """The likeliest hypotheses, the first with at most the evidence ``LEAD``.
 
     Doubles are left out, and those that are less likely than an unknown pose.
     """
@@ -192,7 +200,7 @@ def _keep_best(state: State, most: float) -> State:
         state,
         mean=state.mean[kept],
         covariance=state.covariance[kept],
-        evidence=evidence - max(float(evidence[0]) - most, 0.0),
+        evidence=evidence - max(float(evidence[0]) - LEAD, 0.0),
     )
 
 

@@ -192,10 +192,11 @@ def test_the_novelty_is_found_at_which_positions_are_far_off_with_a_probability(
     assert find_crossing(7.0 * novelty, far, 0.1) == pytest.approx(7.0, rel=0.05)
 
 
-def test_novelty_that_tells_nothing_of_errors_refuses_nothing() -> None:
+def test_novelty_that_tells_nothing_of_errors_refuses_nothing_or_all_by_the_share_of_errors() -> None:
     novelty = np.linspace(1.0, 2.0, 50)
     assert find_crossing(novelty, np.zeros(50, bool), 0.1) == np.inf
-    assert find_crossing(novelty, novelty < 1.5, 0.1) == np.inf
+    assert find_crossing(novelty, novelty < 1.05, 0.1) == np.inf
+    assert find_crossing(novelty, novelty < 1.5, 0.1) == 0.0
 
 
 def test_bars_measure_the_error_whatever_their_place_heading_and_length() -> None:

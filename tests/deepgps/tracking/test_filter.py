@@ -11,7 +11,7 @@ from deepgps.methods.pose import Poses
 from deepgps.tracking.filter import State, advance, begin, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fix
 from deepgps.tracking.motion import make_motion, mirror, rotate
-from deepgps.tracking.smoother import run_forward
+from deepgps.tracking.smoother import run_forward, smooth
 from sim.geometry import wrap
 from tests.helpers.synthetic_drive import Drive, make_drive, see
 
@@ -174,6 +174,20 @@ def test_refused_images_count_less():
     spread = [estimate(run_forward(one.motions, one.fixes)[-1]).position_std for one in (drive, refused)]
     assert spread[1] > 1.5 * spread[0]
     assert not any(estimate(state).accepted for state in run_forward(refused.motions, refused.fixes))
+
+
+@pytest.mark.parametrize("good", [0, 60])
+def test_refused_images_alone_make_no_place_certain(good: int):
+    """After some good images, or none, all others are refused and agree on a place three metres away."""
+    for seed in range(3):
+        drive = make_drive(np.random.default_rng(seed), images=160)
+        aside = [replace(one, accepted=False, position=one.position + [3.0, 0.0]) for one in drive.fixes[good:]]
+        wrong = replace(drive, fixes=[*drive.fixes[:good], *aside])
+        causal = run_forward(wrong.motions, wrong.fixes)
+        for states in (causal, smooth(causal, wrong.motions, wrong.fixes)):
+            found = [estimate(state) for state in states]
+            off = miss(np.array([[*one.position, one.yaw] for one in found]), drive.pose) > 1.0
+            assert not np.any([one.accepted for one in found] & off)
 
 
 def test_lens_that_is_covered_does_not_lead_the_track_away():
