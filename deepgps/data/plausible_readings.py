@@ -66,7 +66,8 @@ def keep_plausible(recording: Recording) -> Recording:
     if turns is not None:  # ticks that break at a turn do not say by how much the wheels turned
         turns = from_array(turns.array[~checked.broken[turns.after]])
     time = recording.time[checked.kept]
-    return replace(recording, readings=checked.counts, reading=checked.reading, time=time, turns=turns)
+    breaks = np.flatnonzero(checked.broken)
+    return replace(recording, readings=checked.counts, breaks=breaks, reading=checked.reading, time=time, turns=turns)
 
 
 def count_readings(recording: Recording) -> dict[str, dict[str, int]]:

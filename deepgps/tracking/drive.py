@@ -6,6 +6,7 @@ its own. The ground truth is not used.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -97,12 +98,15 @@ def measure_wheel_turns(recording: Recording) -> CompassTurns:
     angle = after[:, 2] - before[:, 2]
     jump = (rotate(-before[:, 2]) @ (after - before)[:, :2, None])[..., 0]
     jump_std = np.where(np.abs(jump).max(axis=1, initial=0.0) > MEETING_M, BACKED_OFF_M, MEETING_M)
-    angle_std = np.full(len(angle), WHEELS_RAD)
+    unknown = np.zeros(len(angle), bool)
     if recording.turns is not None:
         carried = recording.turns.after[recording.turns.kind == KINDS.index("relocated")]
-        unknown = np.isin([run[0] for run in runs[1:]], carried)
-        angle_std, jump_std = np.where(unknown, UNKNOWN_RAD, angle_std), np.where(unknown, UNKNOWN_M, jump_std)
-    return CompassTurns(angle, angle_std, jump, jump_std)
+        unknown |= np.isin([run[0] for run in runs[1:]], carried)
+    if recording.breaks is not None:
+        passed = np.searchsorted(recording.breaks, [(one[-1], other[0]) for one, other in pairwise(runs)], side="right")
+        unknown |= np.diff(passed.reshape(-1, 2), axis=1)[:, 0] > 0
+    angle_std = np.where(unknown, UNKNOWN_RAD, WHEELS_RAD)
+    return CompassTurns(angle, angle_std, jump, np.where(unknown, UNKNOWN_M, jump_std))
 
 
 def _list_nodes(recording: Recording, turns: CompassTurns, curvature: float) -> list[_Node]:
@@ -133,7 +137,9 @@ def _add_segment(
     """
     seen = recording.reading[run, 1].tolist()
     way, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
-    if not nodes or max(nodes[-1].observation, nodes[-2:][0].observation) != seen[0]:
+    there = bool(nodes) and max(nodes[-1].observation, nodes[-2:][0].observation) == seen[0]
+    # an image from before a turn of which nothing is known by itself is left out
+    if not there and _find_turn(recording, int(run[0])) is None:
         nodes.append(_Node(seen[0], NO_IMAGE, int(run[0]), pending))
         pending = STILL
     for number in range(1, len(run)):

@@ -187,6 +187,10 @@ def _reckon(recording: Recording, drive: Drive, mirrored: bool, first: tuple[int
     """Poses (M, 3) by the wheels alone, from the pose of the first image on."""
     number, pose = first
     path = dead_reckon(recording)[drive.reading]
+    if (turns := recording.turns) is not None:  # an image may be from before the turn that ends at its reading
+        before = dict(zip(turns.after.tolist(), turns.before.tolist(), strict=True))
+        early = np.array([before.get(row) for row in drive.reading.tolist()]) == drive.observation
+        path[early, 2] = dead_reckon(recording)[drive.reading[early] - 1, 2]
     path[:, 1:] *= -1.0 if mirrored else 1.0
     turn = rotate(np.array(pose[2] - path[number, 2]))
     found = np.column_stack([pose[:2] + (path - path[number])[:, :2] @ turn.T, path[:, 2] + pose[2] - path[number, 2]])

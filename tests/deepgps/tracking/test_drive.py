@@ -10,6 +10,8 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.segments import find_runs
 from deepgps.tracking.drive import drive_straight, mend_wheels, read_drive
 from deepgps.tracking.motion import Motion, move
+from deepgps.tracking.track import _follow, _reckon
+from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, lose_turns
 
@@ -65,6 +67,31 @@ def test_ways_are_right_where_readings_are_lost(recording: Recording):
     check_ways(recording)
     for seed in range(3):
         check_ways(lose(recording, np.random.default_rng(seed).random(len(recording.reading)) > 0.3))
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.1, 0.3])
+def test_every_image_has_the_heading_with_which_it_was_taken(recording: Recording, lost: float):
+    true = open_truth(recording.folder).pose
+    for seed in range(3):
+        kept = np.random.default_rng(seed).random(len(recording.reading)) >= lost
+        some = lose(recording, kept)
+        drive = read_drive(some)
+        first = (0, true[drive.observation[0]])
+        seen = drive.observation != NO_IMAGE
+        for path in (_follow(drive.motions, first), _reckon(some, drive, False, first)):
+            error = wrap(path[seen, 2] - true[drive.observation[seen], 2])
+            assert np.nanmax(np.abs(error)) < np.radians(15.0), "32 sectors are 11 degrees each; turns are larger"
+
+
+def test_counters_that_start_again_say_nothing_of_the_motion_there(recording: Recording):
+    bare = replace(recording, turns=None, turn_observation=None, readings=None)
+    run = next(run for run in find_runs(recording)[5:] if len(run) >= 8)
+    for row in (int(run[0]), int(run[4])):
+        reading = recording.reading.copy()
+        reading[row:, 2:] -= reading[row, 2:]
+        drive = read_drive(keep_plausible(replace(bare, reading=reading)))
+        (unknown,) = [number for number, motion in enumerate(drive.motions) if number and motion is None]
+        assert drive.reading[unknown] in (row, row + 1), "at a turn, the first image of a segment is there already"
 
 
 def test_relocated_robot_moves_nobody_knows_how(recording: Recording):
