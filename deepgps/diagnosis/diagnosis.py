@@ -8,6 +8,7 @@ a metre of the readings is in truth.
 from dataclasses import dataclass, replace
 
 from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.gaps import Gaps, measure_loss, measure_stuck, read_gaps
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.turning import FEWEST, measure_curvature, measure_turn_scale
@@ -97,6 +98,12 @@ class Diagnosis:
         return Estimate(found.value / track_m, found.low / track_m, found.high / track_m, std)
 
 
+def can_diagnose(recording: Recording) -> bool:
+    """Whether a recording has images after turns, enough readings, and readings that are the wheels' own."""
+    enough = turns_with_images(recording) is not None and len(recording.reading) >= FEWEST_READINGS
+    return enough and not recording.manifest.wheels_computed
+
+
 def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     """Diagnose the wheels of a recording.
 
@@ -107,6 +114,8 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     Raises:
         InputError: It has no images after turns, or its readings cannot be used.
     """
+    if recording.manifest.wheels_computed:
+        raise InputError(f"{recording.folder}: its wheels were computed from an odometry, which cannot be diagnosed")
     sight = sight or Sight()
     lost = measure_loss(recording) if recording.turn_observation is not None else (0.0, 0.0, 1.0)
     recording = keep_plausible(recording)

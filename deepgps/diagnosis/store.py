@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.diagnosis.diagnosis import (
-    FEWEST_READINGS,
     LEARNED_WITH,
     Diagnosis,
     Estimate,
     StuckStretch,
     apply_diagnosis,
+    can_diagnose,
     diagnose,
 )
 from deepgps.diagnosis.findings import as_stored
@@ -27,9 +27,9 @@ SCHEMA = 1
 def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
     """The diagnosis of a run's recording, as stored in its folder or made and stored.
 
-    None without turns, or with too few readings to tell anything.
+    None without turns, with too few readings to tell anything, or where these are not the wheels' own.
     """
-    if recording.turns is None or recording.kind != "polar_image" or len(recording.reading) < FEWEST_READINGS:
+    if not can_diagnose(recording):
         return None
     if (stored := read_diagnosis(folder, recording)) is not None:
         return stored

@@ -55,9 +55,10 @@ def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[
     }
     if accepted.any():
         figures |= {"rms_accepted_m": find_rms(error[accepted]), "max_accepted_m": float(error[accepted].max())}
-    if np.isfinite(found[:, 2]).all():
-        figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2]))))
-        if len(found) > APART:
-            figures["rpe_m"], rpe_rad = measure_rpe(found, true, APART)
-            figures["rpe_deg"] = float(np.degrees(rpe_rad))
+    directed = np.isfinite(found[:, 2])
+    if directed.any():
+        figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2])[directed])))
+    place_m, turn_rad = measure_rpe(found, true, APART) if len(found) > APART else (np.nan, np.nan)
+    if np.isfinite(place_m):
+        figures["rpe_m"], figures["rpe_deg"] = place_m, float(np.degrees(turn_rad))
     return figures

@@ -10,7 +10,7 @@ from deepgps.alignment import Alignment
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import digest_recording
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
-from deepgps.evaluation.stored_alignment import read_alignment
+from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
@@ -75,8 +75,8 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
         progress: Called with the steps done.
 
     Raises:
-        InputError: The folder is no run, has no such method or no drive in use, or the truth is known but the run has
-            not been evaluated.
+        InputError: The folder is no run, has no such method or no drive in use, or the truth of both drives is known
+            but the run has not been evaluated.
     """
     scenario = open_run(run)
     if is_older(run, RUN):
@@ -140,7 +140,8 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
 
 
 def _open_reference(folder: Path, recording: Recording, track: Track) -> Reference | None:
-    if not has_truth(recording.folder):
+    """The truth of the drive, if it is known and the method's map has a place in it."""
+    if not has_truth(recording.folder) or not (has_alignment(folder) or has_truth(folder.parent / "recording")):
         return None
     truth = open_truth(recording.folder)
     if len(truth.pose) != len(recording.observation):

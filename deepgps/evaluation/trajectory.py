@@ -20,6 +20,8 @@ def measure_ate(found: np.ndarray, true: np.ndarray) -> float:
 def measure_rpe(found: np.ndarray, true: np.ndarray, apart: int) -> tuple[float, float]:
     """Relative pose error: RMS of the errors of all motions between poses (n, 3) that are so many images apart.
 
+    A motion of which a yaw is NaN does not count; NaN if none is left.
+
     Args:
         found: Poses x, y [m], yaw [rad] (n, 3).
         true: The true ones.
@@ -29,8 +31,11 @@ def measure_rpe(found: np.ndarray, true: np.ndarray, apart: int) -> tuple[float,
         Of the way [m] and of the turn [rad].
     """
     (way, turn), (true_way, true_turn) = (_find_motions(pose, apart) for pose in (found, true))
-    place = np.sqrt(np.square(way - true_way).sum(axis=1).mean())
-    return float(place), float(np.sqrt(np.square(wrap(turn - true_turn)).mean()))
+    known = np.isfinite(turn)
+    if not known.any():
+        return np.nan, np.nan
+    place = np.sqrt(np.square(way - true_way)[known].sum(axis=1).mean())
+    return float(place), float(np.sqrt(np.square(wrap(turn - true_turn)[known]).mean()))
 
 
 def _find_motions(pose: np.ndarray, apart: int) -> tuple[np.ndarray, np.ndarray]:

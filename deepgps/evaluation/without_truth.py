@@ -23,7 +23,7 @@ from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import Positioner, load_positioner, read_training
+from deepgps.methods.positioner import Positioner, headings_of, load_positioner, read_training
 from deepgps.scenario import Scenario
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import read_json
@@ -174,8 +174,10 @@ def judge_turns(positioner: Positioner, drive: Recording) -> dict[str, Any]:
     known = np.isfinite(turned) & np.isfinite(angle)
     if not known.any():
         return {}
-    differ = [np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2)) for sign in (1.0, -1.0)]
-    return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(min(differ)))}  # a map may be mirrored
+    headings = headings_of(positioner)
+    sign = 1 if headings is None else headings.chirality  # a map may be mirrored
+    differ = np.sqrt(np.mean(wrap(sign * turned[known] - angle[known]) ** 2))
+    return {"turns": int(known.sum()), "turn_rms_deg": float(np.degrees(differ))}
 
 
 def _judge_trust(poses: Poses) -> dict[str, Any]:

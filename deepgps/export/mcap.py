@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from deepgps.api.run import Frame, Run
-from deepgps.export.trajectories import TRUTH, Trajectory, find_trajectories, open_drives
+from deepgps.export.trajectories import TRUTH, Trajectory, count_trajectories, find_trajectories, open_drives
 from deepgps.methods.confidence import find_normal_radius
 from deepgps.methods.pose import Poses
 from deepgps.progress import Report
@@ -49,7 +49,7 @@ def write_drives(folder: Path, run: Run, methods: tuple[str, ...], frame: Frame 
     found = list[Trajectory]()
     for one in find_trajectories(run, drives, methods, frame):
         found.append(one)
-        progress("trajectories", len(found), len(drives) * (len(methods) + 1))
+        progress("trajectories", len(found), count_trajectories(drives, methods))
     start_ns = find_start(run.recording)  # all drives of a log count from its start
     for drive, recording in drives.items():
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]

@@ -72,11 +72,16 @@ def write_trajectories(
         InputError: The recording has no times, or a map has no place in the world.
     """
     drives = open_drives(run)
-    total = len(drives) * (len(methods) + 1)
+    total = count_trajectories(drives, methods)
     for number, one in enumerate(find_trajectories(run, drives, methods, frame)):
         progress("trajectories", number + 1, total)
         for name in formats:
             WRITE[name](folder / name / one.drive / f"{one.name}.{name}", one)
+
+
+def count_trajectories(drives: dict[str, Recording], methods: tuple[str, ...]) -> int:
+    """Number of trajectories along drives: the methods', and the true ones where they are known."""
+    return len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())
 
 
 def open_drives(run: Run) -> dict[str, Recording]:

@@ -28,6 +28,7 @@ class Drive:
         notes: What the user should know.
         offset_s: Median of logged minus stamped, by topic [s].
         start_ns: From when times count [ns since 1970].
+        from_odometry: Whether the wheels are computed from an odometry.
     """
 
     wheels: Wheels
@@ -38,6 +39,7 @@ class Drive:
     notes: tuple[str, ...]
     offset_s: Mapping[str, float]
     start_ns: int
+    from_odometry: bool
 
 
 def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> Drive:
@@ -63,4 +65,6 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
-    return Drive(wheels, path, motions, image_s, pose, (*notes, *wheels.notes), list_offsets(times, starts), start_ns)
+    notes += wheels.notes
+    offsets = list_offsets(times, starts)
+    return Drive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)

@@ -235,7 +235,7 @@ def _write_plan(
         turns=plan.turns,
         turn_observations=turn,
         camera=_describe_lens(config, source),
-        about=about,
+        about={**about, **({"wheels_computed": True} if drive.from_odometry else {})},
         **known,
     )
 

@@ -116,7 +116,7 @@ def find_driven(recording: Recording) -> np.ndarray:
     """
     segment, number = recording.reading[:, 0], recording.reading[:, 1]
     way = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    gap, next_one = np.diff(way, prepend=way[:1]), np.diff(number, prepend=number[:1]) == 1
+    gap, next_one = np.abs(np.diff(way, prepend=way[:1])), np.diff(number, prepend=number[:1]) == 1
     inside = next_one & (np.arange(len(segment)) > find_starts(segment))
     moved = np.zeros(len(recording.observation), bool)
     if inside.any():

@@ -22,7 +22,7 @@ from deepgps.data.compass_turns import (
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.segments import find_runs
 from deepgps.data.turn_images import turns_with_images
-from deepgps.diagnosis.diagnosis import FEWEST_READINGS, apply_diagnosis, diagnose
+from deepgps.diagnosis.diagnosis import apply_diagnosis, can_diagnose, diagnose
 from deepgps.diagnosis.mend import mend_stuck
 from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate
 from sim.recording.format import Recording
@@ -83,7 +83,7 @@ def mend_wheels(recording: Recording) -> tuple[Recording, float]:
     Returns:
         The recording, and the curvature of what the robot drives for straight, to the left, where it shows [1 / m].
     """
-    if turns_with_images(recording) is None or len(recording.reading) < FEWEST_READINGS:
+    if not can_diagnose(recording):
         return recording, 0.0
     found = diagnose(recording)
     ratio, curves = found.wheel_ratio, not found.wheel_ratio.low <= 1.0 <= found.wheel_ratio.high

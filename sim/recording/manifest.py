@@ -32,6 +32,7 @@ class Manifest(BaseModel):
         readings_lost: Number of encoder readings that never arrived.
         distance_driven_m: Distance travelled along all segments [m].
         odometry: What is known of the wheels; ``sim.sensors.encoder.check_odometry`` checks it.
+        wheels_computed: Whether the readings were computed from an odometry, so that they tell nothing of the wheels.
         gl_renderer: Name of the renderer of the images.
         sha256: Checksum of each file, by its path in the folder.
     """
@@ -48,6 +49,7 @@ class Manifest(BaseModel):
     readings_lost: int = 0
     distance_driven_m: float | None = None
     odometry: dict[str, Any] = Field(default_factory=dict)
+    wheels_computed: bool = False
     gl_renderer: str = "none"
     sha256: dict[str, str] = Field(default_factory=dict)
 

@@ -59,3 +59,13 @@ def test_rigid_motion_of_all_changes_neither():
     assert measure_ate(moved[:, :2], true[:, :2]) == pytest.approx(measure_ate(found[:, :2], true[:, :2]))
     assert measure_rpe(moved, true, 3) == pytest.approx(measure_rpe(found, true, 3))
     assert measure_ate(moved[:, :2], found[:, :2]) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_pose_without_a_yaw_is_left_out_of_relative_errors():
+    rng = np.random.default_rng(5)
+    true = np.column_stack([rng.normal(0.0, 1.0, (40, 2)).cumsum(axis=0), rng.uniform(-1.0, 1.0, 40)])
+    found = true + rng.normal(0.0, 0.01, true.shape)
+    blind = found.copy()
+    blind[7, 2] = np.nan
+    assert measure_rpe(blind, true, 3) == pytest.approx(measure_rpe(found, true, 3), rel=0.1)
+    assert np.isnan(measure_rpe(np.full_like(true, np.nan), true, 3)).all()

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.logs.importing import import_log
 from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
@@ -274,6 +275,10 @@ def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
     folder, about = bring_in(log, tmp_path)
     check_complete(folder)
     assert any("wheels are computed from the odometry" in note for note in about["notes"])
+    recording = open_recording(folder)
+    assert not can_diagnose(recording)
+    with pytest.raises(InputError, match="its wheels were computed from an odometry, which cannot be diagnosed"):
+        diagnose(recording)
 
 
 def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
