@@ -40,7 +40,7 @@ from deepgps.command.completion import SHELLS
 from deepgps.command.failures import explain, find_version, working_in
 from deepgps.command.signals import ignore_signals, stop_at_signals
 from deepgps.command.streams import flush_streams
-from deepgps.command.terminal import console, errors, print_error, show_warnings, warn_plainly
+from deepgps.command.terminal import console, errors, print_error, quote_path, say, show_warnings, warn_plainly
 from deepgps.plugins import load_plugins
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario, names_in
@@ -77,7 +77,7 @@ def run_command(words: Sequence[str]) -> None:
         if arguments.log is not None:
             write_log(scenario, folder, arguments.log, report)
     print_report(folder, console, time.monotonic() - BEGUN)
-    console.print(f"\nlook at it: deepgps view {folder}", soft_wrap=True)
+    say(f"\nlook at it: deepgps view {quote_path(folder)}")
 
 
 def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
@@ -114,8 +114,8 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
                     break
             left_out = describe_left_out(place, scenario.methods) if stage == "train" else None
         if left_out:
-            console.print(left_out, soft_wrap=True)
-        console.print(f"{stage} is done: {folder}", soft_wrap=True)
+            say(left_out)
+        say(f"{stage} is done: {folder}")
 
     return command
 
@@ -148,10 +148,10 @@ def study_command(words: Sequence[str]) -> None:
     ):
         with show_progress(errors) as progress:
             failures = carry_out(study, plans, place, run_all, progress)
-        console.print(report_study(study, plans, failures, place), markup=False, soft_wrap=True)
+        say(report_study(study, plans, failures, place))
         if arguments.publish:
             publish(study, place, arguments.publish / study.name)
-            console.print(f"copied to {arguments.publish / study.name}", soft_wrap=True)
+            say(f"copied to {arguments.publish / study.name}")
         if len(failures) < len(plans) and not REPORTS[study.report].gather:
             from deepgps.viewer.study.study import write_study
 
@@ -161,7 +161,7 @@ def study_command(words: Sequence[str]) -> None:
     if REPORTS[study.report].gather:
         return
     run = folder / "runs" / plans[0].run
-    console.print(f"look at it: deepgps view {folder}, or at a run: deepgps view {run}", soft_wrap=True)
+    say(f"look at it: deepgps view {quote_path(folder)}, or at a run: deepgps view {quote_path(run)}")
 
 
 def view_command(words: Sequence[str]) -> None:
@@ -189,9 +189,9 @@ def view_command(words: Sequence[str]) -> None:
 
         check_overwrite(arguments.screenshot, is_screenshot)
         write_screenshot(folders, arguments.screenshot)
-        console.print(f"wrote {arguments.screenshot}", soft_wrap=True)
+        say(f"wrote {arguments.screenshot}")
     elif arguments.web:
-        serve(folders, choose_ports(arguments.port), lambda text: console.print(text, soft_wrap=True))
+        serve(folders, choose_ports(arguments.port), say)
     else:
         view(folders)
 
@@ -208,7 +208,7 @@ def diagnose_command(words: Sequence[str]) -> None:
         diagnosis, written = diagnose_folder(arguments.recording, arguments.out, progress)
     print_diagnosis(diagnosis, console)
     if written is not None:
-        console.print(f"\nwrote {written}", soft_wrap=True)
+        say(f"\nwrote {written}")
 
 
 def track_command(words: Sequence[str]) -> None:
@@ -224,7 +224,7 @@ def track_command(words: Sequence[str]) -> None:
     written = [tracked.path.with_suffix(".npz"), tracked.path.with_suffix(".json"), draw_track(tracked)]
     if arguments.tum is not None:
         written += write_tums(arguments.tum, tracked)
-    console.print(f"\nwrote {', '.join(str(path) for path in written if path)}", soft_wrap=True)
+    say(f"\nwrote {', '.join(str(path) for path in written if path)}")
 
 
 def import_command(words: Sequence[str]) -> None:
@@ -249,8 +249,8 @@ def import_command(words: Sequence[str]) -> None:
     config = load_config(arguments.config)
     with show_progress(errors) as progress:
         about = import_log(arguments.log, config, arguments.out, progress, sha256(arguments.config))
-    console.print(write_summary(about), markup=False, soft_wrap=True)
-    console.print(f"\nimported: {arguments.out}; train on it: deepgps train {arguments.out}", soft_wrap=True)
+    say(write_summary(about))
+    say(f"\nimported: {arguments.out}; train on it: deepgps train {quote_path(arguments.out)}")
 
 
 def export_command(words: Sequence[str]) -> None:
@@ -274,7 +274,7 @@ def export_command(words: Sequence[str]) -> None:
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)
     for path in written:
-        console.print(f"wrote {path}", soft_wrap=True)
+        say(f"wrote {path}")
 
 
 def locate_command(words: Sequence[str]) -> None:
@@ -333,7 +333,7 @@ def rooms_command(words: Sequence[str]) -> None:
     check_overwrite(arguments.out, is_gallery)
     with show_progress(errors) as progress:
         draw_gallery(kinds, seeds, arguments.out, progress)
-    console.print(f"wrote {arguments.out}")
+    say(f"wrote {arguments.out}")
 
 
 def bench_command(words: Sequence[str]) -> None:
@@ -353,7 +353,7 @@ def bench_command(words: Sequence[str]) -> None:
         rows = run_bench(size, arguments.out, not arguments.tiny, draw_poses, measure_rendering, progress)
     console.print(tabulate(rows, before))
     console.print("\n".join(["", *list_notes(rows), ""]), style="dim", markup=False)
-    console.print(f"wrote {arguments.out}", soft_wrap=True)
+    say(f"wrote {arguments.out}")
 
 
 def doctor_command(words: Sequence[str]) -> None:
@@ -474,7 +474,7 @@ def _dispatch(words: Sequence[str]) -> None:
 def _print_help() -> None:
     console.print("usage: deepgps COMMAND ...\nexample: deepgps run tiny\n")
     for name, text in SUMMARIES.items():
-        console.print(f"  {name:<11} {text}", soft_wrap=True)
+        say(f"  {name:<11} {text}")
     console.print("\ndeepgps COMMAND --help shows the options of a command.")
 
 

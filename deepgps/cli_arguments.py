@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, make_dataclass
 from pathlib import Path
@@ -38,6 +39,7 @@ OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
 Plugins = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE [FILE ...]")]
 CONFIG = (tyro.conf.FlagCreatePairsOff,)
+MOST_SEEDS = 100
 HELP = ("-h", "--help", "--help-all")
 
 
@@ -335,10 +337,12 @@ def parse_seeds(text: str) -> list[int]:
     """Seeds from ``0-3`` or ``0,2,5``."""
     try:
         first, dash, last = text.partition("-")
-        seeds = list(range(int(first), int(last) + 1)) if dash else [int(part) for part in text.split(",")]
+        seeds = [int(part) for part in text.split(",")] if not dash else []
+        if dash:
+            seeds = list(range(int(first), min(int(last), int(first) + MOST_SEEDS) + 1))
     except ValueError:
         seeds = []
-    if not seeds or min(seeds) < 0 or len(seeds) > 100:
+    if not seeds or min(seeds) < 0 or len(seeds) > MOST_SEEDS:
         raise InputError(f"--seeds {text!r}: one to a hundred whole numbers, as 0-3 or 0,2,5")
     return seeds
 
@@ -427,9 +431,14 @@ def _show_arguments(kind: Any, command: str, about: str | None) -> None:
     tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about, config=CONFIG)
 
 
-def _first_sentence(box: str) -> str:
-    """The message inside the frame that tyro draws."""
-    lines = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    message = [line for line in lines if line]
-    end = next((index for index, line in enumerate(message) if set(line) == {"─"}), len(message))
-    return " ".join(message[:end]) or box.strip()
+def _first_sentence(said: str) -> str:
+    """What tyro says is wrong, without its title, its rules and what follows the second of these."""
+    lines = [line.strip("│ ") for line in said.splitlines() if line.strip("│ ") and line[:1] not in "╭╰"]
+    rules = [number for number, line in enumerate(lines) if not line.strip("-─├┤")]
+    if len(rules) > 1:
+        lines = lines[rules[0] + 1 : rules[1]]
+    elif rules:
+        lines = lines[: rules[0]]
+    sentence = " ".join(lines).partition(" Got errors:")[0] or said.strip()
+    wrong = re.match(r"Error parsing (\S+): no type matching (.*) could be instantiated from \['(.*)'\]", sentence)
+    return f"{wrong[1]} {wrong[3]}: must be {wrong[2].replace('{None}|', '')}" if wrong else sentence

@@ -77,8 +77,8 @@ def _import_file(path: Path) -> tuple[ModuleType, Source]:
     known = sys.modules.get(name)
     if known is not None and getattr(known, "__deepgps_source__", None) == source:
         return known, source
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
+    if (spec := importlib.util.spec_from_file_location(name, path)) is None:
+        raise InputError(f"plugin {shorten(str(path), 300)}: a plugin is a Python file, whose name ends in .py")
     module = importlib.util.module_from_spec(spec)
     module.__dict__["__deepgps_source__"] = source
     sys.modules[name] = module  # as pickle and dataclasses require

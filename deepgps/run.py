@@ -5,7 +5,8 @@ from typing import Any
 
 from deepgps.adopted_recording import link_recording
 from deepgps.progress import Report
-from deepgps.run_folder import claim
+from deepgps.owned_folder import is_older
+from deepgps.run_folder import RUN, claim
 from deepgps.scenario import Scenario
 from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
 from deepgps.timing import timed
@@ -35,7 +36,8 @@ def run(
         collect(scenario, place, progress)
         train(scenario, place, progress)
         metrics = evaluate(scenario, place, progress)
-        show(scenario, place, progress)
+        if not is_older(folder, RUN):  # which is not changed
+            show(scenario, place, progress)
     return metrics
 
 

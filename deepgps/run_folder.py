@@ -59,7 +59,8 @@ def open_run(folder: Path) -> Scenario:
 
 def list_runs(folder: Path) -> list[Path]:
     """Folders of runs in a folder, one or two levels down, in order of their names."""
-    return sorted({path.parent for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}")})
+    found = {path.parent for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}")}
+    return sorted(path for path in found if path.name != FRESH)  # which is half a run
 
 
 def is_study(folder: Path) -> bool:

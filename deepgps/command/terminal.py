@@ -2,8 +2,10 @@
 
 import logging
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from rich.console import Console
 
@@ -20,6 +22,16 @@ def _choose_width() -> int | None:
 console = Console(highlight=False, width=_choose_width())
 errors = Console(stderr=True, highlight=False, width=_choose_width())
 """Shared with the progress bars, so that a line is printed above them."""
+
+
+def say(text: str) -> None:
+    """Print text as it is: brackets are no markup, and no line is broken."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def quote_path(path: Path) -> str:
+    """A path as a word of a command that can be copied into a shell."""
+    return shlex.quote(str(path))
 
 
 def print_error(kind: str, text: Exception | str) -> None:

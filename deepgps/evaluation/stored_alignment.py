@@ -11,6 +11,8 @@ import numpy as np
 from deepgps.alignment import Alignment
 from deepgps.methods.catalog import AlignmentKind
 from deepgps.methods.positioner import INDEX
+from deepgps.owned_folder import is_older
+from deepgps.run_folder import RUN
 from sim.errors import InputError
 from sim.files import damaged, read_json, write_json
 
@@ -50,6 +52,8 @@ def read_alignment(folder: Path) -> Alignment:
     """
     path = folder / FILE
     evaluate = f"deepgps evaluate {folder.parent / 'scenario.yaml'} --out {folder.parent} writes it"
+    if is_older(folder.parent, RUN):
+        evaluate = "the run is of an earlier version: make it again, or take positions in the frame of the map"
     if not path.is_file():
         raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {evaluate}")
     values = read_json(path)

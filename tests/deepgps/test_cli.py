@@ -38,6 +38,10 @@ ONE_LINE_ERRORS = [
     (["train", "."], ". is neither a run (it has no scenario.yaml) nor a recording (it has no manifest.json)"),
     (["rooms", "--kinds", "attic"], "--kinds 'attic' does not exist; there are all, living_room"),
     (["rooms", "--seeds", "3-x"], "--seeds '3-x': one to a hundred whole numbers"),
+    (["rooms", "--seeds", f"0-{10**30}"], f"--seeds '0-{10**30}': one to a hundred whole numbers"),
+    (["bench", "--memory-samples", "x"], "error: deepgps bench: --memory-samples x: must be INT"),
+    (["completion", "tcsh"], "error: deepgps completion: invalid choice 'tcsh' for argument 'shell'"),
+    (["run", "tiny", "--plugin", "/dev/null"], "plugin /dev/null"),
 ]
 FILES = [
     ("", "is empty; a settings file is a mapping"),
@@ -174,3 +178,9 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(finished_run, tmp_pa
     done = deepgps("run", "mini.yaml", "--out", "two", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert arrays(tmp_path / "two") == arrays(finished_run)
+
+
+def test_a_folder_with_brackets_and_a_blank_is_printed_as_a_word_of_a_command(tmp_path):
+    done = deepgps_here("collect", "landmarks", "--drive.samples", "40", "--out", "a[/bold] run [living]", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "collect is done: a[/bold] run [living]" in done.stdout

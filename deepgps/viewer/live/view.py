@@ -46,6 +46,7 @@ class LiveView:
         self._space: FreeSpace | None = None
         self._training: LiveTraining | None = None
         self._measured: list[str] = []
+        self._sent: int | None = None  # when the figures that were sent had been written [ns]
         self._start, self._before = time.monotonic(), 0.0  # start of the view; time of the last update since then [s]
         self._began_s: float | None = None  # start of the training since then [s]
         self._text, self._shown = "", object()
@@ -69,8 +70,9 @@ class LiveView:
             self._training = self._send_room(at)
         if self._training is not None:
             self._training.send(dict(self.histories), self._scenario.methods, at)
-        if self._space is not None and not self._measured and (self._folder / "metrics.json").is_file():
-            self._measured = self._send_results(self._space)
+        written = _find_time(self._folder / "metrics.json")
+        if self._space is not None and written is not None and written != self._sent:
+            self._measured, self._sent = self._send_results(self._space), written
         self._send_steps()
         self._arrange()
 
@@ -115,3 +117,8 @@ class LiveView:
             self._shown = shown
             layout = make_live_blueprint(self._space, pictures, trained, self._began_s or 0.0, self._measured)
             self._stream.send_blueprint(layout)
+
+
+def _find_time(path: Path) -> int | None:
+    """When a file was written [ns]; None: there is none."""
+    return path.stat().st_mtime_ns if path.is_file() else None

@@ -1,9 +1,12 @@
 """A picture of a recording's first tab: from Chromium if there is one, otherwise from the native viewer."""
 
+import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -100,12 +103,18 @@ def _take_natively(recording: Path, out: Path) -> bytes:
     around = [] if display or virtual is None else [virtual, "-a", "-s", f"-screen 0 {width}x{height}x24"]
     size = ["--window-size", f"{width}x{height}", "--screenshot-to", str(out)]
     command = [*around, find_viewer(), "--bind", HOST, "--port", str(find_free_port()), *size, str(recording)]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
-    except subprocess.TimeoutExpired:
-        raise WorkError(f"the Rerun viewer took no screenshot within {PATIENCE_S:.0f} s") from None
+    with subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True
+    ) as viewer:
+        try:
+            said = viewer.communicate(timeout=PATIENCE_S)[1]
+        except subprocess.TimeoutExpired:
+            raise WorkError(f"the Rerun viewer took no screenshot within {PATIENCE_S:.0f} s") from None
+        finally:
+            with suppress(ProcessLookupError):  # it has ended
+                os.killpg(viewer.pid, signal.SIGKILL)  # all: the virtual display has processes of its own
     if not out.is_file():
-        lines = [line for line in done.stderr.splitlines() if line.strip()] or ["no reason given"]
+        lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(
             f"the Rerun viewer took no screenshot ({lines[-1].strip()}); Chromium can take one, if installed"
         )
