@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.adopted_recording import link_recording
-from deepgps.progress import Report
 from deepgps.owned_folder import is_older
+from deepgps.progress import Report
 from deepgps.run_folder import RUN, claim
 from deepgps.scenario import Scenario
 from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train

@@ -233,7 +233,7 @@ class Reader:
         """Run ``deepgps`` in this process; the exit code must be 0."""
         with patch.dict(os.environ):
             ended = deepgps_here(*words, cwd=self.folder)
-        assert ended.returncode == 0, f"{place}: deepgps {shlex.join(words)}: {ended.stderr or ended.stdout}"
+        assert ended.returncode == 0, f"{place}: deepgps {shlex.join(words)}: {ended.stderr}{ended.stdout}"
 
     def check_settings(self, block: Block) -> None:
         """Check a settings file as the command does: a study with all its runs, or a scenario."""

@@ -96,4 +96,3 @@ def _link_folder(source: Path, target: Path, aside: Path) -> None:
         if error.errno not in {errno.ENOTEMPTY, errno.EEXIST}:  # another run was first
             raise
         remove_files(whole, TRAINED)
-        whole.rmdir()

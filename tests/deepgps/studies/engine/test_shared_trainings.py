@@ -10,6 +10,7 @@ from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.run_folder import open_run
 from deepgps.stages import training_seed
+from deepgps.studies.engine.shared_trainings import _link_folder
 from sim.recording.format import open_recording
 from tests.helpers.small_study import do_here, write_study
 
@@ -70,3 +71,13 @@ def test_what_is_shared_is_what_the_run_would_have_learned_alone(kind, runs, tmp
     fit_method("posenet", recording, scenario.learn, training_seed(scenario), tmp_path / "posenet", ignore)
     for name in (weights(Path(), "posenet"), Path(FEATURES) / TABLE):
         assert (tmp_path / name).read_bytes() == (runs[kind] / name).read_bytes()
+
+
+def test_of_two_runs_that_leave_the_same_training_at_once_the_second_finds_it_and_leaves_nothing(tmp_path):
+    source, home = tmp_path / "run" / "posenet", tmp_path / "trainings"
+    source.mkdir(parents=True)
+    (source / "weights.safetensors").write_text("the same bytes")
+    for _ in range(2):
+        _link_folder(source, home / "0123abcd", home)
+    assert [path.name for path in home.iterdir()] == ["0123abcd"]
+    assert (home / "0123abcd" / "weights.safetensors").read_text() == "the same bytes"
