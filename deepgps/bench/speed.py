@@ -1,4 +1,4 @@
-"""Speed of positioning from raw images, and how little positions move when the robot turns."""
+"""Speed of positioning from polar images, and how little positions move when the robot turns."""
 
 import time
 from collections.abc import Callable
@@ -39,7 +39,7 @@ def measure_speed(positioner: NetworkPositioner, images: np.ndarray, repeats: in
         f"one core; 95 of 100 within {1e3 * float(np.percentile(one['ours'], 95)):.2f} ms; naive: a Fourier transform"
     )
     return [
-        Row("latency", "a position from one raw image", single["ours"], "ms", 1.0, naive=single["naive"], note=slow),
+        Row("latency", "a position from one polar image", single["ours"], "ms", 1.0, naive=single["naive"], note=slow),
         Row("rate", f"positions, {BATCH} at once", rate["ours"], "/s", 10_000, True, rate["naive"], "one core"),
     ]
 
