@@ -8,6 +8,8 @@ from matplotlib.figure import Figure
 from deepgps.studies.reports.diagnose import QUANTITIES, holds
 from deepgps.studies.table import Row
 
+UNITS = {"track_m": " [m]", "slip_per_m": " [m]"}
+"""Units of the quantities that have one."""
 HELD, MISSED = "#2a6f97", "#d1495b"
 
 
@@ -26,7 +28,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Figure:
             if some:
                 label = "interval holds" if held else "does not"
                 axes.errorbar(x, y, bars, fmt="o", color=colour, markersize=3, linewidth=0.8, alpha=0.7, label=label)
-        axes.set(title=title, xlabel="set", ylabel="found")
+        axes.set(title=title + UNITS.get(name, ""), xlabel="set", ylabel="found")
         axes.grid(alpha=0.25)
         if number == 0:
             axes.legend(frameon=False, fontsize=8)

@@ -81,7 +81,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw the maps with their obstacles, and the error of each method on them, on one scale."""
     maps = _by_map(rows, varied)
     methods = find_methods(rows)
-    picture = Picture(figsize=(4.0 * len(maps) + 0.8, 4.3 * len(methods)), layout="constrained")
+    picture = Picture(figsize=(4.0 * len(maps) + 0.8, 4.7 * len(methods)), layout="constrained")
     panels = picture.subplots(len(methods), len(maps), squeeze=False, sharex=True, sharey=True)
     for column, group in enumerate(maps.values()):
         for row in group:
