@@ -88,7 +88,7 @@ def make_recording(scenario: Scenario, folder: Path, progress: Report, base: Pat
     Args:
         scenario: The scenario.
         folder: The recording's folder.
-        progress: Told of driving and rendering.
+        progress: Called with the progress of driving and rendering.
         base: A recording with the same training drive, which is shared unless it is damaged; None: there is none.
     """
     if base is not None:

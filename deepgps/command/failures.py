@@ -71,9 +71,9 @@ def write_fault(error: BaseException, words: Sequence[str], folder: Path | None)
     Returns:
         The file; None if it could not be written anywhere.
     """
-    told = "".join(traceback.format_exception(error))
+    trace = "".join(traceback.format_exception(error))
     machine = f"Python {platform.python_version()}, {platform.platform()}"
-    text = f"deepgps {find_version()}, {machine}\n{list(words)}\n\n{told}"
+    text = f"deepgps {find_version()}, {machine}\n{list(words)}\n\n{trace}"
     for place in (folder, Path(tempfile.gettempdir())):
         with suppress(OSError):
             if place is not None and place.is_dir():

@@ -153,8 +153,8 @@ def apply_diagnosis(recording: Recording, diagnosis: Diagnosis) -> Recording:
 
     A track width that may be the one assumed stays: where turns by the wheels are noisy, it is known better.
     """
-    told = {name: diagnosis.quantities[name] for name in LEARNED_WITH}
-    known = {name: estimate.value for name, estimate in told.items() if estimate.known}
+    learned = {name: diagnosis.quantities[name] for name in LEARNED_WITH}
+    known = {name: estimate.value for name, estimate in learned.items() if estimate.known}
     if diagnosis.track_m.low <= diagnosis.odometry["track_m"] <= diagnosis.track_m.high:
         known.pop("track_m", None)
     odometry = {**recording.manifest.odometry, **known}

@@ -46,8 +46,8 @@ def take_diagnosed(recording: Recording, folder: Path) -> tuple[Recording, dict[
     diagnosis = diagnose_once(recording, folder)
     if diagnosis is None:
         return recording, {"diagnosed": None}
-    told = apply_diagnosis(mend_stuck(recording), diagnosis)
-    return told, {"diagnosed": {name: told.manifest.odometry.get(name) for name in LEARNED_WITH}}
+    mended = apply_diagnosis(mend_stuck(recording), diagnosis)
+    return mended, {"diagnosed": {name: mended.manifest.odometry.get(name) for name in LEARNED_WITH}}
 
 
 def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> None:

@@ -185,8 +185,8 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
     pose, predicted = truth.test_pose[known], predicted[known]
     heading = pose[..., 2]
     shared = heading[:1] == heading  # a drive reaches each place with a different heading
-    told = {name: part[known] for name, part in take_acceptance(maps.poses, maps.test.shape[:2]).items()}
-    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted, **told), alignment
+    trust = {name: part[known] for name, part in take_acceptance(maps.poses, maps.test.shape[:2]).items()}
+    return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted, **trust), alignment
 
 
 def _summarise(field: ErrorField, shorter_side_m: float) -> dict[str, Any]:

@@ -20,8 +20,8 @@ TRY_OUT = "This is a small run that shows the way only; its errors have no meani
 def judge_run(metrics: Mapping[str, Any]) -> list[str]:
     """Sentences on what is wrong with a run's results, one for all its methods and one for its drive; often none."""
     doubts = {title_of(name): find_doubts(values) for name, values in metrics["methods"].items()}
-    told = [f"{title} ({', '.join(reasons)})" for title, reasons in doubts.items() if reasons]
-    sentences = [f"Not converged: {'; '.join(told)}."] if told else []
+    doubtful = [f"{title} ({', '.join(reasons)})" for title, reasons in doubts.items() if reasons]
+    sentences = [f"Not converged: {'; '.join(doubtful)}."] if doubtful else []
     for name, values in metrics["methods"].items():
         turned = values.get("turned", {})
         if (part := describe_turned(turned)) and turned["share"] <= LARGEST_TURNED:

@@ -83,17 +83,17 @@ def markdown(run: Path) -> str:
 def describe(found: Mapping[str, Any]) -> list[str]:
     """What was driven, what the table holds, and what each method knows of its own map."""
     held_out = found.get("held_out")
-    told = (
+    summary = (
         f"{found['samples']} observations on {found['segments']} straight segments, {found['distance_driven_m']:.0f} m"
     )
     if held_out:
-        told += (
+        summary += (
             f"; held out and in the table: {held_out['samples']} on {held_out['segments']}, "
             f"{held_out['distance_driven_m']:.0f} m"
         )
     else:
-        told += "; none are held out, so the table tells only how well the segments were learned"
-    sentences = [f"{told}.", NO_ERRORS, _describe_new(found["methods"])]
+        summary += "; none are held out, so the table tells only how well the segments were learned"
+    sentences = [f"{summary}.", NO_ERRORS, _describe_new(found["methods"])]
     causes = (one.get("held_out", {}).get("causes") for one in found["methods"].values())
     sentences += [describe_causes(one) for one in causes if one is not None][:1]
     if (wheels := found.get("wheels")) is not None:

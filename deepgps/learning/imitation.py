@@ -23,8 +23,8 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float
 
     def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
         pull = max(0.0, 1.0 - done / IMITATE)
-        told = batch.valid & mapped[batch.index]
-        away = losses.distance(out[told], known[batch.index[told]])
+        used = batch.valid & mapped[batch.index]
+        away = losses.distance(out[used], known[batch.index[used]])
         count = max(1, len(away))
         imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
         return (1.0 - pull) * (loss(out, batch, done) + weight * leash) + pull * imitation

@@ -132,10 +132,10 @@ def _write(
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
-            told = {**about, **describe(config, source, drive, choice.train, len(choice.test.observation))}
-            told["notes"] = [*notes, *([damage] if damage else [])]
-            _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, told)
-        return told
+            described = {**about, **describe(config, source, drive, choice.train, len(choice.test.observation))}
+            described["notes"] = [*notes, *([damage] if damage else [])]
+            _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
+        return described
     raise InputError(f"{source.topic}: again and again, images are damaged")
 
 

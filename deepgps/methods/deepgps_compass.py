@@ -42,7 +42,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     Images of a camera that leans are set upright first.
     """
-    recording, told = take_diagnosed(recording, folder.parent)
+    recording, record = take_diagnosed(recording, folder.parent)
     turns = measure_turns(recording)
     assert turns.upright is not None
     data = prepare(recording, settings, seed, folder.parent, ignore_small(turns.upright))
@@ -73,7 +73,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     fitted = fit_data(data, variant, settings, seed, folder, progress)
     assert isinstance(fitted.positioner, NetworkPositioner)
     fitted = fitted._replace(positioner=replace(fitted.positioner, mount=find_mount(found)))
-    return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **told})
+    return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **record})
 
 
 def make_compass_map(data: TrainingData, turns: CompassTurns, seed: int) -> CompassMap:

@@ -18,11 +18,11 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS with weighted residuals; a segment on which the wheels disagree counts less."""
-    recording, told = take_diagnosed(recording, folder.parent)
+    recording, record = take_diagnosed(recording, folder.parent)
     data = prepare(recording, settings, seed, folder.parent)
     segments = expect_errors(recording, data.segments)
     variant = Variant(weigh=weigh_by_noise(segments.rounding_m2))
-    return fit_data(replace(data, segments=segments), variant, settings, seed, folder, progress).note(told)
+    return fit_data(replace(data, segments=segments), variant, settings, seed, folder, progress).note(record)
 
 
 def weigh_by_noise(rounding_m2: float) -> Callable[[Batch], Weights]:

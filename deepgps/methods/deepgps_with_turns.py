@@ -17,7 +17,7 @@ from sim.recording.format import Recording
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Train DeepGPS from the dead-reckoned path, with the chirality that the wheels' turns determine."""
-    recording, told = take_diagnosed(recording, folder.parent)
+    recording, record = take_diagnosed(recording, folder.parent)
     data, turns = prepare(recording, settings, seed, folder.parent), read_turns(recording)
 
     def start_from_path(
@@ -31,4 +31,4 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
 
     variant = Variant(make_initial_map=start_from_path, orient=orient)
-    return fit_data(data, variant, settings, seed, folder, progress).note(told)
+    return fit_data(data, variant, settings, seed, folder, progress).note(record)

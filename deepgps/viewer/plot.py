@@ -98,10 +98,10 @@ def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Se
     beside = [(-0.09, row - 0.035) for row in rows]  # a label is drawn below its point
     _put_text(stream, f"{path}/axes/y", beside, list(y.ticks.values()), at)
     _put_text(stream, f"{path}/axes/titles", [(WIDTH + 0.55 * LEGEND, 0.75), (0.1, -0.2)], [x.title, y.title], at)
-    told = [curve for curve in curves if curve.title]
-    height = min(ROW, ROWS / max(len(told), 1))
-    places = [(WIDTH + LEGEND / 2, height * row) for row in range(len(told))]
-    _put_text(stream, f"{path}/legend", places, [one.title for one in told], at, [one.colour for one in told])
+    titled = [curve for curve in curves if curve.title]
+    height = min(ROW, ROWS / max(len(titled), 1))
+    places = [(WIDTH + LEGEND / 2, height * row) for row in range(len(titled))]
+    _put_text(stream, f"{path}/legend", places, [one.title for one in titled], at, [one.colour for one in titled])
     for curve in curves:
         points = np.stack([WIDTH * x.share(curve.x), 1 - y.share(curve.y)], axis=1)
         line = rr.LineStrips2D([points], colors=[curve.colour], radii=rr.Radius.ui_points(1.2 if curve.title else 0.6))

@@ -170,23 +170,23 @@ class Renderers:
             try:
                 if not worker.pipe.poll():
                     break
-                told = worker.pipe.recv()
+                answer = worker.pipe.recv()
             except (EOFError, OSError):
                 return False
-            self._take(worker, told)
+            self._take(worker, answer)
         return True
 
-    def _take(self, worker: _Worker, told: float | Exception | None) -> None:
+    def _take(self, worker: _Worker, answer: float | Exception | None) -> None:
         """Handle a message: a sign of life with the longest silence [s], None for a finished part, or an exception."""
-        if isinstance(told, UnsteadyError):
-            self._draw_again(worker, told)
-        elif isinstance(told, Exception):
-            raise told
-        elif told is None:
+        if isinstance(answer, UnsteadyError):
+            self._draw_again(worker, answer)
+        elif isinstance(answer, Exception):
+            raise answer
+        elif answer is None:
             worker.parts.popleft()
             self.drawn += 1
         else:
-            self._longest_s = max(self._longest_s, told)
+            self._longest_s = max(self._longest_s, answer)
 
     def _draw_again(self, worker: _Worker, error: UnsteadyError) -> None:
         """Replace a worker that drew one image differently twice, and queue its parts again."""

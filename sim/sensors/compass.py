@@ -35,7 +35,7 @@ class Hypotheses:
     """Hypotheses of the angle turned between P pairs, the likeliest first; at most K for a pair, the others NaN.
 
     Attributes:
-        angle: Angle turned to the left (P, K) [rad]: from -pi to pi, or with whole turns where wheels told them.
+        angle: Angle turned to the left (P, K) [rad]: from -pi to pi, or with whole turns where wheels give them.
         std: Standard deviation of each angle (P, K) [rad].
         weight: Probability of each hypothesis (P, K): a pair's add up to 1, or to 0 where it has none.
         lean: Lean of the second camera against the first, to the second's right and forward (P, K, 2) [rad].

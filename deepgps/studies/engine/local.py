@@ -40,18 +40,18 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
                 assert isinstance(pipe, Connection)
                 plan, process = active[pipe]
                 try:
-                    told = pipe.recv()
+                    update = pipe.recv()
                 except (EOFError, OSError):  # the process has died, perhaps before it had read what it was given
                     failed[plan.run] = f"its process ended with {process.wait()}"
-                    told = Told(0, ended=True)
-                if told.failure:
-                    failed[plan.run] = told.failure
+                    update = Update(0, ended=True)
+                if update.failure:
+                    failed[plan.run] = update.failure
                 steps = count_steps(plan.scenario)
-                done[plan.run] = steps if told.ended else min(told.steps, steps)
+                done[plan.run] = steps if update.ended else min(update.steps, steps)
                 progress(f"steps of {len(plans)} runs", sum(done.values()), total)
-                if told.ended and waiting and process.poll() is None:
+                if update.ended and waiting and process.poll() is None:
                     active[pipe] = _give(pipe, waiting), process
-                elif told.ended:
+                elif update.ended:
                     pipe.close()  # which ends the process
                     process.wait()
                     del active[pipe]
@@ -63,7 +63,7 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     return failed
 
 
-class Told(NamedTuple):
+class Update(NamedTuple):
     """Message of a worker process: its run's training steps done, whether the run has ended, and why it failed."""
 
     steps: int
@@ -92,10 +92,10 @@ def _do(plan: Plan, folder: Path, plugins: Sequence[Path], pipe: Connection) -> 
     def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
         if total > 1:  # a training
             steps[label] = done
-            pipe.send(Told(sum(steps.values())))
+            pipe.send(Update(sum(steps.values())))
 
     failure = do_run(plan.scenario, folder / "runs" / plan.run, plan.recording, tell, plugins)
-    pipe.send(Told(sum(steps.values()), ended=True, failure=failure))
+    pipe.send(Update(sum(steps.values()), ended=True, failure=failure))
 
 
 def _give(pipe: Connection, waiting: list[Plan]) -> Plan:

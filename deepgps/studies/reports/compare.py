@@ -66,8 +66,8 @@ def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] |
         figures = [*driven, *errors, *spreads, *folded, f"{means['train_s']:.0f}"]
         cells.append([*kind, title_of(method), str(len(group)), *figures])
     follow = [name for name in varied if names and name not in names and not is_seed(name)]
-    told = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
-    return [tabulate([*kinds, "method", *ours], cells), *told, NOTE, *([ACCEPTED_NOTE] if accepted else [])]
+    dependent = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
+    return [tabulate([*kinds, "method", *ours], cells), *dependent, NOTE, *([ACCEPTED_NOTE] if accepted else [])]
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:

@@ -50,9 +50,9 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         rival = rivals.get(row["recording"]) if row["method"] != "posenet" else None
         ratios = [write(row[name] / rival[name] if rival else None, "") for name in ("rms_m", "median_m")]
         errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
-        told = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["map_off"], "%"), _said(row)]
-        told.append(write(row["seen"], "%"))
-        cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, *told])
+        extra = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["map_off"], "%"), _said(row)]
+        extra.append(write(row["seen"], "%"))
+        cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, *extra])
     return [tabulate(headings, cells), NOTE, _count(rows)]
 
 

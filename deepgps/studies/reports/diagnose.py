@@ -157,7 +157,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """Recall and precision above the stated size, false alarms, intervals, and errors of track width and ratios."""
     must = [(_accept(name), row["found"].split()) for row in rows for name in row["must"].split() if name != "alike"]
     every = [(name, row["found"].split()) for row in rows for name in row["set"].split() if name != "alike"]
-    told = [(name, _list_right(row)) for row in rows for name in row["found"].split()]
+    every_finding = [(name, _list_right(row)) for row in rows for name in row["found"].split()]
     none = [row for row in rows if not row["set"]]
     alike = [row for row in rows if row["set"] == "alike"]
     held = [np.mean([holds(row, name) for row in rows]) for name in QUANTITIES]
@@ -168,7 +168,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         "recall_all": share_of(
             f"the same with those too small to be detected, {len(every)}", [a in b for a, b in every]
         ),
-        "precision": share_of(f"right, of {len(told)} findings", [a in b for a, b in told]),
+        "precision": share_of(f"right, of {len(every_finding)} findings", [a in b for a, b in every_finding]),
         "false_alarms": Figure(
             f"alarms in {len(none)} without faults", sum(bool(row["found"]) for row in none), "count"
         ),

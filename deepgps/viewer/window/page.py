@@ -49,15 +49,15 @@ def _serve_page(port: int) -> Iterator[None]:
     """Run Rerun's own server, but only while this is entered, since it answers requests for any host name."""
     command = [find_viewer(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(port)]
     quiet = {**os.environ, "RUST_LOG": "error", "NO_COLOR": "1"}
-    with TemporaryFile("w+", errors="replace") as told:  # short; an error is its last line
+    with TemporaryFile("w+", errors="replace") as output:  # short; an error is its last line
         server = subprocess.Popen(
-            [*command, "--port", str(find_free_port())], stdout=told, stderr=told, env=quiet, start_new_session=True
+            [*command, "--port", str(find_free_port())], stdout=output, stderr=output, env=quiet, start_new_session=True
         )
         try:
             wait_for_port(port, server)
             if server.poll() is not None:
-                told.seek(0)
-                reason = ([line for line in told if line.strip()] or ["no reason given"])[-1].strip()
+                output.seek(0)
+                reason = ([line for line in output if line.strip()] or ["no reason given"])[-1].strip()
                 raise WorkError(f"the Rerun viewer's server exited with code {server.returncode} ({reason})")
             yield
         finally:
