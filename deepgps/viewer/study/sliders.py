@@ -120,10 +120,10 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
 
 def describe(names: Sequence[str], values: Sequence[Any], usual: Mapping[str, Any]) -> str:
     """Describe settings in words: text as it is, numbers and flags with their names; usual values are left out."""
-    settings_shown = zip(names, shorten([*names, SEED]), values, strict=False)  # SEED keeps a room's seed distinct from the run's
+    shown = zip(names, shorten([*names, SEED]), values, strict=False)  # SEED keeps a room's seed distinct from the run's
     return ", ".join(
         value if isinstance(value, str) else f"{short} {write(value)}"
-        for name, short, value in settings_shown
+        for name, short, value in shown
         if name not in usual or value != usual[name]
     )
 
