@@ -120,7 +120,7 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
 
 def describe(names: Sequence[str], values: Sequence[Any], usual: Mapping[str, Any]) -> str:
     """Describe settings in words: text as it is, numbers and flags with their names; usual values are left out."""
-    shown = zip(names, shorten([*names, SEED]), values, strict=False)  # SEED keeps a room's seed distinct from the run's
+    shown = zip(names, shorten([*names, SEED]), values, strict=False)  # SEED keeps a room's seed apart from the run's
     return ", ".join(
         value if isinstance(value, str) else f"{short} {write(value)}"
         for name, short, value in shown
