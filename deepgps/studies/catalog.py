@@ -40,9 +40,13 @@ REPORTS: dict[str, Report] = {
         {"rooms": "rooms:draw"},
         "rooms:measure",
         (
-            *("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins", "train_s"),
+            *(
+                f"{method}{name}"
+                for method in ("", "deepgps_compass_")
+                for name in ("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins")
+            ),
             *(f"{method}{name}_accepted_m" for method in ("", "deepgps_compass_") for name in ("rms", "max")),
-            *("posenet_rms_m", "posenet_median_m", "posenet_max_m"),
+            *("train_s", "posenet_rms_m", "posenet_median_m", "posenet_max_m"),
         ),
     ),
     "seeds": Report("seeds:report", {"seeds": "seeds:draw"}, "seeds:measure", ("unfolded", "found", "false_alarms")),
