@@ -25,7 +25,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 exclude_patterns = ["examples"]
-myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
 napoleon_use_rtype = False
 napoleon_use_ivar = True
