@@ -53,6 +53,7 @@ def test_what_is_sensed_does_not_hold_the_truth(folder):
         "observation_time",
         "others",
         "readings",
+        "breaks",
         "folder",
         "manifest",
         "observation",
