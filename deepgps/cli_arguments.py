@@ -337,9 +337,10 @@ def parse_seeds(text: str) -> list[int]:
     """Seeds from ``0-3`` or ``0,2,5``."""
     try:
         first, dash, last = text.partition("-")
-        seeds = [int(part) for part in text.split(",")] if not dash else []
         if dash:
             seeds = list(range(int(first), min(int(last), int(first) + MOST_SEEDS) + 1))
+        else:
+            seeds = [int(part) for part in text.split(",")]
     except ValueError:
         seeds = []
     if not seeds or min(seeds) < 0 or len(seeds) > MOST_SEEDS:

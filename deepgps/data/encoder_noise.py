@@ -17,7 +17,7 @@ import torch
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.segments import Segments, find_runs
 from sim.recording.format import Recording
-from sim.sensors.encoder import check_odometry, ticks_to_distance
+from sim.sensors.encoder import check_odometry, measure_tick
 from sim.sensors.encoder_faults import expect_bias, expect_variance
 from sim.settings import EncoderSettings
 
@@ -38,7 +38,7 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
     made_of = segments.index.diff(dim=1).clamp_min(1)
     grown = expect_variance(odometry, gap, made_of)
     variance = torch.nn.functional.pad(grown.cumsum(dim=1), (1, 0))
-    tick_m = float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
+    tick_m = measure_tick(odometry)
     doubt = torch.from_numpy(measure_wheel_disagreement(recording, tick_m, odometry.get("slip_per_m", 0.0))).float()
     weight = (DISAGREEMENT / doubt.clamp_min(DISAGREEMENT)).square()
     return replace(segments, variance=variance, rounding_m2=tick_m**2 / 12.0, weight=weight)

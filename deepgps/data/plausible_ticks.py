@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sim.errors import InputError
-from sim.sensors.encoder import ticks_to_distance
+from sim.sensors.encoder import measure_tick
 
 FASTER = 2.0
 """Largest speed of a wheel, as a multiple of the median. The simulator's drives reach 1.2."""
@@ -140,7 +140,7 @@ def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odome
     """Measure the pace from gaps (n, 2) [ticks], their durations (n,) [s] and whether they are on a segment (n,)."""
     speed = np.abs(gap.astype(float)) / seconds[:, None]
     usual = _median(speed[inside], LARGEST)
-    tick_m = _measure_tick(odometry)
+    tick_m = measure_tick(odometry)
     ahead, back = (((sign * gap[inside]) > 0).sum(axis=0) for sign in (1, -1))
     most = ONE_WAY * (ahead + back)
     return Pace(
@@ -217,17 +217,12 @@ def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -
             raise InputError(
                 f"reading.npy: the {name} wheel never counts on a segment, while the other does {other} times"
             )
-    speed_mps = pace.inside * _measure_tick(odometry)
+    speed_mps = pace.inside * measure_tick(odometry)
     if turned.any() and speed_mps > FASTEST_MPS:
         raise InputError(
             f"reading.npy, time.npy: the wheels drive {speed_mps:.3g} m/s in the median, and more than "
             f"{FASTEST_MPS:g} m/s is not believed; ticks, times or the manifest's odometry are wrong"
         )
-
-
-def _measure_tick(odometry: Mapping[str, Any]) -> float:
-    """Distance that a wheel travels in one tick [m]."""
-    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
 
 
 def _median(speed: np.ndarray, otherwise: float) -> float:

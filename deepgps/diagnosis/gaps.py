@@ -6,7 +6,7 @@ import numpy as np
 
 from deepgps.data.dead_reckoning import travel
 from sim.recording.format import Recording
-from sim.sensors.encoder import ticks_to_distance
+from sim.sensors.encoder import measure_tick
 
 STUCK_TICKS, STUCK_M = 6, 0.3
 """A wheel is stuck where it counts nothing while the other one counts this many ticks and travels this far [m]."""
@@ -60,7 +60,7 @@ def read_gaps(recording: Recording) -> Gaps:
     reading, odometry = recording.reading, recording.manifest.odometry
     ticks = np.diff(reading[:, 2:], axis=0)
     step = max(int(np.gcd.reduce(np.abs(ticks), axis=None)), 1)
-    tick_m = float(ticks_to_distance(np.array(step), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
+    tick_m = step * measure_tick(odometry)
     way, inside = np.diff(travel(reading[:, 2:], odometry), axis=0), np.diff(reading[:, 0]) == 0
     stuck = tuple(stretch for wheel in range(2) for stretch in find_stuck(way, inside, wheel, tick_m))
     good = np.ones(len(way), bool)

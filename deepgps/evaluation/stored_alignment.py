@@ -52,10 +52,10 @@ def read_alignment(folder: Path) -> Alignment:
     """
     path = folder / FILE
     evaluate = f"deepgps evaluate {folder.parent / 'scenario.yaml'} --out {folder.parent} writes it"
-    if is_older(folder.parent, RUN):
-        evaluate = "the run is of an earlier version: make it again, or take positions in the frame of the map"
     if not path.is_file():
-        raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {evaluate}")
+        again = "the run is of an earlier version: make it again, or take positions in the frame of the map"
+        remedy = again if is_older(folder.parent, RUN) else evaluate
+        raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {remedy}")
     values = read_json(path)
     try:
         rotation, translation = np.array(values["rotation"], float), np.array(values["translation_m"], float)

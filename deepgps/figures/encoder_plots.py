@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from deepgps.evaluation.segment_errors import measure_segments
 from deepgps.figures.style import SCREEN
 from sim.recording.format import Recording
-from sim.sensors.encoder import ticks_to_distance
+from sim.sensors.encoder import measure_tick
 from sim.settings import EncoderSettings, RobotSettings
 
 ENCODER, TRUE = "#ff9628", "#5aa0ff"
@@ -23,7 +23,7 @@ def describe_encoders(recording: Recording, pose: np.ndarray, drift: np.ndarray)
     """
     length, error = measure_segments(recording, pose)
     odometry = recording.manifest.odometry
-    tick_mm = 1000 * ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+    tick_mm = 1000 * measure_tick(odometry)
     driven_m = recording.manifest.distance_driven_m or length.sum()
     measured = {
         "one tick": f"{tick_mm:.3g} mm",

@@ -109,15 +109,23 @@ def measure_wheel_turns(recording: Recording) -> CompassTurns:
     return CompassTurns(angle, angle_std, jump, np.where(unknown, UNKNOWN_M, jump_std))
 
 
+def find_shared(recording: Recording) -> dict[int, int]:
+    """Turns that end at a reading whose image was taken before the turn: their numbers by the rows of the readings."""
+    if (turns := recording.turns) is None:
+        return {}
+    numbers = np.flatnonzero(turns.before == recording.reading[turns.after, 1])
+    return dict(zip(turns.after[numbers].tolist(), numbers.tolist(), strict=True))
+
+
 def _list_nodes(recording: Recording, turns: CompassTurns, curvature: float) -> list[_Node]:
-    every, usual_m = find_runs(recording), _find_usual_gap(recording)
+    every, usual_m, shared = find_runs(recording), _find_usual_gap(recording), find_shared(recording)
     numbers = [number for number, run in enumerate(every) if len(run) >= 2]
     nodes, pending = list[_Node](), None
     for row, number in enumerate(numbers):
-        _add_segment(nodes, recording, every[number], pending, curvature, usual_m)
+        _add_segment(nodes, recording, every[number], pending, curvature, usual_m, int(every[number][0]) in shared)
         if row + 1 < len(numbers):
-            follows = numbers[row + 1] == number + 1
-            pending = _add_turn(nodes, recording, turns, row, int(every[numbers[row + 1]][0]), follows)
+            reading, follows = int(every[numbers[row + 1]][0]), numbers[row + 1] == number + 1
+            pending = _add_turn(nodes, recording, turns, row, reading, shared.get(reading) if follows else None)
     return nodes
 
 
@@ -129,17 +137,25 @@ def _find_usual_gap(recording: Recording) -> float:
 
 
 def _add_segment(
-    nodes: list[_Node], recording: Recording, run: np.ndarray, pending: Motion | None, curvature: float, usual_m: float
+    nodes: list[_Node],
+    recording: Recording,
+    run: np.ndarray,
+    pending: Motion | None,
+    curvature: float,
+    usual_m: float,
+    shares: bool,
 ) -> None:
     """Add the images of a segment of these readings; ``pending`` leads to its first one, None: nothing is known.
+
+    If it ``shares`` its first image with the segment before, that image was taken before the turn; where it is not
+    there yet, nothing is known of that turn by itself, and it is left out.
 
     Noise that grows with a gap grows with the true one: a gap that was measured too short errs no less than others.
     """
     seen = recording.reading[run, 1].tolist()
     way, odometry = travel(recording.reading[run, 2:], recording.manifest.odometry), recording.manifest.odometry
     there = bool(nodes) and max(nodes[-1].observation, nodes[-2:][0].observation) == seen[0]
-    # an image from before a turn of which nothing is known by itself is left out
-    if not there and _find_turn(recording, int(run[0])) is None:
+    if not there and not shares:
         nodes.append(_Node(seen[0], NO_IMAGE, int(run[0]), pending))
         pending = STILL
     for number in range(1, len(run)):
@@ -151,7 +167,7 @@ def _add_segment(
 
 
 def _add_turn(
-    nodes: list[_Node], recording: Recording, turns: CompassTurns, row: int, reading: int, follows: bool
+    nodes: list[_Node], recording: Recording, turns: CompassTurns, row: int, reading: int, number: int | None
 ) -> Motion | None:
     """Add the images beside the turn after a segment.
 
@@ -161,7 +177,8 @@ def _add_turn(
         turns: All turns.
         row: Number of this one.
         reading: First reading after it.
-        follows: Whether no segment without a way is between.
+        number: Its number among the recording's turns, if it ends at the image from before it and no segment without a
+            way is between; None: it does not.
 
     Returns:
         The motion that is left to the beginning of the next segment; None: nothing is known of it.
@@ -169,7 +186,6 @@ def _add_turn(
     if turns.angle_std[row] >= UNKNOWN_RAD or turns.jump_std[row] >= UNKNOWN_M:
         return None
     jump, turn = _split(turns, row)
-    number = _find_turn(recording, reading) if follows else None
     if number is None or recording.turns is None:
         return compose(jump, turn)
     place = int(recording.turns.before[number])
@@ -187,16 +203,6 @@ def _split(turns: CompassTurns, row: int) -> tuple[Motion, Motion]:
     return make_motion(*way.tolist(), step_std_m=std), make_motion(
         0.0, turn_rad=float(turns.angle[row]), turn_std_rad=float(turns.angle_std[row])
     )
-
-
-def _find_turn(recording: Recording, reading: int) -> int | None:
-    """The turn in place at the first image of the segment that begins with this reading; None: there is none."""
-    if recording.turns is None:
-        return None
-    found = np.flatnonzero(
-        (recording.turns.after == reading) & (recording.turns.before == recording.reading[reading, 1])
-    )
-    return int(found[0]) if len(found) else None
 
 
 def drive_straight(wheels_m: np.ndarray, variance: float, curvature: float = 0.0) -> Motion:

@@ -160,11 +160,16 @@ def _weaken(fix: Fix, moved: float, turned: float) -> Fix:
     return replace(fix, position_std=fix.position_std / place, yaw_std=fix.yaw_std / yaw)
 
 
+def limit(evidence: np.ndarray, unsure: np.ndarray) -> np.ndarray:
+    """Evidence (K,), where ``unsure`` (K,) lowered alike, so that none of it exceeds ``MOST_BY_REFUSED``."""
+    excess = max(float(evidence[unsure].max(initial=0.0)) - MOST_BY_REFUSED, 0.0)
+    return evidence - np.where(unsure, excess, 0.0)
+
+
 def _hold_back(before: np.ndarray, evidence: np.ndarray) -> np.ndarray:
     """Evidence (K,) after an image that its method refuses: what was certain does not rise, and nothing becomes so."""
     certain = before > MOST_BY_REFUSED
-    excess = max(float(evidence[~certain].max(initial=0.0)) - MOST_BY_REFUSED, 0.0)
-    return np.where(certain, np.minimum(evidence, before), evidence - excess)
+    return np.where(certain, np.minimum(evidence, before), limit(evidence, ~certain))
 
 
 def _add_new(state: State, fix: Fix) -> State:

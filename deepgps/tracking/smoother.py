@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deepgps.tracking.filter import MOST_BY_REFUSED, MOST_EVIDENCE, State, advance, begin, see
+from deepgps.tracking.filter import MOST_BY_REFUSED, MOST_EVIDENCE, State, advance, begin, limit, see
 from deepgps.tracking.fix import Fix
 from deepgps.tracking.motion import SCALE_STD, Motion, invert
 from sim.geometry import wrap
@@ -64,8 +64,7 @@ def fuse(forward: State, backward: State) -> State:
     mean, covariance, squared = _combine(forward, one, backward, other)
     agreed = forward.evidence[one] + backward.evidence[other] + AGREEMENT - 0.5 * squared
     unsure = np.maximum(forward.evidence[one], backward.evidence[other]) <= MOST_BY_REFUSED
-    agreed -= np.where(unsure, max(float(agreed[unsure].max(initial=0.0)) - MOST_BY_REFUSED, 0.0), 0.0)
-    evidence = np.concatenate([forward.evidence, backward.evidence, agreed])
+    evidence = np.concatenate([forward.evidence, backward.evidence, limit(agreed, unsure)])
     return State(
         np.concatenate([forward.mean, backward.mean, mean]),
         np.concatenate([forward.covariance, backward.covariance, covariance]),

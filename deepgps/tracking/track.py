@@ -12,7 +12,7 @@ from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, headings_of
 from deepgps.progress import Report
-from deepgps.tracking.drive import Drive, mend_wheels, read_drive
+from deepgps.tracking.drive import Drive, find_shared, mend_wheels, read_drive
 from deepgps.tracking.filter import State, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fixes
 from deepgps.tracking.motion import Motion, mirror, move, rotate
@@ -186,11 +186,10 @@ def _follow(motions: Sequence[Motion | None], first: tuple[int, np.ndarray]) -> 
 def _reckon(recording: Recording, drive: Drive, mirrored: bool, first: tuple[int, np.ndarray]) -> np.ndarray:
     """Poses (M, 3) by the wheels alone, from the pose of the first image on."""
     number, pose = first
-    path = dead_reckon(recording)[drive.reading]
-    if (turns := recording.turns) is not None:  # an image may be from before the turn that ends at its reading
-        before = dict(zip(turns.after.tolist(), turns.before.tolist(), strict=True))
-        early = np.array([before.get(row) for row in drive.reading.tolist()]) == drive.observation
-        path[early, 2] = dead_reckon(recording)[drive.reading[early] - 1, 2]
+    every = dead_reckon(recording)
+    path = every[drive.reading]
+    early = np.isin(drive.reading, list(find_shared(recording))) & (drive.observation != NO_IMAGE)
+    path[early, 2] = every[drive.reading[early] - 1, 2]  # the image is from before the turn that ends at its reading
     path[:, 1:] *= -1.0 if mirrored else 1.0
     turn = rotate(np.array(pose[2] - path[number, 2]))
     found = np.column_stack([pose[:2] + (path - path[number])[:, :2] @ turn.T, path[:, 2] + pose[2] - path[number, 2]])

@@ -42,9 +42,9 @@ def load_room(path: Path) -> mujoco.MjSpec:
         raise InputError(f"{what}: {error}") from None
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise InputError(f"{what}: MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
-    if (floor := _find_floor(model)) is None or floor == mujoco.mjtGeom.mjGEOM_BOX:
+    if (floors := _find_floors(model)) <= {mujoco.mjtGeom.mjGEOM_BOX}:
         name = FLOOR if spec.geom(FLOOR) is None else f"{FLOOR}_below"
-        z_m = 0.0 if floor is None else -_BELOW_M
+        z_m = -_BELOW_M if floors else 0.0
         spec.worldbody.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1), pos=(0, 0, z_m), group=3)
     return spec
 
@@ -114,19 +114,20 @@ def _count_triangles(model: mujoco.MjModel) -> int:
     return int(model.mesh_facenum[drawn[drawn >= 0]].sum())
 
 
-def _find_floor(model: mujoco.MjModel) -> int | None:
-    """Type of the geom at z = 0 that collides and could carry the robot; a box only where nothing else does."""
+def _find_floors(model: mujoco.MjModel) -> set[mujoco.mjtGeom]:
+    """Types of the geoms with something horizontal at z = 0 that collides and could carry the robot."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = set()
     for geom in range(model.ngeom):
         if not (model.geom_contype[geom] & 1 or model.geom_conaffinity[geom] & 1):
             continue
-        kind, up, top = int(model.geom_type[geom]), data.geom_xmat[geom].reshape(3, 3)[2], data.geom_xpos[geom, 2]
+        kind = mujoco.mjtGeom(int(model.geom_type[geom]))
+        up, top = data.geom_xmat[geom].reshape(3, 3)[2], data.geom_xpos[geom, 2]
         if kind == mujoco.mjtGeom.mjGEOM_BOX and np.abs(up).max() > 0.9999:
             top += np.abs(up) @ model.geom_size[geom]
         elif kind != mujoco.mjtGeom.mjGEOM_HFIELD and (kind != mujoco.mjtGeom.mjGEOM_PLANE or up[2] <= 0.9999):
             continue
         if abs(top) < _SUPPORT_M:
             found.add(kind)
-    return min(found - {int(mujoco.mjtGeom.mjGEOM_BOX)}, default=max(found, default=None))
+    return found

@@ -79,6 +79,11 @@ def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: f
     return np.asarray(ticks) * (2 * np.pi * wheel_radius_m / ticks_per_rev)
 
 
+def measure_tick(odometry: Mapping[str, Any]) -> float:
+    """Distance that a wheel travels in one tick [m]."""
+    return float(ticks_to_distance(np.array(1), odometry["wheel_radius_m"], odometry["ticks_per_rev"]))
+
+
 def count_from_first(ticks: np.ndarray) -> np.ndarray:
     """Cumulative ticks (R, 2) int64, counted from the first reading if they are too large for a conversion to metres.
 

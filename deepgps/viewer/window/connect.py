@@ -2,13 +2,14 @@
 
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 from urllib.parse import urlsplit
 
 from sim.errors import InputError, WorkError
@@ -19,6 +20,12 @@ HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + bytes((0, 0, 0, 4, 0, 0, 0, 0, 0))
 """The opening of an HTTP/2 client: a fixed text and a settings frame, here empty. The server opens with a frame too."""
 OPENING_S = 60.0
 NO_WINDOW = "the Rerun viewer cannot open a window; without a display, --live HOST:PORT streams to a viewer elsewhere"
+
+
+def end_group(process: subprocess.Popen[Any], how: signal.Signals = signal.SIGKILL) -> None:
+    """End a process with a group of its own, and all that it has started: ``rerun`` itself starts the viewer."""
+    with suppress(ProcessLookupError):  # all have ended
+        os.killpg(process.pid, how)
 
 
 def find_url(address: str) -> str:

@@ -1,14 +1,13 @@
 """The files of Rerun's web viewer, which are embedded in its program and come from the program's own server."""
 
 import os
-import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from http.client import HTTPConnection, HTTPException
 from tempfile import TemporaryFile
 
-from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, wait_for_port
+from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_viewer, wait_for_port
 from deepgps.viewer.window.loopback import Served
 from sim.errors import WorkError
 
@@ -61,6 +60,5 @@ def _serve_page(port: int) -> Iterator[None]:
                 raise WorkError(f"the Rerun viewer's server exited with code {server.returncode} ({reason})")
             yield
         finally:
-            with suppress(ProcessLookupError):  # it has ended
-                os.killpg(server.pid, signal.SIGKILL)  # both: rerun is a script that starts the server
+            end_group(server)
             server.wait()

@@ -1,12 +1,9 @@
 """A picture of a recording's first tab: from Chromium if there is one, otherwise from the native viewer."""
 
-import os
 import shutil
-import signal
 import subprocess
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,7 +17,7 @@ from deepgps.run_folder import is_study
 from deepgps.viewer.pair.difference import CHANGE
 from deepgps.viewer.run.recording import lacks_truth
 from deepgps.viewer.window.chromium import Picture, find_chromium, open_page
-from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, has_display
+from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_viewer, has_display
 from deepgps.viewer.window.show import find_shown
 from deepgps.viewer.window.web import choose_ports, serve_recording
 from sim.errors import InputError, WorkError
@@ -111,8 +108,7 @@ def _take_natively(recording: Path, out: Path) -> bytes:
         except subprocess.TimeoutExpired:
             raise WorkError(f"the Rerun viewer took no screenshot within {PATIENCE_S:.0f} s") from None
         finally:
-            with suppress(ProcessLookupError):  # it has ended
-                os.killpg(viewer.pid, signal.SIGKILL)  # all: the virtual display has processes of its own
+            end_group(viewer)  # the virtual display has processes of its own
     if not out.is_file():
         lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
         raise WorkError(

@@ -1,17 +1,16 @@
 """Opening recordings in the viewer that came with rerun-sdk."""
 
-import os
+import shlex
 import signal
 import subprocess
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 from deepgps.run_folder import is_study
 from deepgps.viewer.pair.pair import write_pair
 from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.study.study import find_study
-from deepgps.viewer.window.connect import HOST, find_free_port, find_viewer, has_display
+from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_viewer, has_display
 from sim.errors import WorkError
 
 
@@ -31,7 +30,7 @@ def view(paths: Sequence[Path]) -> None:
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
     cure = (
         f"without a display, copy {recording} to a machine that has one, or run: "
-        f"deepgps view {' '.join(map(str, paths))} --web"
+        f"deepgps view {shlex.join(map(str, paths))} --web"
     )
     if not has_display():
         raise WorkError(f"the Rerun viewer cannot open a window; {cure}")
@@ -39,8 +38,7 @@ def view(paths: Sequence[Path]) -> None:
         try:
             _, said = viewer.communicate()
         except BaseException:
-            with suppress(ProcessLookupError):
-                os.killpg(viewer.pid, signal.SIGTERM)  # both: rerun is a script that starts the viewer
+            end_group(viewer, signal.SIGTERM)
             raise
     if viewer.returncode != 0:
         lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
