@@ -1,4 +1,4 @@
-"""Names that changed with schema 2: one table, which lets older runs and tables still be opened."""
+"""What older runs and recordings mean: names that changed with schema 2, and settings that they do not have."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -84,7 +84,15 @@ def translate(values: Mapping[str, Any]) -> dict[str, Any]:
         made["world"] = WORLDS.get(made["world"], made["world"])
     if isinstance(made.get("methods"), list):
         made["methods"] = [method_now(name) for name in made["methods"]]
-    return made
+    return complete(made)
+
+
+def complete(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Add to the resolved settings of a run in a room what they mean where they are older than ``drive.headings``."""
+    drive = values.get("drive")
+    if values.get("world", "room") != "room" or not isinstance(drive, Mapping):
+        return dict(values)
+    return {**values, "drive": {"headings": "random", **drive}}
 
 
 def translate_row(row: Mapping[str, Any]) -> dict[str, Any]:

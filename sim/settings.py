@@ -303,8 +303,12 @@ class DriveSettings(WithLater):
     turn_images: bool = True
     """Whether the robot takes a second image after each turn in place, from which the angle turned is measured; these
     are not counted in samples."""
+    headings: Literal["explore", "random"] = "explore"
+    """explore: of some random headings the robot takes the one that leads over the floor that it has not visited for
+    longest, by its wheels; random: it takes any heading, as in the paper."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Probability of turning into an opening that the robot passes."""
+    """Probability of turning into a gap that the robot passes; into one behind which it has not been for longer than
+    ahead it turns always, unless headings are random."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
     mixed_light: bool = False
@@ -510,7 +514,7 @@ class SimSettings(Group):
         return self
 
 
-DRIVES_IN_ROOMS = ("strategy", "lengths", "enter", "search", "arcs", "stop_distance_m")
+DRIVES_IN_ROOMS = ("strategy", "lengths", "headings", "enter", "search", "arcs", "stop_distance_m")
 """Settings of the drive that a robot in a plane, which has no range finder, does not use."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),

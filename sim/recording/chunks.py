@@ -6,6 +6,7 @@ import numpy as np
 
 from sim.recording.turns import KINDS
 from sim.robot.drive import DriveMode, Segment, next_segment
+from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
 from sim.settings import SimSettings
 
@@ -20,16 +21,19 @@ def drive_chunk(
     if before is None:
         world.start(rng)
         segments = observations = 0
-        mode = DriveMode()
+        mode, visits = DriveMode(), Visits(world.body, world.wheel_angle())
     else:
         world.set_state(before["world_state"])
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
         mode = DriveMode(bool(before["continues"]), before["mode"].item(), int(before["side"]))
+        visits = Visits(world.body, world.wheel_angle())
+        if "visit_angle" in before:  # a drive with random headings may have begun before there were visits
+            visits.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
     wanted = settings.drive.samples + settings.grid.held_out
     while observations - first < CHUNK and observations < wanted:
-        segment = next_segment(world, settings.drive, rng, mode)
+        segment = next_segment(world, settings.drive, rng, mode, visits)
         driven.append(_number(segment, segments, observations))
         observations += len(driven[-1]["state"])
         segments, mode = segments + 1, segment.mode
@@ -44,6 +48,7 @@ def drive_chunk(
         "continues": np.array(mode.continues),
         "mode": np.array(mode.kind),
         "side": np.array(mode.side),
+        **visits.state(),
         "world_state": world.state(),
         "rng_state": np.array(json.dumps(rng.bit_generator.state)),
     }

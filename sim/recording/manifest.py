@@ -56,8 +56,11 @@ class Manifest(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _by_todays_names(cls, values: Any) -> Any:
-        if not isinstance(values, Mapping) or values.get("schema") != 1:
+        if not isinstance(values, Mapping):
             return values
+        if values.get("schema") != 1:
+            settings = values.get("settings")
+            return {**values, "settings": renamed.complete(settings)} if isinstance(settings, Mapping) else values
         parts = {name: values.get(name, {}) for name in ("settings", "odometry")}
         if not all(isinstance(part, Mapping) for part in parts.values()):
             return values  # which the fields' own checks refuse

@@ -1,14 +1,14 @@
 """The drive: turn in place, drive straight until something stops the robot, and repeat.
 
-It uses only wheel angles, ranges and the bumper.
+It uses only wheel angles, ranges and the bumper: the same code could drive the real robot.
 
-Headings are drawn at random, but a robot that only bounces around seldom finds a region whose entrance is hardly wider
-than itself. So the robot turns into some of the gaps that it passes, and now and then it searches for a while: after
-every segment it turns back to one side as far as it can, and it stops at every gap on that side.
+Of a few random headings the robot takes the one that leads over the floor that it has not visited for longest, by dead
+reckoning. Even so it seldom finds a region whose entrance is hardly wider than itself. So it turns into some of the
+gaps that it passes, and now and then it searches for a while: after every segment it turns back to one side as far as
+it can, and it stops at every gap on that side.
 
-The drive knows neither a position nor a map: the same code could drive the real robot. Each call of `next_segment`
-starts and ends with the robot at rest and keeps only a `DriveMode`, so that a drive can be interrupted and continued
-after any segment.
+Each call of `next_segment` starts and ends with the robot at rest and keeps only a `DriveMode` and the `Visits`, so
+that a drive can be interrupted and continued after any segment.
 """
 
 from collections.abc import Iterator
@@ -20,6 +20,7 @@ import numpy as np
 from sim.errors import WorkError
 from sim.geometry import planar_pose
 from sim.robot.gaps import Gaps
+from sim.robot.headings import SHORTEST_M, DriveMode, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,
@@ -32,32 +33,18 @@ from sim.robot.motion import (
     look,
     ramp,
     travelled,
-    turn,
 )
-from sim.robot.range_finder import REACH_M
+from sim.robot.visits import Visits
 from sim.settings import DriveSettings
 
 Ended = Literal["length", "gap", "range", "contact", "stall"]
 TOUCHED = ("contact", "stall")
 """After these endings the robot is no longer where it took its last sample."""
-Mode = Literal["chance", "enter", "search"]
 
 STRAIGHTEN_PER_S = 4.0
 """Gain that keeps the wheel angles equal: difference of the speeds over difference of the angles [1/s]."""
-SHARES = (1.0, 0.5, 0.25, 0.125)
-"""In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
-CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
-"""Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
-FURTHER_RAD = 0.3
-"""After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
-SHORTEST_M = 0.16
-"""A heading is accepted when at least this distance is clear ahead [m]."""
 SEARCHED = 20
 """Average number of segments in a search."""
-TOWARDS_RAD = 0.6 * np.pi
-"""To search, the robot turns by this to one side, then back until the path is clear [rad]."""
-GRAZE_RAD = 0.05
-"""In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
 ARC_M, ARC_RADIUS_M = (0.3, 1.5), (0.3, 1.5)
 """Shortest and longest arc, and its smallest and largest radius [m]."""
 UNCERTAIN_M = 0.12
@@ -70,16 +57,6 @@ TRIES = 500
 WEDGED = 20
 """When the robot is wedged between two legs, its wheels slip and a full turn barely turns it. It rolls back and tries
 again at most this many times before it is relocated to the start, as if a person carried it."""
-
-
-class DriveMode(NamedTuple):
-    """Where the next segment goes, and what it must know about the last one."""
-
-    continues: bool = False
-    """Whether the robot is where the last segment ended."""
-    kind: Mode = "chance"
-    side: int = 0
-    """Side of the gap to enter, or side to search: 1 left, -1 right."""
 
 
 class Sample(NamedTuple):
@@ -125,14 +102,16 @@ class Segment:
 
 def drive(robot: Robot, settings: DriveSettings, rng: np.random.Generator) -> Iterator[Segment]:
     """Drive forever, one segment after another."""
-    mode = DriveMode()
+    mode, visits = DriveMode(), Visits(robot.body, robot.wheel_angle())
     while True:
-        segment = next_segment(robot, settings, rng, mode)
+        segment = next_segment(robot, settings, rng, mode, visits)
         mode = segment.mode
         yield segment
 
 
-def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> Segment:
+def next_segment(
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
+) -> Segment:
     """Turn to a clear heading and drive one straight segment of at least two samples.
 
     Args:
@@ -140,6 +119,7 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
         settings: How to drive and when to sample.
         rng: Draws headings, arcs, when to enter or search, and the heading of a relocated robot.
         mode: The last segment's mode, or a new one.
+        visits: What the robot has visited so far; this segment is added.
 
     Raises:
         WorkError: the robot is stuck.
@@ -147,22 +127,25 @@ def next_segment(robot: Robot, settings: DriveSettings, rng: np.random.Generator
     wedged = relocated = 0
     after_arc = False
     for _ in range(TRIES):
-        while (stop_m := _turn_to_clear(robot, settings, rng, mode)) is None:
+        while (stop_m := turn_to_clear(robot, settings, rng, mode, visits)) is None:
             mode = mode._replace(continues=False)
             wedged += 1
             if wedged <= WEDGED:
-                back_off(robot, settings)
+                _back_off(robot, settings, visits)
             elif not relocated:
                 robot.carry(rng)
+                visits.forget()
                 wedged, relocated = 0, 1
             else:
                 raise WorkError(f"the robot is stuck at {robot.time():.1f} s: nothing is clear all around")
         if settings.arcs and mode.kind != "enter" and _may_drive_arc(robot, settings, rng):
+            visits.move(robot.wheel_angle())
             mode, after_arc = mode._replace(continues=False), True
             continue
-        segment = _go_straight(robot, settings, rng, stop_m, mode)
+        segment = _go_straight(robot, settings, rng, stop_m, mode, visits)
+        visits.pass_over(robot.wheel_angle())
         if segment.ended in TOUCHED:
-            back_off(robot, settings)
+            _back_off(robot, settings, visits)
         if len(segment.time) >= 2:
             return replace(segment, relocated=relocated, after_arc=after_arc)
         mode = segment.mode._replace(continues=False)
@@ -177,38 +160,13 @@ def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     return drive_arc(robot, settings, length_m, side / radius_m)
 
 
-def _turn_to_clear(robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode) -> float | None:
-    """Turn as the mode says, then on until enough is clear ahead.
-
-    Returns:
-        Distance to leave ahead of the body [m]: the settings' stopping distance, or less if a full turn found nothing
-        clear; None if no heading is clear even then.
-    """
-    angle, sense, further_rad = _aim(rng, mode)
-    turn(robot, settings, angle)
-    for share in SHARES:
-        enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
-        # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
-        # less far past it.
-        for caution in CAUTION:
-            if look(robot, REACH_M) - stop_m >= enough_m:
-                return stop_m
-            further = sense * rng.uniform(0.0, further_rad) * caution
-            if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
-                break
-    return None
-
-
-def _aim(rng: np.random.Generator, mode: DriveMode) -> tuple[float, float, float]:
-    """Angle to turn [rad], direction to turn on in if that is not clear, and how far to turn past what blocks [rad]."""
-    if mode.kind == "search":
-        return mode.side * TOWARDS_RAD, -mode.side, GRAZE_RAD
-    angle = mode.side * np.pi / 2 if mode.kind == "enter" else rng.uniform(-np.pi, np.pi)
-    return angle, np.sign(angle), FURTHER_RAD
+def _back_off(robot: Robot, settings: DriveSettings, visits: Visits) -> None:
+    back_off(robot, settings)
+    visits.move(robot.wheel_angle())
 
 
 def _go_straight(
-    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, stop_m: float, mode: DriveMode, visits: Visits
 ) -> Segment:
     """Drive straight until the length, a gap, the ranges, the bumper or a stall stops the robot, and take the samples.
 
@@ -218,15 +176,18 @@ def _go_straight(
         rng: Decides at which gaps to stop, and how to continue.
         stop_m: Distance to leave ahead of the body [m].
         mode: Whether the segment continues the last one, and which side to search.
+        visits: What the robot had visited before this segment.
     """
     period, spacing = CONTROL_PERIOD_S, settings.spacing_m
     start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
     speed = travelled_m = slip_from_m = held_s = 0.0
     seen_m, length_m, gap = np.inf, _draw_length(settings, rng), 0
+    explores = settings.headings == "explore"
     if mode.kind == "search":
         gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m, robot.body.radius_m), 1.0
     else:
-        gaps, heed = Gaps((1, -1) if settings.enter > 0.0 else (), None, robot.body.radius_m), settings.enter
+        looks = explores or settings.enter > 0.0
+        gaps, heed = Gaps((1, -1) if looks else (), None, robot.body.radius_m), settings.enter
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M
@@ -236,7 +197,7 @@ def _go_straight(
         if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
             seen_m, slip_from_m = clear_m, travelled_m
         for side in gaps.find(robot, travelled_m) if not gap else ():
-            if rng.uniform() < heed:
+            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, travelled_m, stop_m)):
                 gap, length_m = side, min(length_m, travelled_m + speed**2 / (2 * ACCELERATION_MPS2))
         rest_m = min(length_m - travelled_m, clear_m)
         if ended := _why_stop(robot.bumped(), held_s, travelled_m - slip_from_m, clear_m, rest_m):

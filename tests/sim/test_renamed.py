@@ -12,6 +12,7 @@ from sim import renamed
 from sim.errors import InputError
 from sim.files import read_json, sha256, write_json, write_lines
 from sim.recording.format import open_recording, open_truth
+from sim.recording.manifest import Manifest
 from tests.helpers.toy import make_toy
 
 
@@ -45,6 +46,24 @@ def test_a_run_made_before_is_opened_and_a_scenario_of_before_is_not_made(tmp_pa
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(InputError, match=r"encoder\.gap_noise: it is called encoder\.step_noise now"):
         load_scenario(str(tmp_path / "mine.yaml"), {})
+
+
+def test_a_run_older_than_exploring_has_random_headings(tmp_path: Path):
+    scenario = load_scenario("tiny", {})
+    text = write_out(scenario)
+    assert open_run(write_run(tmp_path / "new", text)) == scenario
+    old = open_run(write_run(tmp_path / "old", text.replace("  headings: explore\n", "")))
+    assert old.drive == scenario.drive.model_copy(update={"headings": "random"})
+    settings = {"drive": {"samples": 200}}
+    assert Manifest(settings=settings).settings == {"drive": {"samples": 200, "headings": "random"}}
+    in_a_plane = {"world": "obstacles", **settings}
+    assert Manifest(settings=in_a_plane).settings == in_a_plane
+
+
+def write_run(folder: Path, text: str) -> Path:
+    folder.mkdir()
+    write_lines(folder / "scenario.yaml", text)
+    return folder
 
 
 def test_a_recording_of_schema_1_is_opened(tmp_path: Path):

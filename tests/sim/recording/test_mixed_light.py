@@ -14,7 +14,7 @@ from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettin
 SMALL = SimSettings(
     room=RoomSettings(kind="bedroom", width_m=3.6, depth_m=3.2, seed=3),
     camera=CameraSettings(rings=8, sectors=32, face_px=16),
-    drive=DriveSettings(samples=60),
+    drive=DriveSettings(samples=60, longest_m=0.5),
     grid=GridSettings(spacing_m=1.0, headings=1),
 )
 

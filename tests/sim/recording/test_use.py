@@ -79,7 +79,7 @@ def small_chunks() -> object:
 
 @pytest.fixture(scope="module")
 def plain(small_settings: SimSettings) -> SimSettings:
-    drive = DriveSettings(samples=SAMPLES)
+    drive = DriveSettings(samples=SAMPLES, longest_m=0.5)  # so that each drive has two chunks
     return small_settings.model_copy(update={"drive": drive, "grid": GridSettings(spacing_m=0.8, headings=1)})
 
 
@@ -171,7 +171,7 @@ def test_what_the_mount_leaves_open_is_as_in_training(plain):
 def test_derived_is_as_collected(samples: int, in_use: int, sound, tmp_path):
     settings = sound[0].model_copy(
         update={
-            "drive": DriveSettings(samples=samples),
+            "drive": sound[0].drive.model_copy(update={"samples": samples}),
             "encoder": FAULTY,
             "image_faults": NOISY,
             "deployment": DeploymentSettings(drive_samples=in_use),

@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 from sim.errors import WorkError
-from sim.robot.drive import TOUCHED, UNCERTAIN_M, DriveMode, Segment, _go_straight, drive, next_segment
+from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
+from sim.robot.drive import next_segment as drive_segment
+from sim.robot.headings import DriveMode
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE
+from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
-from sim.settings import DriveSettings, SimSettings
+from sim.settings import DriveSettings, RoomSettings, SimSettings
 from tests.helpers.small_room import HALF_X, HALF_Y, add_box, furnished, walls
 
 SEED = 5
@@ -27,6 +30,11 @@ def make_world(room: mujoco.MjSpec, pose=(0.0, 0.0, 0.0), **drive_settings) -> R
 def take(world, count: int, seed: int = SEED) -> list[Segment]:
     settings = getattr(world, "settings", SimSettings()).drive
     return list(itertools.islice(drive(world, settings, np.random.default_rng(seed)), count))
+
+
+def next_segment(robot, settings, rng, mode) -> Segment:
+    """The next segment of a robot that has visited nothing."""
+    return drive_segment(robot, settings, rng, mode, Visits(robot.body, robot.wheel_angle()))
 
 
 def distances(segment: Segment) -> np.ndarray:
@@ -62,14 +70,17 @@ def test_drive_needs_no_truth():
 
 def test_resumed_drive_is_the_uninterrupted_one():
     rng, world = np.random.default_rng(SEED), make_world(furnished())
-    before = [next_segment(world, world.settings.drive, rng, DriveMode())]
-    before.append(next_segment(world, world.settings.drive, rng, before[-1].mode))
+    visits = Visits(world.body, world.wheel_angle())
+    before = [drive_segment(world, world.settings.drive, rng, DriveMode(), visits)]
+    before.append(drive_segment(world, world.settings.drive, rng, before[-1].mode, visits))
     state, chance, mode = world.state(), rng.bit_generator.state, before[-1].mode
     fresh, generator = make_world(furnished()), np.random.default_rng()
     fresh.set_state(state)
     generator.bit_generator.state = chance
-    resumed = [next_segment(fresh, fresh.settings.drive, generator, mode)]
-    resumed.append(next_segment(fresh, fresh.settings.drive, generator, resumed[-1].mode))
+    remembered = Visits(fresh.body, fresh.wheel_angle())
+    remembered.set_state(visits.state())
+    resumed = [drive_segment(fresh, fresh.settings.drive, generator, mode, remembered)]
+    resumed.append(drive_segment(fresh, fresh.settings.drive, generator, resumed[-1].mode, remembered))
     whole = take(make_world(furnished()), 4)
     assert all(same(a, b) for a, b in zip(before + resumed, whole, strict=True))
 
@@ -293,7 +304,8 @@ def cupboard(mouth_m: float) -> mujoco.MjSpec:
 def test_turns_into_an_opening_that_it_passes():
     world = make_world(cupboard(0.3), (-1.5, -0.2, 0.0), enter=1.0)
     settings, rng = world.settings.drive, np.random.default_rng(SEED)
-    past = _go_straight(world, settings, rng, settings.stop_distance_m, DriveMode())
+    visits = Visits(world.body, world.wheel_angle())
+    past = _go_straight(world, settings, rng, settings.stop_distance_m, DriveMode(), visits)
     assert past.ended == "gap"
     assert past.mode == DriveMode(True, "enter", 1)
     assert past.pose[-1, 0] == pytest.approx(0.0, abs=0.08)
@@ -302,7 +314,7 @@ def test_turns_into_an_opening_that_it_passes():
 
 
 def test_without_chance_to_enter_or_search_it_never_stops_at_openings():
-    segments = take(make_world(cupboard(0.3), enter=0.0, search=0.0), 12)
+    segments = take(make_world(cupboard(0.3), headings="random", enter=0.0, search=0.0), 12)
     assert all(segment.ended != "gap" and segment.mode.kind == "chance" for segment in segments)
 
 
@@ -310,7 +322,8 @@ def test_without_chance_to_enter_or_search_it_never_stops_at_openings():
 def test_enters_a_region_that_random_headings_seldom_find():
     """A mouth of 0.36 m in a wall of a bare room: in five minutes, from more seeds than by random headings alone."""
     entered = [seconds_to_enter(seed, 0.36) < 300.0 for seed in range(6)]
-    at_random = [seconds_to_enter(seed, 0.36, enter=0.0, search=0.0) < 300.0 for seed in range(6)]
+    chance = {"headings": "random", "enter": 0.0, "search": 0.0}
+    at_random = [seconds_to_enter(seed, 0.36, **chance) < 300.0 for seed in range(6)]
     assert sum(entered) > sum(at_random) + 1
 
 
@@ -333,9 +346,35 @@ def test_random_driving_is_quiet_and_covers_the_room():
             break
     assert not world.data.warning.number.any()
     driven = np.concatenate(places)[:, :2]
-    x, y = np.meshgrid(np.arange(-1.9, 1.9, 0.1), np.arange(-1.4, 1.4, 0.1))
+    assert share_covered(world, driven) > 0.9
+    assert world.is_free(driven).mean() > 0.99
+
+
+def test_exploring_covers_a_room_sooner_than_random_headings():
+    assert cover_studio(50.0) > cover_studio(50.0, headings="random") + 0.1
+
+
+def cover_studio(distance_m: float, **drive_settings) -> float:
+    """Share of a generated room that is covered after a distance, a mean over two seeds."""
+    shares = []
+    for seed in range(2):
+        settings = SimSettings(room=RoomSettings(kind="studio", seed=34), drive=DriveSettings(**drive_settings))
+        world, rng = RoomWorld(settings, drawn=False), np.random.default_rng(seed)
+        world.start(rng)
+        driven, driven_m = [], 0.0
+        for segment in drive(world, settings.drive, rng):
+            driven.append(segment.pose[:, :2])
+            driven_m += distances(segment)[-1]
+            if driven_m > distance_m:
+                break
+        shares.append(share_covered(world, np.concatenate(driven)))
+    return float(np.mean(shares))
+
+
+def share_covered(world: RoomWorld, driven: np.ndarray) -> float:
+    """Share of the reachable floor within 0.25 m of positions (n, 2) [m]."""
+    low, high = world.bounds
+    x, y = np.meshgrid(np.arange(low[0], high[0], 0.1), np.arange(low[1], high[1], 0.1))
     cells = np.stack([x, y], axis=-1).reshape(-1, 2)
     cells = cells[world.free_space.is_reachable(cells)]
-    distance = np.linalg.norm(cells[:, None] - driven[None], axis=-1).min(axis=1)
-    assert (distance < 0.25).mean() > 0.7
-    assert world.is_free(driven).mean() > 0.99
+    return float((np.linalg.norm(cells[:, None] - driven[None], axis=-1).min(axis=1) < 0.25).mean())

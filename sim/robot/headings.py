@@ -1,0 +1,103 @@
+"""Where the next segment goes: a gap, one side in a search, or where the robot has not been for longest."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from sim.robot.motion import Robot, look, turn
+from sim.robot.range_finder import REACH_M
+from sim.robot.visits import Visits
+from sim.settings import DriveSettings
+
+Mode = Literal["chance", "enter", "search"]
+
+SHARES = (1.0, 0.5, 0.25, 0.125)
+"""In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
+CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
+"""Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
+FURTHER_RAD = 0.3
+"""After the first clear heading the robot turns on by up to this [rad], so as not to graze what blocked it."""
+SHORTEST_M = 0.16
+"""A heading is accepted when at least this distance is clear ahead [m]."""
+HEADINGS = 12
+"""Random headings among which the robot chooses."""
+TOWARDS_RAD = 0.6 * np.pi
+"""To search, the robot turns by this to one side, then back until the path is clear [rad]."""
+GRAZE_RAD = 0.05
+"""In a search the robot turns on past the first clear heading by only this at most [rad], so that it grazes walls."""
+
+
+class DriveMode(NamedTuple):
+    """Where the next segment goes, and what it must know about the last one."""
+
+    continues: bool = False
+    """Whether the robot is where the last segment ended."""
+    kind: Mode = "chance"
+    side: int = 0
+    """Side of the gap to enter, or side to search: 1 left, -1 right."""
+
+
+def turn_to_clear(
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
+) -> float | None:
+    """Turn as the mode says, then on until enough is clear ahead.
+
+    Returns:
+        Distance to leave ahead of the body [m]: the settings' stopping distance, or less if a full turn found nothing
+        clear; None if no heading is clear even then.
+    """
+    angle, sense, further_rad = _aim(robot, settings, rng, mode, visits)
+    turn(robot, settings, angle)
+    for share in SHARES:
+        enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
+        # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
+        # less far past it.
+        for caution in CAUTION:
+            if look(robot, REACH_M) - stop_m >= enough_m:
+                visits.move(robot.wheel_angle())
+                return stop_m
+            further = sense * rng.uniform(0.0, further_rad) * caution
+            if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
+                break
+    visits.move(robot.wheel_angle())
+    return None
+
+
+def is_staler_aside(robot: Robot, visits: Visits, side: int, travelled_m: float, stop_m: float) -> bool:
+    """Whether what lies to one side has not been visited for longer than what lies ahead.
+
+    Args:
+        robot: The robot, on a straight segment.
+        visits: What it had visited before the segment.
+        side: 1 left, -1 right.
+        travelled_m: Distance travelled in the segment [m].
+        stop_m: Distance to leave ahead of the body [m].
+    """
+    aside = side * np.pi / 2
+    ahead_m, aside_m = look(robot, REACH_M) - stop_m, look(robot, REACH_M, aside) - stop_m
+    if aside_m < SHORTEST_M:
+        return False
+    return visits.staleness(aside, aside_m, travelled_m) > visits.staleness(0.0, ahead_m, travelled_m)
+
+
+def _aim(
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, mode: DriveMode, visits: Visits
+) -> tuple[float, float, float]:
+    """Angle to turn [rad], direction to turn on in if that is not clear, and how far to turn past what blocks [rad]."""
+    if mode.kind == "search":
+        return mode.side * TOWARDS_RAD, -mode.side, GRAZE_RAD
+    angle = mode.side * np.pi / 2 if mode.kind == "enter" else _choose_heading(robot, settings, rng, visits)
+    return angle, np.sign(angle), FURTHER_RAD
+
+
+def _choose_heading(robot: Robot, settings: DriveSettings, rng: np.random.Generator, visits: Visits) -> float:
+    """Of some random headings, the one that leads over what was not visited for longest [rad], to the left of ahead."""
+    if settings.headings == "random":
+        return rng.uniform(-np.pi, np.pi)
+    drawn = rng.uniform(-np.pi, np.pi, HEADINGS)
+    clear_m = [look(robot, REACH_M, angle) - settings.stop_distance_m for angle in drawn]
+    stale = [
+        visits.staleness(angle, ahead_m) if ahead_m >= SHORTEST_M else 0.0
+        for angle, ahead_m in zip(drawn, clear_m, strict=True)
+    ]
+    return float(drawn[np.argmax(stale)])
