@@ -4,6 +4,10 @@ Along a segment, the difference of the wheels' readings is a random walk by slip
 speed and behind it by slip and by the noise of gaps. Both are seen through the rounding to ticks. A Kalman filter of
 this local level model gives the likelihood (Durbin and Koopman, "Time series analysis by state space methods", 2012,
 sec. 2), which one parameter maximises; its interval is that of the likelihood ratio.
+
+The model takes errors of rounding for independent, but where a gap is nearly a whole number of ticks they hardly change
+from one reading to the next, and then jump by a tick: this looks like slip. Rounding is bounded, though: runs that all
+stay within it tell of no slip and no noise.
 """
 
 from collections.abc import Callable
@@ -22,6 +26,8 @@ ROUNDINGS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
 """Variances of rounding that are tried, as multiples of that of independent wheels: both may round alike."""
 FINE_M = 2e-4
 """Ticks so short that their rounding need not be known well [m]."""
+BEYOND = 0.02
+"""Share of the runs that may leave what rounding alone can give: somebody touched the robot."""
 CHI2_95 = 3.841
 FARTHEST = 4.0
 """Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted."""
@@ -75,7 +81,7 @@ def fit_slip(gaps: Gaps) -> Fit:
     """
     apart, mean = gaps.way[:, 1] - gaps.way[:, 0], gaps.way.mean(axis=1)
     runs = _collect(apart, mean, {"g": np.abs(mean)}, _list_runs(gaps, 0, 0))
-    return _fit(runs, lambda s: 2.0 * s**2 * runs.size["g"], gaps.tick_m**2 / 6.0)
+    return _fit(runs, lambda s: 2.0 * s**2 * runs.size["g"], gaps.tick_m**2 / 6.0, 1.5 * gaps.tick_m)
 
 
 def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
@@ -90,7 +96,7 @@ def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
     g = np.abs(speed) * gaps.seconds
     runs = _collect(mean, gaps.seconds, {"g": g, "square": g**2 / gaps.made_of}, inner)
     slipped = slip_per_m**2 / 2.0 * runs.size["g"]
-    return _fit(runs, lambda w: slipped + w**2 * runs.size["square"], gaps.tick_m**2 / 24.0)
+    return _fit(runs, lambda w: slipped + w**2 * runs.size["square"], gaps.tick_m**2 / 24.0, 1.2 * gaps.tick_m)
 
 
 def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
@@ -123,8 +129,16 @@ def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], r
     return Runs(level, drifted, sizes, valid)
 
 
-def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float) -> Fit:
-    """Maximise the likelihood over the standard deviation that ``grow`` turns into the variance of each gap."""
+def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, width_m: float) -> Fit:
+    """Maximise the likelihood over a standard deviation.
+
+    Args:
+        runs: The runs.
+        grow: Turns the standard deviation into the variance of each gap.
+        rounding_m2: Variance of the rounding of a reading, if the wheels round independently [m^2].
+        width_m: How far rounding alone can move the readings of a run apart, with a fifth or more to spare for the
+            error of the drift [m].
+    """
     if runs.valid.sum() - len(runs.valid) < 10:
         return Fit(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
     shares = ROUNDINGS if rounding_m2 > FINE_M**2 / 24.0 else (1.0,)
@@ -157,7 +171,17 @@ def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float) ->
     below = value > 0.0 and none - least > CHI2_95 and excess(bottom) > 0.0
     lower = cross(bottom, middle) if below else 0.0
     drift, drift_std = try_all(value)[1:]
+    if value > 0.0 and _is_within(runs, drift, width_m):
+        drift, drift_std = try_all(0.0)[1:]
+        return Fit(0.0, 0.0, upper, 0.0, drift, drift_std)
     return Fit(value, lower, upper, none - least, drift, drift_std)
+
+
+def _is_within(runs: Runs, drift: float, width_m: float) -> bool:
+    """Whether nearly all runs stay within a width of their drift [m]."""
+    off = runs.level - drift * runs.drift
+    apart = np.where(runs.valid, off, -np.inf).max(axis=1) - np.where(runs.valid, off, np.inf).min(axis=1)
+    return float((apart > width_m).mean()) <= BEYOND
 
 
 def _filter(runs: Runs, growth: np.ndarray, noise: float) -> tuple[float, float, float]:

@@ -48,6 +48,16 @@ def test_wheels_without_noise_show_none_however_long_a_tick_is(tick_m: float):
     assert fit_step_noise(gaps, 0.0).value < 0.1 * tick_m / STEP_M + 1e-4
 
 
+@pytest.mark.parametrize("ticks_a_gap", [3.09, 3.86, 6.18, 18.14, 19.3, 6.5])
+def test_rounding_that_hardly_changes_from_reading_to_reading_is_no_slip(ticks_a_gap: float):
+    tick_m = STEP_M / ticks_a_gap
+    for seed in range(5):
+        gaps = drive(np.random.default_rng(seed), tick_m=tick_m)
+        assert (fit_slip(gaps).value, fit_step_noise(gaps, 0.0).value) == (0.0, 0.0)
+        slip = fit_slip(drive(np.random.default_rng(seed), slip=0.7 * tick_m, tick_m=tick_m))
+        assert 0.3 * tick_m < slip.low < slip.value < 1.2 * tick_m
+
+
 def test_slip_is_no_noise_of_gaps_and_noise_of_gaps_is_no_slip():
     slipping, noisy = (drive(np.random.default_rng(2), slip=0.02), drive(np.random.default_rng(2), noise=0.1))
     slip = fit_slip(slipping)

@@ -214,9 +214,9 @@ def test_faults_of_the_encoders_are_in_the_log(log, settings, recording, tmp_pat
     states = read(tmp_path / "a.mcap")["/joint_states"]
     assert 0.7 * len(log["/joint_states"]) < len(states) < 0.9 * len(log["/joint_states"])
     sound = {message.stamp: message.content.position for message in log["/joint_states"]}
-    left, right = np.array([message.content.position / sound[message.stamp] for message in states[20:]]).T
-    np.testing.assert_allclose(left, 1.1, atol=0.01)
-    np.testing.assert_allclose(right, 1.0, atol=0.01)
+    tick = 2 * np.pi / faulty.encoder.ticks_per_rev
+    expected = np.array([sound[message.stamp] for message in states]) * (1.1, 1.0)
+    np.testing.assert_allclose([message.content.position for message in states], expected, atol=3 * tick)
 
 
 def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
