@@ -34,6 +34,8 @@ from sim.user_input import shorten
 
 MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
+FEWEST_SEGMENTS = 3
+"""Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 ROUNDS = 3
 """Attempts at a choice of images without damaged ones."""
 WRITTEN_LAST = ("schema", "sha256", "checksum")
@@ -145,7 +147,10 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
     path = drive.path
     images = _match(config, source, drive, lag_s)
     straight = [number for number, motion in enumerate(drive.motions) if motion.kind == "straight"]
-    count = len(straight) - round(config.drive.held_out * len(straight))
+    held_out = round(config.drive.held_out * len(straight))
+    if config.drive.held_out and len(straight) >= FEWEST_SEGMENTS:
+        held_out = max(held_out, 1)
+    count = len(straight) - held_out
     end = straight[count] if count < len(straight) else len(drive.motions)
     spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
     train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)

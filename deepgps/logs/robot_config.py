@@ -111,7 +111,8 @@ class DriveConfig(Group):
     spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
     """Distance between images on a segment [m]; those in between are left out."""
     held_out: float = Field(default=0.1, ge=0.0, le=0.5)
-    """Last part of the segments, as a fraction, that is not trained on: it tests what was learned."""
+    """Last part of the segments, as a fraction, that is not trained on: it tests what was learned. Of three segments or
+    more it is at least one, unless the fraction is 0."""
 
 
 class RobotConfig(Group):

@@ -296,6 +296,8 @@ def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(not
     assert (kept.manifest.segments, held_out.manifest.segments) == (len(LENGTHS_M) - 2, 2)
     assert len(held_out.observation) == about["held_out"] > 5 and held_out.turns is not None
     assert held_out.turns.image.tolist() == [0]
+    few, _ = bring_in(log, tmp_path / "few", configure(pose=None, drive={"held_out": 0.01}))
+    assert open_recording(few / "use").manifest.segments == 1, "errors could not be measured without"
     folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
     recording, truth = open_recording(folder), open_truth(folder)
     assert len(recording.test_observation) == len(truth.test_pose) == about["held_out"] > 5
