@@ -16,7 +16,7 @@ from PIL import Image
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.encoder_noise import keep_inliers
-from deepgps.evaluation.error_field import read_fields
+from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.evaluation.segment_errors import reckon_path
 from deepgps.figures.field_plot import add_scale, draw_field, draw_room
 from deepgps.figures.run_figures import read_histories
@@ -166,13 +166,13 @@ def draw_fold(run: Path, scenario: Scenario, recording: Recording, truth: Truth)
 
 def draw_errors(run: Path, truth: Truth) -> Figure:
     """The error field, and the distribution of its errors with RMS, median and maximum."""
-    field = read_fields(run)["deepgps"]
+    field = read_all_headings(run)["deepgps"]
     figure = Figure(figsize=(11, 4.1), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.9, 1])
     draw_field(left, truth.free_space, field)
     left.set_title("error field: DeepGPS, scenario quick", loc="left", fontsize=12)
     add_scale(figure, [left])
-    error = np.sort(100 * field.error)
+    error = np.sort(100 * find_worst(field).error)
     right.plot(error, 100 * np.arange(1, len(error) + 1) / len(error), color=colour_of("deepgps"), lw=2)
     marks = {"median": np.median(error), "RMS": np.sqrt(np.mean(error**2)), "max": error[-1]}
     for name, value in marks.items():
