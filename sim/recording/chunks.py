@@ -21,15 +21,15 @@ def drive_chunk(
     if before is None:
         world.start(rng)
         segments = observations = 0
-        mode, visits = DriveMode(), Visits(world.body, world.wheel_angle())
+        mode = DriveMode()
     else:
         world.set_state(before["world_state"])
         rng.bit_generator.state = json.loads(str(before["rng_state"]))
         segments, observations = int(before["segments"]), int(before["observations"])
         mode = DriveMode(bool(before["continues"]), before["mode"].item(), int(before["side"]))
-        visits = Visits(world.body, world.wheel_angle())
-        if "visit_angle" in before:  # a drive with random headings may have begun before there were visits
-            visits.set_state(before)
+    visits = Visits(world.body, world.wheel_angle())
+    if before and "visit_angle" in before:  # a drive with random headings may have begun before there were visits
+        visits.set_state(before)
     first, driven, dropped, relocated = observations, list[dict[str, np.ndarray]](), 0, 0
     wanted = settings.drive.samples + settings.grid.held_out
     while observations - first < CHUNK and observations < wanted:

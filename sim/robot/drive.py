@@ -186,8 +186,8 @@ def _go_straight(
     if mode.kind == "search":
         gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m, robot.body.radius_m), 1.0
     else:
-        looks = explores or settings.enter > 0.0
-        gaps, heed = Gaps((1, -1) if looks else (), None, robot.body.radius_m), settings.enter
+        sides = (1, -1) if explores or settings.enter > 0.0 else ()
+        gaps, heed = Gaps(sides, None, robot.body.radius_m), settings.enter
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M

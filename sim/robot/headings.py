@@ -48,18 +48,26 @@ def turn_to_clear(
     """
     angle, sense, further_rad = _aim(robot, settings, rng, mode, visits)
     turn(robot, settings, angle)
+    stop_m = _turn_on(robot, settings, rng, sense, further_rad)
+    visits.move(robot.wheel_angle())
+    return stop_m
+
+
+def _turn_on(
+    robot: Robot, settings: DriveSettings, rng: np.random.Generator, sense: float, further_rad: float
+) -> float | None:
+    """Turn on in this direction to where enough is clear, and up to ``further_rad`` past it; returns what
+    ``turn_to_clear`` does."""
     for share in SHARES:
         enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
         # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
         # less far past it.
         for caution in CAUTION:
             if look(robot, REACH_M) - stop_m >= enough_m:
-                visits.move(robot.wheel_angle())
                 return stop_m
             further = sense * rng.uniform(0.0, further_rad) * caution
             if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
                 break
-    visits.move(robot.wheel_angle())
     return None
 
 

@@ -75,6 +75,12 @@ def wheel_speeds(speed_mps: float, turn_rate_rps: float, body: Body = BURGER) ->
     return np.array([(speed_mps - half) / body.wheel_radius_m, (speed_mps + half) / body.wheel_radius_m])
 
 
+def wheel_motion(wheel_angle: np.ndarray, body: Body) -> tuple[float, float]:
+    """Return how far the robot drives [m] and turns to the left [rad] as its wheels turn by (2,) left, right [rad]."""
+    left, right = wheel_angle.tolist()
+    return (left + right) / 2 * body.wheel_radius_m, (right - left) * body.wheel_radius_m / body.track_m
+
+
 def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:
     """Scale the left wheel about its own axle, which is raised or lowered with it so that the body stays level."""
     wheel = spec.body("left_wheel")

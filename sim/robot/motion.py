@@ -4,7 +4,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim.robot.model import CONTROL_PERIOD_S, Body, wheel_speeds
+from sim.robot.model import CONTROL_PERIOD_S, Body, wheel_motion, wheel_speeds
 from sim.robot.range_finder import clear_length
 from sim.settings import DriveSettings
 
@@ -73,8 +73,7 @@ def turn(
     rate, highest = 0.0, settings.turn_rate_rps * caution
     deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
     while robot.time() < deadline:
-        left, right = robot.wheel_angle() - start
-        turned = abs(right - left) * robot.body.wheel_radius_m / robot.body.track_m
+        turned = abs(wheel_motion(robot.wheel_angle() - start, robot.body)[1])
         if until_clear_m is not None and goal == np.inf:
             if look(robot, until_clear_m + robot.body.radius_m + SEEN_M) >= until_clear_m:
                 goal = turned + abs(angle) + rate**2 / (2 * TURN_ACCELERATION_RPS2)
@@ -140,5 +139,4 @@ def ramp(speed: float, highest: float, acceleration: float, rest: float, period:
 
 def travelled(robot: Robot, start: np.ndarray) -> float:
     """Return the distance travelled by the wheel angles since they were ``start`` (2,) [m]."""
-    left, right = robot.wheel_angle() - start
-    return float(left + right) / 2 * robot.body.wheel_radius_m
+    return wheel_motion(robot.wheel_angle() - start, robot.body)[0]

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from sim.robot.model import Body
+from sim.robot.model import Body, wheel_motion
 
 CELL_M = 0.1
 SIDE = 512
@@ -36,10 +36,9 @@ class Visits:
 
     def move(self, wheel_angle: np.ndarray) -> None:
         """Follow the robot to the wheel angles (2,) [rad], which it reached by a turn, a straight line or an arc."""
-        before, turned = self._heading, self._turn(wheel_angle - self._angle)
-        arc_m = self._body.wheel_radius_m * (wheel_angle - self._angle).mean()
+        arc_m, turned = wheel_motion(wheel_angle - self._angle, self._body)
         chord_m = arc_m * np.sinc(turned / (2 * np.pi))
-        middle = before + turned / 2
+        middle = self._heading + turned / 2
         self._place = self._place + chord_m * np.array((math.cos(middle), math.sin(middle)))
         self._driven_m += abs(arc_m)
         self._angle = wheel_angle
@@ -97,9 +96,4 @@ class Visits:
 
     @property
     def _heading(self) -> float:
-        return self._turn(self._angle)
-
-    def _turn(self, wheel_angle: np.ndarray) -> float:
-        """The turn to the left in which the wheels turn by these angles (2,) [rad]."""
-        left, right = wheel_angle.tolist()
-        return (right - left) * self._body.wheel_radius_m / self._body.track_m
+        return wheel_motion(self._angle, self._body)[1]

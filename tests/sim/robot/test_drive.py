@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from deepgps.evaluation.coverage import find_seen
 from sim.errors import WorkError
 from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
@@ -377,4 +378,4 @@ def share_covered(world: RoomWorld, driven: np.ndarray) -> float:
     x, y = np.meshgrid(np.arange(low[0], high[0], 0.1), np.arange(low[1], high[1], 0.1))
     cells = np.stack([x, y], axis=-1).reshape(-1, 2)
     cells = cells[world.free_space.is_reachable(cells)]
-    return float((np.linalg.norm(cells[:, None] - driven[None], axis=-1).min(axis=1) < 0.25).mean())
+    return float(find_seen(cells, driven).mean())

@@ -10,7 +10,7 @@ import pytest
 from deepgps.scenario import digest, load_scenario
 from sim.errors import InputError
 from sim.robot.calibrate import run
-from sim.robot.drive import next_segment
+from sim.robot.drive import TOUCHED, next_segment
 from sim.robot.headings import DriveMode
 from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.own import describe_own
@@ -69,7 +69,8 @@ def test_it_drives_in_a_room_and_keeps_its_own_distance_from_walls():
         assert world.is_free(segment.pose[:, :2]).all()
         way_m = np.linalg.norm(segment.pose[-1, :2] - segment.pose[0, :2])
         wheels = segment.wheel_angle[-1] - segment.wheel_angle[0]
-        assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=2e-3, abs=1e-3)
+        lead_m = 1e-3 if segment.ended in TOUCHED else 2e-4  # a sample that is taken in motion runs ahead of the wheels
+        assert wheels.mean() * world.body.wheel_radius_m == pytest.approx(way_m, rel=2e-3, abs=lead_m)
     ours = RoomWorld(SimSettings(room=settings.room), drawn=False)
     assert world.free_space.reachable.sum() < ours.free_space.reachable.sum()
     assert clear_length(world.ranges(), world.body.radius_m) < clear_length(world.ranges(), 0.01)
