@@ -304,11 +304,11 @@ class DriveSettings(WithLater):
     """Whether the robot takes a second image after each turn in place, from which the angle turned is measured; these
     are not counted in samples."""
     headings: Literal["explore", "random"] = "explore"
-    """explore: of some random headings the robot takes the one that leads over the floor that it has not visited for
-    longest, by its wheels; random: it takes any heading, as in the paper."""
+    """explore: of twelve random headings the robot takes the one over the floor that it visited longest ago, by its
+    wheels; random: it takes any heading, as in the paper."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Probability of turning into a gap that the robot passes; into one behind which it has not been for longer than
-    ahead it turns always, unless headings are random."""
+    """Probability of turning into a gap that the robot passes. A robot that explores always turns into a gap if it
+    visited the floor behind it longer ago than the floor ahead."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
     mixed_light: bool = False

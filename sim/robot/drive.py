@@ -2,10 +2,10 @@
 
 It uses only wheel angles, ranges and the bumper: the same code could drive the real robot.
 
-Of a few random headings the robot takes the one that leads over the floor that it has not visited for longest, by dead
-reckoning. Even so it seldom finds a region whose entrance is hardly wider than itself. So it turns into some of the
-gaps that it passes, and now and then it searches for a while: after every segment it turns back to one side as far as
-it can, and it stops at every gap on that side.
+Of a few random headings the robot takes the one over the floor that it visited longest ago, by dead reckoning. Even so
+it seldom finds a region whose entrance is hardly wider than itself. So it turns into some of the gaps that it passes,
+and now and then it searches for a while: after every segment it turns back to one side as far as it can, and it stops
+at every gap on that side.
 
 Each call of `next_segment` starts and ends with the robot at rest and keeps only a `DriveMode` and the `Visits`, so
 that a drive can be interrupted and continued after any segment.

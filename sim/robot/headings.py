@@ -1,4 +1,4 @@
-"""Where the next segment goes: a gap, one side in a search, or where the robot has not been for longest."""
+"""Where the next segment goes: into a gap, to one side in a search, or to the floor visited longest ago."""
 
 from typing import Literal, NamedTuple
 
@@ -72,7 +72,7 @@ def _turn_on(
 
 
 def is_staler_aside(robot: Robot, visits: Visits, side: int, travelled_m: float, stop_m: float) -> bool:
-    """Whether what lies to one side has not been visited for longer than what lies ahead.
+    """Whether the floor to one side was visited longer ago than the floor ahead.
 
     Args:
         robot: The robot, on a straight segment.
@@ -99,7 +99,7 @@ def _aim(
 
 
 def _choose_heading(robot: Robot, settings: DriveSettings, rng: np.random.Generator, visits: Visits) -> float:
-    """Of some random headings, the one that leads over what was not visited for longest [rad], to the left of ahead."""
+    """Of some random headings, the one over the floor that was visited longest ago [rad], to the left of ahead."""
     if settings.headings == "random":
         return rng.uniform(-np.pi, np.pi)
     drawn = rng.uniform(-np.pi, np.pi, HEADINGS)

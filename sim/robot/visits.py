@@ -1,7 +1,7 @@
 """Visits: when the robot last drove over each place, by dead reckoning from its wheel angles.
 
-The drive prefers headings that lead over floor that it has not visited for long. Dead reckoning drifts where wheels
-slip; then some places are visited more often than others, and nothing else depends on it.
+The drive prefers headings over floor that was visited long ago. Dead reckoning drifts where wheels slip; then some
+places are visited more often than others, and nothing else depends on it.
 """
 
 import math
