@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import read_all_headings
@@ -15,7 +16,7 @@ from sim.recording.format import open_truth
 def test_the_pictures_of_concepts_are_drawn_from_a_run(finished_run: Path, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(pictures, "PICTURES", tmp_path)
     pictures.draw_all(finished_run)
-    drawn = {path.stem: cv2.imread(str(path)) for path in tmp_path.glob("*.png")}
+    drawn = {path.stem: np.asarray(cv2.imread(str(path))) for path in tmp_path.glob("*.png")}
     assert set(drawn) == {"camera", "segments", "map", "fold", "error_field"}
     assert all(picture.std() > 10 for picture in drawn.values())
 
