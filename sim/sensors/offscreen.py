@@ -1,6 +1,7 @@
 """Off-screen drawing: an OpenGL context and MuJoCo's buffer in it."""
 
 import atexit
+import ctypes
 from typing import Any
 
 import mujoco
@@ -38,7 +39,7 @@ class Offscreen:
             self._gl.free()
             raise WorkError(f"the OpenGL driver cannot draw off screen ({error}): update Mesa") from error
         # at exit, Mesa's display is gone before objects that were never closed are collected
-        atexit.register(self.close)
+        atexit.register(self._close_at_exit)
 
     def begin(self) -> None:
         """Draw into this buffer from now on; raises WorkError if it is closed."""
@@ -60,4 +61,11 @@ class Offscreen:
         self.target.free()
         self._gl.free()
         self._gl = None
-        atexit.unregister(self.close)
+        atexit.unregister(self._close_at_exit)
+
+    def _close_at_exit(self) -> None:
+        try:
+            self.close()
+        except Exception:  # dm_control, imported after this was opened, has ended EGL first: RuntimeError or EGLError
+            for owner in (self.target, self._gl):  # nothing is left to free, and collecting them would call the driver
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(owner))

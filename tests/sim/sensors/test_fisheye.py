@@ -211,9 +211,10 @@ def test_two_cameras_side_by_side_do_not_disturb_each_other(room: mujoco.MjModel
     assert np.array_equal(fisheye.polar(data), alone)
 
 
-def test_a_camera_that_is_never_closed_leaves_quietly() -> None:
+@pytest.mark.parametrize("after", ["", "from dm_control.mujoco import Physics"], ids=["alone", "dm_control ends EGL"])
+def test_a_camera_that_is_never_closed_leaves_quietly(after: str) -> None:
     made = "m = build_room(3); f = Fisheye(m, CAMERA); f.polar(place(m, 0, 0, 0))"
-    code = f"from tests.sim.sensors.test_fisheye import *; {made}"
+    code = f"from tests.sim.sensors.test_fisheye import *; {made}; {after}"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stderr == ""
 
