@@ -45,7 +45,11 @@ REPORTS: dict[str, Report] = {
                 for method in ("", "deepgps_compass_")
                 for name in ("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins")
             ),
-            *(f"{method}{name}_accepted_m" for method in ("", "deepgps_compass_") for name in ("rms", "max")),
+            *(
+                f"{method}{name}"
+                for method in ("", "deepgps_compass_")
+                for name in ("rms_accepted_m", "max_accepted_m", "radius_68_holds", "radius_95_holds")
+            ),
             *("train_s", "posenet_rms_m", "posenet_median_m", "posenet_max_m"),
         ),
     ),

@@ -25,6 +25,8 @@ from deepgps.studies.table import (
 
 OURS = ("deepgps_compass", "deepgps")
 """Methods whose wins are counted, each over those that are not before it."""
+LEVELS = (68, 95)
+"""Of the radii [%]."""
 SHARES = ("relative_rms", "seen", "flipped")
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
@@ -110,6 +112,11 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
         if values := [row[name] for row in group if row.get(name) is not None]:
             words = f"{title}{ACCEPTED[name].removesuffix(' [cm]')}, median over rooms"
             figures[name] = median_of(words, values, "cm")
+    for level in LEVELS:
+        name = f"radius_{level}_holds"
+        if values := [row[name] for row in group if row.get(name) is not None]:
+            words = f"{title}accepted images within their {level} % radius, median over rooms"
+            figures[name] = median_of(words, values, "%", at_least=True)
     return figures
 
 

@@ -63,3 +63,14 @@ def test_targets_of_what_is_accepted_are_medians_over_rooms() -> None:
         assert figures[name].value == pytest.approx(np.median(errors))
         assert figures[name].worst == pytest.approx(errors.max())
     assert not {name for name in rooms.measure([{**row, "rms_accepted_m": None} for row in rows]) if "rms_acc" in name}
+
+
+def test_how_often_radii_hold_is_a_median_over_the_rooms_that_have_radii() -> None:
+    rows = [row for row in read_published("precision")[0] if row["method"] == "deepgps"]
+    held = [0.5 + 0.01 * number for number in range(len(rows))]
+    told = [{**row, "radius_68_holds": share} for row, share in zip(rows, held, strict=True)]
+    told[-1]["radius_68_holds"] = None
+    figures = rooms.measure(told)
+    assert figures["radius_68_holds"].value == pytest.approx(np.median(held[:-1]))
+    assert figures["radius_68_holds"].worst == held[0]
+    assert "radius_95_holds" not in figures
