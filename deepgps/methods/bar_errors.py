@@ -11,15 +11,17 @@ CLEARLY = 0.67
 """Median distance across bars over that along them, below which the encoders err more than the network."""
 LEAST_READINGS = 4
 """Readings that make a bar."""
+FAR, MOST_FITS, PRECISE_M = 3.5, 50, 1e-6
+"""Residual that weighs a quarter, as a multiple of the median; steps of a fit, and the change at which it ends."""
 
 
 def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """Distance of predictions from their segment as a bar with known spacing (N,) [m]; NaN where unknown.
 
     Place, heading and length of a bar, four unknowns, are fitted to 2 n coordinates, which hides a part of the error:
-    the root of (2 n - 4) / 2 n is divided out. All bars may be bent alike, as those of a robot that curves. Distances
-    along a bar contain the encoders' errors too; where they are clearly larger than those across, they are scaled to
-    these.
+    the root of (2 n - 4) / 2 n is divided out. All bars may be bent alike, as those of a robot that curves. Both fits
+    are robust, since a few images far off would spoil the errors of their whole bar. Distances along a bar contain the
+    encoders' errors too; where they are clearly larger than those across, they are scaled to these.
 
     Args:
         segments: The segments, of which those held out are measured.
@@ -32,10 +34,31 @@ def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) 
         return error
     index = np.concatenate([bar.index for bar in bars])
     along, across, bow, hidden = (np.concatenate(part) for part in zip(*(bar[1:] for bar in bars), strict=True))
-    across = across - bow * (bow @ across) / max(bow @ bow, 1e-12)
+    (across,) = find_residuals(bow[:, None], across)
     usual = np.median(np.abs(across)) / max(np.median(np.abs(along)), 1e-12)
     error[index] = np.hypot(along * (usual if usual < CLEARLY else 1.0), across) / hidden
     return error
+
+
+def find_residuals(design: np.ndarray, values: np.ndarray, *others: np.ndarray) -> list[np.ndarray]:
+    """Residuals (n,) of a linear fit in which values far off hardly count, and of others with the same weights.
+
+    Iteratively reweighted least squares with Geman and McClure's cost.
+
+    Args:
+        design: Known factors of the coefficients (n, k).
+        values: What is fitted (n,) [m].
+        others: More values (n,).
+    """
+    weight, missed = np.ones(len(design)), np.zeros(len(design))
+    for _ in range(MOST_FITS):
+        root, before = np.sqrt(weight), missed
+        fit = np.linalg.pinv(root[:, None] * design) * root
+        missed = values - design @ (fit @ values)
+        if np.allclose(missed, before, rtol=0.0, atol=PRECISE_M):
+            break
+        weight = (1.0 + (missed / max(FAR * np.median(np.abs(missed)), 1e-12)) ** 2) ** -2
+    return [missed, *(other - design @ (fit @ other) for other in others)]
 
 
 class _Bar(NamedTuple):
@@ -57,11 +80,10 @@ def _fit_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> 
         index, way = index[chosen[index]], way[chosen[index]].astype(float)
         if len(index) < LEAST_READINGS or not np.ptp(way):
             continue
-        way, place = way - way.mean(), positions[index] - positions[index].mean(axis=0)
-        direction = way @ place / (way @ way)
-        missed = place - np.outer(way, direction)
+        line = np.column_stack([np.ones(len(way)), way - way.mean()])
+        direction = (np.linalg.pinv(line) @ positions[index])[1]
         ahead = direction / max(np.linalg.norm(direction), 1e-12)
-        bow = way**2 / 2.0
-        bow = bow - bow.mean() - way * (bow @ way) / (way @ way)
-        hidden = np.full(len(index), np.sqrt(1.0 - 2.0 / len(index)))
-        yield _Bar(index, missed @ ahead, missed @ np.array([-ahead[1], ahead[0]]), bow, hidden)
+        along, across = positions[index] @ ahead, positions[index] @ np.array([-ahead[1], ahead[0]])
+        (along,) = find_residuals(line, along)
+        across, bow = find_residuals(line, across, way**2 / 2.0)
+        yield _Bar(index, along, across, bow, np.full(len(index), np.sqrt(1.0 - 2.0 / len(index))))

@@ -222,6 +222,18 @@ def test_bars_do_not_mistake_errors_of_the_encoders_or_a_curve_for_errors_of_the
     assert np.nanmax(measure_bars(segments, bent, held)) < 1e-5
 
 
+def test_a_stretch_that_is_far_off_does_not_spoil_the_other_errors_of_its_bar() -> None:
+    segments, place = drive(2000)
+    held = find_held_out(segments, len(place)).numpy()
+    seen = err(place, 0.01, 1)
+    clean, wrong = measure_bars(segments, seen, held), np.zeros((2000, READINGS), bool)
+    wrong[:, :2] = True  # the end of a bar, where it turns the line most
+    wrong = wrong.ravel()
+    error = measure_bars(segments, seen + 0.3 * wrong[:, None], held)
+    assert np.median(error[held & wrong]) == pytest.approx(0.3 * np.sqrt(2.0), rel=0.25)
+    assert np.median(error[held & ~wrong]) < 1.5 * np.median(clean[held & ~wrong])
+
+
 def test_quantiles_are_found_where_errors_grow_with_novelty() -> None:
     rng = np.random.default_rng(0)
     novelty = rng.uniform(1.0, 4.0, 3000)
