@@ -250,7 +250,8 @@ def import_command(words: Sequence[str]) -> None:
     with show_progress(errors) as progress:
         about = import_log(arguments.log, config, arguments.out, progress, sha256(arguments.config))
     say(write_summary(about))
-    say(f"\nimported: {arguments.out}; train on it: deepgps train {quote_path(arguments.out)}")
+    method = " --methods deepgps_compass" if about["turns_seen"] else ""
+    say(f"\nimported: {arguments.out}; train on it: deepgps run {quote_path(arguments.out)}{method}")
 
 
 def export_command(words: Sequence[str]) -> None:
