@@ -96,7 +96,9 @@ def _follow(robot: RobotConfig, drive: Drive, polar: PolarSource, progress: Repo
     if lag_s == "estimate":
         with TemporaryFile() as file:
             lag_s, _ = choose_lag(lag_s, measure_lag(polar, drive, file, progress))
-    angle = drive.wheels.at(np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s))
+    time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
+    angle = drive.wheels.at(time_s)
+    angle[1:][np.diff(drive.wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
 
 

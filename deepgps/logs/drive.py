@@ -51,12 +51,12 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     times = [take_times(topic, one.log_ns, one.stamp_ns, starts) for topic, one in logs]
     time_s, by_log, notes = align(times, config.clocks == "align")
     start_ns = starts.log_ns if by_log else starts.stamp_ns
+    image_s, pose = time_s[listed.topic], None
     wheels = clean_wheels(
-        time_s[config.wheels.topic], wheel_log.angle, config.wheels.ticks_per_rev, config.wheels.topic
+        time_s[config.wheels.topic], wheel_log.angle, config.wheels.ticks_per_rev, config.wheels.topic, image_s
     )
     path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
     motions = find_motions(wheels, path, config.wheels.track_m)
-    image_s, pose = time_s[listed.topic], None
     if config.pose and pose_log is not None:
         pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):

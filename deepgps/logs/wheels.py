@@ -8,6 +8,10 @@ from sim.errors import InputError
 
 GAP_S = 0.3
 """Longest time between two messages across which angles are interpolated while the robot moves [s]."""
+LOST_S = 1.0
+"""Time without a message after which the way is unknown, if the robot moved: a counter may have restarted [s]."""
+PAUSE_S = 5.0
+"""Time without a message of the wheels or an image after which the robot may have been carried elsewhere [s]."""
 STILL_RAD = 0.05
 """Angle up to which a wheel has not moved in a gap [rad]."""
 FASTER = 3.0
@@ -20,6 +24,8 @@ BACK_AND_FORTH = 0.1
 """The same share of messages of which one wheel jumps there and back."""
 LEAST = 20
 """Fewest messages of wheels that a drive has."""
+MOST_NOTES = 5
+"""Notes of one kind."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +35,8 @@ class Wheels:
     Attributes:
         time_s: Times (n,) [s], increasing.
         angle: Angles of the left and right wheel (n, 2) [rad]; continuous, as if a counter that restarts went on.
-        broken: Whether the motion between a message and the next is unknown (n - 1,): the counter restarted.
+        broken: Whether the motion between a message and the next is unknown (n - 1,): the counter restarted, or nothing
+            was logged for long.
         gap: Whether there is a gap between them in which the robot moved (n - 1,).
         notes: What was repaired.
     """
@@ -48,8 +55,15 @@ class Wheels:
         angle[outside | self.broken[before] | self.gap[before]] = np.nan
         return angle
 
+    def count_breaks(self, time_s: np.ndarray) -> np.ndarray:
+        """How many unknown motions ended before some times (m,) [s]."""
+        ends_s = self.time_s[1:][self.broken]
+        return np.searchsorted(ends_s, time_s, side="right")
 
-def clean_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topic: str) -> Wheels:
+
+def clean_wheels(
+    time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topic: str, image_s: np.ndarray | None = None
+) -> Wheels:
     """Put the messages of the wheels in order.
 
     Args:
@@ -57,6 +71,7 @@ def clean_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topi
         angle: Angles (n, 2) [rad]; NaN where a message lacks a wheel.
         ticks_per_rev: Ticks of a revolution, by which a counter of 16 or 32 bits wraps around.
         topic: Name for messages.
+        image_s: Times of images [s]; None: none are known, and no pause of the log either.
 
     Raises:
         InputError: There are too few messages, or the angles jump back and forth.
@@ -66,7 +81,7 @@ def clean_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topi
         raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {LEAST}")
     notes = []
     _refuse_back_and_forth(time_s, angle, topic)
-    angle, wrapped = _unwrap(time_s, angle, ticks_per_rev)
+    angle, full, wrapped = _unwrap(angle, ticks_per_rev)
     if wrapped:
         notes.append(f"{topic}: a counter wrapped around {wrapped} times")
     jumps = _find_jumps(time_s, angle)
@@ -80,16 +95,44 @@ def clean_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int, topi
         time_s, angle = time_s[kept], angle[kept]
         jumps = _find_jumps(time_s, angle)
         notes.append(f"{topic} at {first:.2f} s: {int(spike.sum())} messages jump and are left out")
-    for row in np.flatnonzero(jumps):
-        notes.append(f"{topic} at {time_s[row + 1]:.2f} s: the counter restarted, so the way between is unknown")
+    gap, lost, paused = (kind & ~jumps for kind in _find_gaps(time_s, angle, full, image_s))
+    broken = jumps | lost | paused
+    for row in np.flatnonzero(broken):
         angle[row + 1 :] += angle[row] - angle[row + 1]
-    moved = np.abs(np.diff(angle, axis=0)).max(axis=1) > STILL_RAD
-    gap = (np.diff(time_s) > GAP_S) & moved & ~jumps
-    notes += [
-        f"{topic} at {time_s[row]:.2f} s: no message for {time_s[row + 1] - time_s[row]:.1f} s while the robot moved"
-        for row in np.flatnonzero(gap)[:5]
-    ]
-    return Wheels(time_s, angle, jumps, gap, tuple(notes))
+    for kind, what in (
+        (jumps, "the counter restarted, so the way between is unknown"),
+        (gap, "no message for {:.1f} s while the robot moved"),
+        (lost, "no message for {:.1f} s while the robot moved, so the way between is unknown"),
+        (paused, "nothing was logged for {:.0f} s, so the robot may have been carried elsewhere"),
+    ):
+        for row in np.flatnonzero(kind)[:MOST_NOTES]:
+            notes.append(f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}")
+        if (more := int(kind.sum()) - MOST_NOTES) > 0:
+            notes.append(f"{topic}: the same at {more} other times")
+    return Wheels(time_s, angle, broken, gap, tuple(notes))
+
+
+def _find_gaps(
+    time_s: np.ndarray, angle: np.ndarray, full: np.ndarray, image_s: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Masks (n - 1,) of the times without a message: the robot moved; it moved and the way is unknown; all paused.
+
+    Args:
+        time_s: Times of the messages (n,) [s].
+        angle: Unwrapped angles (n, 2) [rad].
+        full: Angle at which the counter of each wheel wraps around (2,) [rad]; infinite: it does not.
+        image_s: Times of images [s]; None: unknown.
+    """
+    seconds, step = np.diff(time_s), np.abs(np.diff(angle, axis=0))
+    moved = (seconds > GAP_S) & (step.max(axis=1) > STILL_RAD)
+    paused = np.zeros(len(seconds), bool)
+    if image_s is not None:
+        all_s = np.sort(np.concatenate([time_s, image_s[(image_s > time_s[0]) & (image_s < time_s[-1])]]))
+        begins = all_s[:-1][np.diff(all_s) > PAUSE_S]
+        paused[np.searchsorted(time_s, begins, side="right") - 1] = True
+    ambiguous = (seconds[:, None] * _find_top(step / seconds[:, None]) > full / 2).any(axis=1)
+    lost = moved & (ambiguous | (seconds > LOST_S)) & ~paused
+    return moved & ~lost & ~paused, lost, paused
 
 
 def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) -> None:
@@ -132,21 +175,31 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.
 def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Mask (n - 1,) of the steps in which a wheel would have been too fast."""
     step, seconds = np.abs(np.diff(angle, axis=0)), np.diff(time_s)
-    top = max(float(np.percentile(step / seconds[:, None], 95)), SLOWEST_RADPS)
+    top = _find_top(step / seconds[:, None])
     return np.asarray((step > FASTER * top * seconds[:, None] + STILL_RAD).any(axis=1))
 
 
-def _unwrap(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, int]:
-    """Angles without the jumps of a counter that wraps around: at a turn of the wheel, or at 16 or 32 bits."""
-    jumps, wrapped = _find_jumps(time_s, angle), 0
-    if not jumps.any():
-        return angle, 0
-    step = np.diff(angle, axis=0)
-    small = np.median(np.abs(step), axis=0) * 10 + STILL_RAD
+def _find_top(speed: np.ndarray) -> float:
+    """Usual top speed of wheels that turn, from speeds (n, 2) [rad/s]."""
+    turning = speed[speed > 1e-9]
+    return max(float(np.percentile(turning, 95)), SLOWEST_RADPS) if len(turning) else SLOWEST_RADPS
+
+
+def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Angles without the jumps of a counter that wraps around at a turn of the wheel, or at 16 or 32 bits.
+
+    Returns:
+        The angles (n, 2) [rad], the angle at which each wheel's counter wraps (2,), infinite if it does not, and how
+        often one wrapped.
+    """
+    step, wraps, wrapped = np.diff(angle, axis=0), np.full(2, np.inf), 0
     for full in (2 * np.pi, *(2 * np.pi * 2**bits / ticks_per_rev for bits in (16, 32))):
-        within = np.ptp(angle, axis=0) <= full * 1.001
         turns = np.rint(step / full)
-        fits = within & (turns != 0) & (np.abs(step - turns * full) < small)
-        step = np.where(fits, step - turns * full, step)
+        short = step - turns * full
+        usual = np.array([np.percentile(one[one > 1e-9], 95) if one.any() else 0.0 for one in np.abs(short).T])
+        small = np.minimum(FASTER * usual + STILL_RAD, full / 4)  # beyond, another program or a restart
+        fits = (np.ptp(angle, axis=0) <= full * 1.001) & (turns != 0) & (np.abs(short) < small)
+        step = np.where(fits, short, step)
+        wraps = np.where(fits.any(axis=0), np.minimum(wraps, full), wraps)
         wrapped += int(fits.any(axis=1).sum())
-    return angle[:1] + np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)]), wrapped
+    return angle[:1] + np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)]), wraps, wrapped

@@ -84,14 +84,45 @@ def test_motions_cover_the_drive_without_overlap() -> None:
     assert all(one.last == other.first for one, other in pairwise(motions))
 
 
-@pytest.mark.parametrize("bits", [16, 32])
-def test_counters_that_wrap_are_unwrapped(bits: int) -> None:
+@pytest.mark.parametrize("full", [2.0 * np.pi, 2**16 * TICK, 2**32 * TICK], ids=["a turn", "16 bits", "32 bits"])
+@pytest.mark.parametrize("stride", [1, 2])
+@pytest.mark.parametrize("rest_s", [0.0, 60.0], ids=["driving", "mostly at rest"])
+def test_counters_that_wrap_are_unwrapped(full: float, stride: int, rest_s: float) -> None:
     wheels = sample()
-    full = 2**bits * TICK
-    ticks = wheels.angle + full / 2 - 3.0
-    wrapped = clean_wheels(wheels.time_s, (ticks + full / 2) % full - full / 2, 4096, "/joint_states")
-    np.testing.assert_allclose(np.diff(wrapped.angle, axis=0), np.diff(wheels.angle, axis=0), atol=1e-6)
+    time_s, angle = wheels.time_s[::stride], wheels.angle[::stride]
+    still_s = np.arange(PERIOD_S, rest_s, PERIOD_S)
+    time_s = np.concatenate([time_s, time_s[-1] + still_s])
+    angle = np.concatenate([angle, np.tile(angle[-1], (len(still_s), 1))])
+    counted = (angle + full - 3.0) % full
+    wrapped = clean_wheels(time_s, counted, 4096, "/joint_states")
+    np.testing.assert_allclose(np.diff(wrapped.angle, axis=0), np.diff(angle, axis=0), atol=1e-5)
     assert "wrapped around" in wrapped.notes[0]
+    assert not wrapped.broken.any()
+
+
+@pytest.mark.parametrize("seconds", [0.0, 3.0, 60.0])
+def test_a_counter_that_restarts_leaves_the_way_unknown_however_long_its_gap(seconds: float) -> None:
+    wheels = sample()
+    row = int(np.argmax(wheels.angle[:, 0] > 5.0))
+    time_s, angle = wheels.time_s + seconds * (np.arange(len(wheels.time_s)) > row), wheels.angle.copy()
+    angle[row + 1 :] -= angle[row + 1]
+    restarted = clean_wheels(time_s, angle, 4096, "/joint_states")
+    assert np.flatnonzero(restarted.broken).tolist() == [row]
+    assert "the way between is unknown" in restarted.notes[0]
+    assert restarted.count_breaks(time_s[[row, row + 1]]).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_a_pause_of_the_whole_log_leaves_the_way_unknown_and_one_of_resting_wheels_does_not(images: bool) -> None:
+    wheels = sample(lengths_m=(1.0, 1.0), turns=(1.0,))
+    still = int(np.argmax(np.abs(np.diff(wheels.angle, axis=0)).max(axis=1) < 1e-9))
+    time_s = wheels.time_s + 60.0 * (np.arange(len(wheels.time_s)) > still)
+    image_s = np.arange(time_s[0], time_s[-1], 0.5)
+    if not images:
+        image_s = image_s[(image_s < time_s[still] + 0.2) | (image_s > time_s[still + 1])]
+    paused = clean_wheels(time_s, wheels.angle, 4096, "/joint_states", image_s)
+    assert np.flatnonzero(paused.broken).tolist() == ([] if images else [still])
+    assert not paused.gap.any()
 
 
 def test_angles_are_not_known_in_gaps_and_outside_the_log() -> None:
