@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 
+from deepgps.inputs import check_inputs, list_inputs, note_inputs
 from deepgps.methods.catalog import METHODS
 from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
 from deepgps.plugins import check_plugins
@@ -28,7 +29,7 @@ def find_run_files() -> re.Pattern[str]:
 def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
     methods = "|".join([*known, *renamed.METHODS])
     return re.compile(
-        rf"scenario\.yaml|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|((error|label|use)_field|pictures)\.npz|failure\.txt"
+        rf"scenario\.yaml|inputs\.json|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|((error|label|use)_field|pictures)\.npz|failure\.txt"
         rf"|({methods})/(attempt\d+/)?({TRAINED_FILES})|({methods})/alignment\.json|features/({FEATURE_FILES})"
         rf"|(run|recording|pairs/[0-9a-f]{{12}})\.rrd(\.sha256)?|figures/(error_fields|error_cdf|risk_coverage|drive|training)\.png"
         rf"|figures/error_field_({methods})\.png|tracking/({methods})(-[0-9a-f]{{8}})?\.(npz|json|png)"
@@ -136,11 +137,14 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
         if cut_off and fresh and open_run(folder) == scenario:
             fresh = False  # killed while replacing the old run; the replacement is finished now
         place = find_place(folder, fresh)
+        if place != folder:
+            _refuse_unknown_methods(folder)
         if (place / RUN.first).is_file():
             _compare(scenario, folder, place)
         sweep(place, RUN.files)
         begun = (place / RUN.first).is_file()
         if not begun:
+            note_inputs(place, list_inputs(scenario))
             write_lines(place / RUN.first, write_out(scenario))
         try:
             yield place
@@ -156,13 +160,14 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
 
 
 def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
-    """Raise InputError if a folder holds a run of another scenario; remove what a killed --fresh of another left.
+    """Raise InputError if a folder holds another run; remove what a killed --fresh of another left.
 
     A run of the same scenario with other methods takes the new ones, unless one is trained that would be lost.
     """
     if place != folder:
         try:
             same = open_run(place) == scenario
+            check_inputs(place, scenario)
         except InputError:
             same = False
         if not same:
@@ -170,13 +175,24 @@ def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
         return
     held = open_run(folder)
     if held == scenario:
+        check_inputs(folder, scenario)
         return
     if is_same_but_methods(held, scenario) and set(list_trained(folder)) <= set(scenario.methods):
+        check_inputs(folder, scenario)
         write_lines(folder / RUN.first, write_out(scenario))
     else:
         raise InputError(
             f"--out {folder} holds a run of another scenario ({describe_work(folder)}); choose another folder, or add "
             "--fresh, which replaces that run once the new one is complete"
+        )
+
+
+def _refuse_unknown_methods(folder: Path) -> None:
+    """Raise InputError if a folder holds a training of a plugin's method, which --fresh could not tell from a user's."""
+    if unknown := sorted(set(list_trained(folder)) - set(METHODS)):
+        raise InputError(
+            f"--out {folder} holds a training of {unknown[0]}, a method of a plugin that is not loaded; load it with "
+            "--plugin, or choose another folder"
         )
 
 

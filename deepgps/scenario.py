@@ -24,10 +24,12 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings, check_name
 from deepgps.spelling import as_key, find_group, find_like, find_settings_like, suggest
 from sim.errors import InputError
+from sim.files import sha256
 from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
+from sim.rooms.mjcf_files import Files
 from sim.settings import LARGEST_MJCF, Group, SimSettings, WithPlugins
 from sim.user_input import quote, read_file, shorten
 
@@ -247,30 +249,44 @@ def list_settings(group: BaseModel, before: str = "") -> dict[str, Any]:
     return found
 
 
-def read_room(path: str) -> bytes | None:
-    """The bytes of a room's or robot's file, or None if there is no file; raises InputError if it cannot be read."""
-    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) if isfile(Path(path)) else None
+def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
+    """What tells a room or a robot from others: the bytes of its file, and the checksums of all files that it uses.
+
+    Args:
+        path: Its file.
+        field: The setting that names it, for messages.
+
+    Returns:
+        None if there is no file.
+
+    Raises:
+        InputError: A file cannot be read, or is none that a room can use.
+    """
+    if not isfile(Path(path)):
+        return None
+    used = Files(Path(path), field).list_used()
+    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(bytes.fromhex(sha256(one)) for one in used)
 
 
-def digest(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
-    """Eight hexadecimal digits of the resolved scenario, the schema and the room file, if one is used.
+def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
+    """Eight hexadecimal digits of the resolved scenario, the schema and the files of an own room or robot.
 
     Args:
         scenario: The scenario.
-        read: Returns the bytes of the room's file; a caller that hashes many scenarios of one room can cache them.
+        read: What ``read_room`` returns; a caller that hashes many scenarios of one room can cache it.
     """
     return _hash(scenario.model_dump_json(), scenario, read)
 
 
-def digest_recording(scenario: Scenario, read: Callable[[str], bytes | None] = read_room) -> str:
+def digest_recording(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
     """The same digest of the settings that determine the recording."""
     return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario, read)
 
 
-def _hash(settings: str, scenario: Scenario, read: Callable[[str], bytes | None]) -> str:
+def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
     state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
-    for path in (scenario.room.mjcf, scenario.robot.mjcf):
-        state.update((path and read(path)) or b"")
+    for field, path in (("room.mjcf", scenario.room.mjcf), ("robot.mjcf", scenario.robot.mjcf)):
+        state.update((path and read(path, field)) or b"")
     return state.hexdigest()[:8]
 
 

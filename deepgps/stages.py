@@ -117,6 +117,7 @@ def write_log(scenario: Scenario, folder: Path, path: Path, progress: Report) ->
 
 def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Train each method that is not trained yet."""
+    from deepgps.methods.catalog import folder_of
     from deepgps.methods.fit import fit_method
     from deepgps.methods.positioner import is_finished
     from sim.recording.format import open_recording
@@ -124,8 +125,9 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     recording = open_recording(folder / "recording")
     seed = training_seed(scenario)
     for method in scenario.methods:
-        with timed(folder, f"train {method}", done=is_finished(folder / method)):
-            fit_method(method, recording, scenario.learn, seed, folder / method, progress)
+        place = folder_of(folder, method)
+        with timed(folder, f"train {method}", done=is_finished(place)):
+            fit_method(method, recording, scenario.learn, seed, place, progress)
 
 
 def training_seed(scenario: Scenario) -> int:

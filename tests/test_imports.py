@@ -82,6 +82,7 @@ WITHOUT_MUJOCO = {
         "sim.recording.in_use",
         "sim.recording.turns",
         "sim.renamed",
+        "sim.rooms.mjcf_files",
     ),
     *(
         "sim.sensors.catalog",

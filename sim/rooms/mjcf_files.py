@@ -87,6 +87,11 @@ class Files:
         if sum(assets.values()) > LARGEST_ASSETS:
             raise InputError(f"{self.what}: its files have more than {LARGEST_ASSETS // 2**30} GiB")
 
+    def list_used(self) -> list[Path]:
+        """The other files that the room uses, sorted: XML files that it names, meshes and textures."""
+        assets = {path for one in self.elements() for name, _ in list_references(one) for path in self.find(one, name)}
+        return sorted((assets | set(self.roots)) - set(list(self.main.roots)[:1]))
+
     def find(self, element: ET.Element, name: str) -> list[Path]:
         """Return the existing files that an element's attribute can mean, all in the room's own folder."""
         value = element.get(name, "")

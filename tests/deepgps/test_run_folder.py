@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepgps import owned_folder
+from deepgps.adopted_recording import find_adopted, link_recording
 from deepgps.cli import main
 from deepgps.owned_folder import FRESH, MARK
 from deepgps.run_folder import RUN, claim, open_run
@@ -230,7 +231,7 @@ def test_every_byte_of_a_user_s_survives_every_command(
         words += ["--out", rng.choice(places)]
     words += [word for more in rng.sample(MORE, rng.randint(0, 2)) for word in more.split()]
     # Whatever gets as far as to work is stopped there: this is about what happens before, and on the way out.
-    monkeypatch.setattr("deepgps.stages.collect", stop)
+    monkeypatch.setattr("deepgps.run.collect", stop)
     monkeypatch.setitem(STAGES, "collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
     monkeypatch.setattr("sim.tools.gallery.draw_gallery", stop)
@@ -314,6 +315,87 @@ def test_fresh_puts_a_link_in_place_of_a_recording_unless_a_user_s_file_is_in_it
     with claim(OTHER, run, fresh=True):
         pass
     assert (run / "recording").resolve() == robot and open_run(run) == OTHER
+
+
+def test_fresh_never_removes_the_recording_that_it_would_link_to(tmp_path: Path):
+    run, other = tmp_path / "run", tmp_path / "other"
+    make_run(run)
+    write_files(run, ("recording/manifest.json",), "the only copy")
+    before = remember(run)
+    with claim(SCENARIO, other, fresh=False) as place:
+        link_recording(run / "recording", place)
+    for recording in (run / "recording", other / "recording"):
+        refusal = pytest.raises(InputError, match=r"holds the recording itself, which --fresh would remove")
+        with refusal, claim(OTHER, run, fresh=True) as place:
+            link_recording(recording, place)
+        assert remember(run) == before
+    refusal = pytest.raises(InputError, match=r"the new recording is a link to .*run/recording, which would be replaced")
+    with refusal, claim(OTHER, run, fresh=True) as place:
+        (place / "recording").symlink_to(run / "recording")
+    assert {name: remember(run)[name] for name in before} == before
+
+
+def test_a_folder_that_is_a_link_to_elsewhere_is_not_replaced_in_part(tmp_path: Path):
+    make_run(tmp_path / "run")
+    (tmp_path / "run" / "figures").rename(tmp_path / "elsewhere")
+    (tmp_path / "run" / "figures").symlink_to(tmp_path / "elsewhere")
+    before = remember(tmp_path)
+    with (
+        pytest.raises(InputError, match=r"run/figures is a link or another disk; nothing was replaced: move it away"),
+        claim(OTHER, tmp_path / "run", fresh=True) as place,
+    ):
+        write_files(place, OURS, "new")
+    assert {name: remember(tmp_path)[name] for name in before} == before
+
+
+def test_fresh_asks_for_the_plugin_of_a_method_that_is_trained(tmp_path: Path):
+    make_run(tmp_path)
+    write_json(tmp_path / "mine" / "positioner.json", {})
+    before = remember(tmp_path)
+    refusal = pytest.raises(InputError, match=r"a training of mine, a method of a plugin that is not loaded")
+    with refusal, claim(OTHER, tmp_path, fresh=True):
+        pass
+    assert remember(tmp_path) == before
+
+
+def test_a_run_is_not_continued_in_a_room_that_has_changed(tmp_path: Path):
+    room, table = tmp_path / "room.xml", tmp_path / "table.xml"
+    room.write_text('<mujoco><worldbody><include file="table.xml"/></worldbody></mujoco>')
+    table.write_text("<mujoco/>")
+    scenario = Scenario.model_validate({"room": {"mjcf": str(room)}})
+    run = tmp_path / "run"
+    make_run(run, scenario)
+    make_run(run, scenario)
+    for path in (table, room):
+        path.write_text(path.read_text() + " ")
+        with pytest.raises(InputError, match=r"room\.mjcf .*room\.xml has changed since this run was begun"):
+            make_run(run, scenario)
+        with claim(scenario, run, fresh=True):
+            pass
+        make_run(run, scenario)
+
+
+def test_a_killed_fresh_in_a_room_that_has_changed_is_not_continued(tmp_path: Path):
+    room, run = tmp_path / "room.xml", tmp_path / "run"
+    room.write_text("<mujoco/>")
+    scenario = Scenario.model_validate({"room": {"mjcf": str(room)}})
+    make_run(run, scenario)
+    with pytest.raises(KeyboardInterrupt), claim(scenario, run, fresh=True) as place:
+        write_files(place, OURS[:1], "half")
+        raise KeyboardInterrupt
+    room.write_text("<mujoco><worldbody/></mujoco>")
+    with claim(scenario, run, fresh=True) as place:
+        assert not (place / OURS[0]).exists()
+
+
+def test_a_recording_that_was_made_again_is_not_mixed_with_what_was_trained_before(tmp_path: Path):
+    write_files(tmp_path / "other", ("recording/manifest.json",), "first")
+    with claim(SCENARIO, tmp_path / "run", fresh=False) as place:
+        link_recording(tmp_path / "other" / "recording", place)
+        assert find_adopted(place) == tmp_path / "other" / "recording"
+    write_files(tmp_path / "other", ("recording/manifest.json",), "second")
+    with pytest.raises(InputError, match=r"its recording .*other/recording has been made again since"):
+        find_source(str(tmp_path / "run"), {}, None)
 
 
 def test_a_recording_that_has_moved_is_asked_for_and_nothing_is_driven(tmp_path: Path):
