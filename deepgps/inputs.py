@@ -26,7 +26,7 @@ def read_inputs(run: Path) -> dict[str, str]:
 
 
 def list_inputs(scenario: Scenario) -> dict[str, str]:
-    """Checksums of the files of a scenario's own room and robot, with all that these include; missing ones have none."""
+    """Checksums of the files of a scenario's own room and robot and all that they use, by setting; none if missing."""
     files = {"room.mjcf": scenario.room.mjcf, "robot.mjcf": scenario.robot.mjcf}
     found = {field: read_room(path, field) for field, path in files.items() if path}
     return {field: hashlib.sha256(content).hexdigest() for field, content in found.items() if content}

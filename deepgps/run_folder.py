@@ -188,7 +188,7 @@ def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
 
 
 def _refuse_unknown_methods(folder: Path) -> None:
-    """Raise InputError if a folder holds a training of a plugin's method, which --fresh could not tell from a user's."""
+    """Raise InputError if a folder holds a training of a plugin's method, which --fresh would not know as ours."""
     if unknown := sorted(set(list_trained(folder)) - set(METHODS)):
         raise InputError(
             f"--out {folder} holds a training of {unknown[0]}, a method of a plugin that is not loaded; load it with "

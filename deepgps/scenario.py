@@ -265,7 +265,9 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     if not isfile(Path(path)):
         return None
     used = Files(Path(path), field).list_used()
-    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(bytes.fromhex(sha256(one)) for one in used)
+    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(
+        bytes.fromhex(sha256(one)) for one in used
+    )
 
 
 def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:

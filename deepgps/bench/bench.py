@@ -181,11 +181,11 @@ def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> lis
     found = evaluate(folder, scenario)["methods"]["deepgps"]
     seconds = read_json(folder / "timing.json")["train deepgps"]
     rms = 100 * found["relative_rms"]
-    rival = 100 * read_json(demo / "metrics.json")["methods"]["posenet"]["relative_rms"]
+    baseline = 100 * read_json(demo / "metrics.json")["methods"]["posenet"]["relative_rms"]
     note = f"of the shorter side: {100 * found['rms_m']:.1f} cm; {found['steps']} steps; naive: PoseNet, whole"
     return [
         Row("quick", "quick schedule", seconds, "s", 15.0, note="features, initial map, training, search for folds"),
-        Row("quick_rms", "RMS of the quick schedule", rms, "%", 2.0, False, rival, note),
+        Row("quick_rms", "RMS of the quick schedule", rms, "%", 2.0, False, baseline, note),
     ]
 
 
@@ -200,7 +200,7 @@ def measure_pictures(
     images, rate = draw_poses(scenario.sim, poses)
     images = images.reshape(len(place), size.headings, *images.shape[1:])
     seen = f"{size.headings} headings at {len(place)} places; naive: PoseNet"
-    ours, rival = (measure_spread(load_positioner(demo / name), images) for name in ("deepgps", "posenet"))
+    ours, baseline = (measure_spread(load_positioner(demo / name), images) for name in ("deepgps", "posenet"))
     some = poses[:: size.headings][:: -(-len(place) // DRAWN)]  # the slowest renderer takes half a second for each
     seconds = measure_rendering(scenario.sim, some, min(size.repeats, 5))
     faster, plain = seconds["faces"] / seconds["fisheye"], seconds["plain"] / seconds["fisheye"]
@@ -208,8 +208,8 @@ def measure_pictures(
     shadows = f"with shadows: {1e3 * seconds['plain']:.0f} ms"
     alone = "naive: five faces, one process"
     return [
-        Row("spread", "spread over headings, RMS", 1e3 * ours[0], "mm", 5.0, False, 1e3 * rival[0], seen),
-        Row("spread_worst", "spread, worst heading", 1e3 * ours[1], "mm", naive=1e3 * rival[1], note=seen),
+        Row("spread", "spread over headings, RMS", 1e3 * ours[0], "mm", 5.0, False, 1e3 * baseline[0], seen),
+        Row("spread_worst", "spread, worst heading", 1e3 * ours[1], "mm", naive=1e3 * baseline[1], note=seen),
         Row("render", "fisheye, times faster than 5 faces", faster, "", 3.0, True, 1.0, drawn),
         Row("render_plain", "... than 5 faces by default", plain, "", naive=1.0, note=shadows),
         Row("render_rate", "observations, 2 processes", rate, "/s", 400.0, True, 1.0 / seconds["faces"], alone),

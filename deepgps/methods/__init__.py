@@ -1,4 +1,4 @@
-"""Positioning methods: DeepGPS, its variants and its rivals, all listed in ``catalog``.
+"""Positioning methods: DeepGPS, its variants and its baselines, all listed in ``catalog``.
 
-Only the supervised rivals learn from positions: a recording's labels or the simulator's truth.
+Only the supervised baselines learn from positions: a recording's labels or the simulator's truth.
 """

@@ -1,4 +1,4 @@
-"""Explicit positioning, the paper's rival without a network (Sec. III-B1): landmarks and positions as unknowns.
+"""Explicit positioning, the paper's baseline without a network (Sec. III-B1): landmarks and positions as unknowns.
 
 The paper's Eq. 6 is a system of distances: between a landmark and a position, as observed, and between two positions of
 one segment, as driven. Both are ``|q_a - q_b| = c`` with points q, which here are positions first, then landmarks. The

@@ -1,4 +1,4 @@
-"""The paper's rival on scans (its appendix): a map of stored scans at many headings, with true positions.
+"""The paper's baseline on scans (its appendix): a map of stored scans at many headings, with true positions.
 
 Turning the robot by a whole number of rays shifts the scan in a circle, so the many headings need not be observed. They
 are stored all the same, each as its principal components, which is what the method's memory holds.

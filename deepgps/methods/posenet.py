@@ -1,4 +1,4 @@
-"""PoseNet, the supervised rival (Kendall et al. 2015; paper Eq. 1): the same network, trained on positions."""
+"""PoseNet, the supervised baseline (Kendall et al. 2015; paper Eq. 1): the same network, trained on positions."""
 
 from pathlib import Path
 

@@ -329,7 +329,9 @@ def test_fresh_never_removes_the_recording_that_it_would_link_to(tmp_path: Path)
         with refusal, claim(OTHER, run, fresh=True) as place:
             link_recording(recording, place)
         assert remember(run) == before
-    refusal = pytest.raises(InputError, match=r"the new recording is a link to .*run/recording, which would be replaced")
+    refusal = pytest.raises(
+        InputError, match=r"the new recording is a link to .*run/recording, which would be replaced"
+    )
     with refusal, claim(OTHER, run, fresh=True) as place:
         (place / "recording").symlink_to(run / "recording")
     assert {name: remember(run)[name] for name in before} == before

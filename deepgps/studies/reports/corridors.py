@@ -45,10 +45,10 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         "said",
         "seen",
     ]
-    rivals, cells = _find(rows, "posenet"), []
+    baselines, cells = _find(rows, "posenet"), []
     for row in rows:
-        rival = rivals.get(row["recording"]) if row["method"] != "posenet" else None
-        ratios = [write(row[name] / rival[name] if rival else None, "") for name in ("rms_m", "median_m")]
+        baseline = baselines.get(row["recording"]) if row["method"] != "posenet" else None
+        ratios = [write(row[name] / baseline[name] if baseline else None, "") for name in ("rms_m", "median_m")]
         errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
         extra = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["map_off"], "%"), _said(row)]
         extra.append(write(row["seen"], "%"))
@@ -58,11 +58,11 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """Ratios of the compass to PoseNet without noise, wrong maps that nothing is said of, and how alike places look."""
-    figures, rivals = {}, _find(rows, "posenet")
+    figures, baselines = {}, _find(rows, "posenet")
     ours = [row for row in rows if row["method"] == "deepgps_compass"]
-    exact = [row for row in ours if not row.get(NOISE) and row["recording"] in rivals]
+    exact = [row for row in ours if not row.get(NOISE) and row["recording"] in baselines]
     for name, title in (("rms_m", "RMS"), ("median_m", "median")) if exact else ():
-        mine, other = np.array([(row[name], rivals[row["recording"]][name]) for row in exact]).T
+        mine, other = np.array([(row[name], baselines[row["recording"]][name]) for row in exact]).T
         key = f"compass_{name.removesuffix('_m')}_ratio"
         figures[key] = median_of(f"{title} / PoseNet's, median over worlds", (mine / other).tolist(), "")
     for key, method in (("compass_unsaid", "deepgps_compass"), ("deepgps_unsaid", "deepgps")):

@@ -14,12 +14,12 @@ from deepgps.figures.targets import Figure, mean_of
 from deepgps.methods.catalog import folder_of, title_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 
-RIVAL = "pca_knn"
+BASELINE = "pca_knn"
 EACH = {"each_rms_m": "RMS", "each_median_m": "median", "each_max_m": "max"}
 # The paper's table "ATE for 2D Lidar point cloud", a row for each of its four maps, in units of a square of side 2.
 PAPER = {
     "deepgps": ((0.162, 0.008, 2.449), (0.177, 0.006, 2.146), (0.178, 0.008, 2.545), (0.164, 0.008, 2.510)),
-    RIVAL: ((0.142, 0.013, 1.980), (0.151, 0.014, 1.981), (0.177, 0.015, 2.346), (0.150, 0.014, 2.398)),
+    BASELINE: ((0.142, 0.013, 1.980), (0.151, 0.014, 1.981), (0.177, 0.015, 2.346), (0.150, 0.014, 2.398)),
 }
 SCALE_M = (0.001, 1.0)
 NOTE = (
@@ -56,10 +56,10 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """DeepGPS's errors, their ratio to the rival's on the same map, and how much less DeepGPS stores."""
+    """DeepGPS's errors, their ratio to the baseline's on the same map, and how much less DeepGPS stores."""
     ours = [row for row in rows if row["method"] == "deepgps"]
-    rival = {row["recording"]: row for row in rows if row["method"] == RIVAL}
-    both = [(row, rival[row["recording"]]) for row in ours if row["recording"] in rival]
+    baseline = {row["recording"]: row for row in rows if row["method"] == BASELINE}
+    both = [(row, baseline[row["recording"]]) for row in ours if row["recording"] in baseline]
     figures = {}
     for name, title in PAPERS_ERRORS.items():
         if ours and name != "max_m":

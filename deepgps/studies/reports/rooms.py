@@ -1,4 +1,4 @@
-"""The report of rooms: every room, the mean and the worst, and how often DeepGPS beats each rival."""
+"""The report of rooms: every room, the mean and the worst, and how often DeepGPS beats each baseline."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -40,11 +40,11 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table of all rooms and methods, their means and worst values; a note on it; and how often our methods win."""
     accepted = choose_accepted(rows)
     ours = [*ERRORS.values(), *accepted.values(), "RMS / side", "seen", "flipped", "train [s]"]
-    headings, rival = ["room", "method", *ours, "RMS / PoseNet"], _rival(rows)
+    headings, baseline = ["room", "method", *ours, "RMS / PoseNet"], _find_baseline(rows)
     cells = []
     for row in rows:
-        known = row["method"] != "posenet" and row["recording"] in rival
-        ratio = row["rms_m"] / rival[row["recording"]] if known else None
+        known = row["method"] != "posenet" and row["recording"] in baseline
+        ratio = row["rms_m"] / baseline[row["recording"]] if known else None
         cells.append([name_room(row, varied), title_of(row["method"]), *_write(row, accepted), write(ratio, "")])
     for title, choose in (("mean", np.mean), ("worst", np.max)):
         for method, group in split_by(rows, "method").items():
@@ -58,12 +58,12 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """The errors of every method over all rooms; for ours also the ratio of mean RMS to PoseNet's over common rooms."""
-    methods, rival, figures = split_by(rows, "method"), _rival(rows), {}
+    methods, baseline, figures = split_by(rows, "method"), _find_baseline(rows), {}
     for method in [*(name for name in OURS[::-1] if name in methods), *(name for name in methods if name not in OURS)]:
         group, own = methods[method], method == "deepgps"
         prefix, title = ("", "") if own else (f"{method}_", f"{title_of(method)}, ")
         found = _measure_errors(group, title)
-        both = [(row["rms_m"], rival[row["recording"]]) for row in group if row["recording"] in rival]
+        both = [(row["rms_m"], baseline[row["recording"]]) for row in group if row["recording"] in baseline]
         if both and method in OURS:
             mine, other = zip(*both, strict=True)
             found["posenet_ratio"] = ratio_of(f"{title}RMS / PoseNet's RMS", mine, other)
@@ -121,11 +121,11 @@ def _measure_errors(group: Sequence[Row], title: str = "") -> dict[str, Figure]:
 
 
 def _count_wins(rows: Sequence[Row]) -> list[str]:
-    """A sentence for each of our methods and each rival: in how many common rooms ours has the lower error."""
-    rivals, sentences = split_by(rows, "method"), []
+    """A sentence for each of our methods and each baseline: in how many common rooms ours has the lower error."""
+    baselines, sentences = split_by(rows, "method"), []
     for own in OURS:
-        ours = {row["recording"]: row for row in rivals.pop(own, [])}
-        for method, group in rivals.items() if ours else ():
+        ours = {row["recording"]: row for row in baselines.pop(own, [])}
+        for method, group in baselines.items() if ours else ():
             pairs = [(ours[row["recording"]], row) for row in group if row["recording"] in ours]
             wins = [
                 _count(word, [mine[name] - other[name] for mine, other in pairs])
@@ -144,7 +144,7 @@ def _count(word: str, differences: Sequence[float]) -> str:
     return f"{wins} by {word} (p = {chance:.2g})"
 
 
-def _rival(rows: Sequence[Row]) -> dict[str, float]:
+def _find_baseline(rows: Sequence[Row]) -> dict[str, float]:
     return {row["recording"]: row["rms_m"] for row in rows if row["method"] == "posenet"}
 
 

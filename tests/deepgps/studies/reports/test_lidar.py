@@ -78,8 +78,8 @@ def test_the_target_is_that_of_the_worst_map():
 
 def test_the_papers_ratios_are_those_of_its_table():
     paper = load_study("lidar", tiny=False).paper
-    ours, rival = (np.array(PAPER[name]) for name in ("deepgps", "pca_knn"))
-    worst = (ours / rival).max(axis=0)
+    ours, baseline = (np.array(PAPER[name]) for name in ("deepgps", "pca_knn"))
+    worst = (ours / baseline).max(axis=0)
     assert (paper["rms_ratio"], paper["median_ratio"]) == pytest.approx(tuple(worst[:2]), abs=0.005)
     assert (paper["rms_m"], paper["median_m"]) == pytest.approx(tuple(ours.mean(axis=0)[:2]), abs=0.0005)
 
