@@ -35,6 +35,7 @@ def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeyp
         ((), "needs at least one of --tum, --csv, --mcap, --onnx"),
         (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both, or neither"),
         (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
+        (("--onnx", "--centre", "9", "inf", "--radius-px", "9"), "--centre 9 inf: must be column and row, each from 0"),
         (("--tum", "--method", "knn"), "method 'knn': "),
     ],
 )
