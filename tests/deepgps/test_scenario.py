@@ -1,5 +1,6 @@
 import json
 import os
+from typing import get_args
 
 import pytest
 from hypothesis import given, settings
@@ -8,6 +9,7 @@ from pydantic import ValidationError
 
 from deepgps.plain_yaml import read_yaml
 from deepgps.scenario import Scenario, check_scenario, digest, digest_recording, load_scenario, names_in, write_out
+from deepgps.spelling import list_settings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 
@@ -28,6 +30,17 @@ def test_every_scenario_loads_and_comes_back_from_what_it_writes(name, tmp_path)
 def test_overrides_win_and_are_converted():
     scenario = load_scenario("living_room", {"room.seed": "3", "encoder.step_noise": "1e-1", "room.mjcf": None})
     assert (scenario.room.seed, scenario.encoder.step_noise, scenario.room.mjcf) == (3, 0.1, None)
+
+
+def test_true_is_no_number_of_any_setting_and_false_of_none():
+    kinds = {name: {kind, *get_args(kind)} for name, kind in list_settings(Scenario)}
+    numbers = [name for name, kind in kinds.items() if kind & {int, float}]
+    assert len(numbers) > 100
+    for name in numbers:
+        for value in (True, False):
+            with pytest.raises(InputError, match=f"{name} {value}: must be numeric, not true or false"):
+                load_scenario("tiny", {name: value})
+    assert load_scenario("tiny", {"drive.turn_images": False}).drive.turn_images is False
 
 
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
@@ -97,6 +110,9 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{room: {kind: lab, look_alike: true}}",
             "look_alike: a lab has tags that are all different",
         ),
+        ("seed: true", "seed True: must be numeric, not true or false"),
+        ("encoder: {step_noise: yes}", "encoder.step_noise True: must be numeric, not true or false"),
+        ("room: {width_m: on}", "room.width_m True: must be numeric, not true or false"),
         ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
         (
             "deployment: {drive_samples: 100001}",
