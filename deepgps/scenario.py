@@ -1,7 +1,7 @@
 """The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from os.path import exists, isfile
 from pathlib import Path
@@ -158,10 +158,35 @@ def override_scenario(
     Raises:
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
-    values = {"name": path.stem, **values}
+    values, overrides = {"name": path.stem, **values}, flatten(overrides)
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
     return check_scenario(values, path, overrides, spell)
+
+
+def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides by the dotted names of single settings: a group given as a mapping sets what it names, and no more.
+
+    Args:
+        overrides: Values by dotted name, such as ``{"drive": {"samples": 300}, "room.seed": 3}``.
+
+    Raises:
+        InputError: A setting is given twice, as by ``drive.samples`` and in ``drive``.
+    """
+    flat: dict[str, Any] = {}
+    for name, value in _list_leaves(overrides):
+        if name in flat:
+            raise InputError(f"{shorten(name)}: given twice, as {quote(flat[name])} and {quote(value)}; give it once")
+        flat[name] = value
+    return flat
+
+
+def _list_leaves(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _list_leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
 
 
 def find_settings(kind: str, folder: Path, source: str) -> Path:
@@ -278,7 +303,8 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
     """A copy of nested groups in which the field with the path ``names`` is set."""
     name, *inner = names
     if not inner:
-        return {**values, name: value}
+        nothing = isinstance(value, Mapping) and isinstance(values.get(name), Mapping)  # it is empty after flatten
+        return dict(values) if nothing else {**values, name: value}
     group = values.get(name, {})
     if not isinstance(group, Mapping):
         raise InputError(f"{shorten(dotted)}: {shorten(name)} is not a group of settings")

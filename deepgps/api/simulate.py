@@ -36,7 +36,8 @@ def simulate(
         scenario: A scenario, the name of one, such as ``tiny``, or the path of a YAML file.
         out: The run's folder; None: runs/<scenario>/seed<seed>-<hash>.
         methods: Methods to train and compare; None: the scenario's own.
-        settings: Values by dotted name that replace the scenario's, such as ``{"encoder.step_noise": 0.1}``.
+        settings: Values by dotted name that replace the scenario's, such as ``{"encoder.step_noise": 0.1}``; of a group
+            given as a mapping, those that it names.
         plugins: Files of plugins to load.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Whether to show the progress on standard error.

@@ -11,7 +11,7 @@ from pkgutil import resolve_name
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report, ignore
@@ -24,6 +24,7 @@ from deepgps.scenario import (
     digest,
     digest_recording,
     find_settings,
+    flatten,
     join_problems,
     override_scenario,
     read_room,
@@ -41,7 +42,7 @@ MOST_WRONG = 500
 """Number of invalid runs after which planning stops."""
 STRIDE = 100
 """Runs planned between two progress reports."""
-Point = dict[str, Any]
+Point = Annotated[dict[str, Any], AfterValidator(flatten)]
 
 
 class Variation(Group):
@@ -50,7 +51,7 @@ class Variation(Group):
     methods: tuple[MethodName, ...] | None = None
     """Methods to train and compare; None: the scenario's own."""
     set: Point = Field(default_factory=dict)
-    """Settings by dotted name, the same for all runs."""
+    """Settings by dotted name, the same for all runs; a group given as a mapping sets those that it names."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
     """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
@@ -276,7 +277,7 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
         if isinstance(found, InputError):
             raise found
         path, values = found
-        scenario = override_scenario(values, path, {**study.set, **settings, **methods, "seed": seed})
+        scenario = override_scenario(values, path, {**study.set, **flatten(settings), **methods, "seed": seed})
         return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
 
     return plan

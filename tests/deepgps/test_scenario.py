@@ -249,6 +249,36 @@ def test_an_override_inside_a_plain_value_is_refused():
         load_scenario("living_room", {"seed": "1", "seed.x": "2"})
 
 
+@pytest.mark.parametrize(
+    ("as_group", "dotted"),
+    [
+        ({"drive": {"spacing_m": 0.1}}, {"drive.spacing_m": 0.1}),
+        ({"drive": {"spacing_m": 0.1}, "drive.samples": 50}, {"drive.spacing_m": 0.1, "drive.samples": 50}),
+        ({"learn": {"train": {"steps": 7}, "seed": 2}}, {"learn.train.steps": 7, "learn.seed": 2}),
+        ({"learn.train": {"steps": 7}}, {"learn.train.steps": 7}),
+        ({"drive": {}}, {}),
+    ],
+)
+def test_a_group_given_as_a_mapping_sets_what_it_names_and_no_more(as_group, dotted):
+    assert load_scenario("tiny", as_group) == load_scenario("tiny", dotted)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"drive": {"samples": 50}, "drive.samples": 60}, "drive.samples: given twice, as 50 and 60; give it once"),
+        ({"drive": {"samples": 1}}, "drive.samples 1: must be greater than or equal to 16"),
+        ({"drive": {"sampels": 50}}, "drive.sampels: there is no such setting, did you mean samples?"),
+        ({"seed": {"x": 2}}, "seed {'x': 2}: must be a valid integer"),
+        ({"room.seed": {}}, "room.seed {}: must be a valid integer"),
+    ],
+)
+def test_a_wrong_group_given_as_a_mapping_is_named_by_its_setting(overrides, message):
+    with pytest.raises(InputError) as caught:
+        load_scenario("tiny", overrides)
+    assert message in str(caught.value)
+
+
 def test_scenarios_are_frozen():
     with pytest.raises(ValidationError, match="frozen"):
         Scenario().seed = 3  # pyright: ignore[reportAttributeAccessIssue]

@@ -131,6 +131,22 @@ def test_tiny_replaces_only_what_it_names(tmp_path):
     assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
 
 
+def test_groups_given_as_mappings_set_what_they_name_in_every_part_of_a_study(tmp_path):
+    parts = {
+        "set": {"drive": {"samples": 40, "spacing_m": 0.1}, "grid.headings": 3},
+        "cases": [{"drive": {"longest_m": 2.0}}, {"drive": {"longest_m": 3.0, "samples": 50}}],
+        "axes": {"camera": [{"rings": 16}, {"rings": 4}]},
+        "tiny": {"set": {"drive": {"samples": 32}}},
+    }
+    path = str(write_study(tmp_path, **parts))
+    whole, tiny = (plan_runs(load_study(path, is_tiny)) for is_tiny in (False, True))
+    drives = [(run.drive.samples, run.drive.spacing_m, run.drive.longest_m) for run in (p.scenario for p in whole)]
+    assert drives == [(40, 0.1, 2.0)] * 2 + [(50, 0.1, 3.0)] * 2
+    assert [(plan.scenario.camera.rings, plan.scenario.camera.sectors) for plan in whole] == [(16, 32), (4, 32)] * 2
+    assert [plan.scenario.drive.samples for plan in tiny] == [32, 32, 50, 50]
+    assert {plan.scenario.grid.headings for plan in whole} == {3}
+
+
 def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
     full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
     path = str(write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full))
@@ -320,6 +336,9 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"seeds": [True, 0]}, "seeds [True, 0]: must be numeric, not true or false"),
         ({"target": {"unfolded": True}}, "target {'unfolded': True}: must be numeric, not true or false"),
         ({"axes": {"encoder.slip_per_m": [0.1, True]}}, "encoder.slip_per_m True: must be numeric, not true or false"),
+        ({"set": {"drive.samples": 50, "drive": {"samples": 60}}}, "set: drive.samples: given twice, as 60 and 50"),
+        ({"axes": {"learn.lift": [{"dimensions": 3}], "learn.lift.dimensions": [4]}}, "learn.lift.dimensions: given"),
+        ({"cases": [{"room": {"seed": 1}}], "axes": {"room.seed": [2]}}, "room.seed is both in cases and in axes"),
         ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
         ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
         ({"axes": {"learn.seed": [1]}}, "learn.seed is both in cases and in axes"),
