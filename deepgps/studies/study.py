@@ -182,8 +182,8 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         progress: Called with the number of runs planned and their total.
 
     Raises:
-        InputError: There are too many runs, two are the same, or some are invalid; the message describes the first
-            problems and says how many more there are.
+        InputError: There are too many runs, two are the same, two scenarios have one name, or some runs are invalid;
+            the message describes the first problems and says how many more there are.
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:
@@ -207,6 +207,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         raise InputError(f"study {study.name}: {text}{stopped}")
     progress("plan", total, total)
     _refuse_twins(study, plans)
+    _refuse_namesakes(study, plans)
     return plans
 
 
@@ -290,6 +291,23 @@ def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:
             twins = f"{shorten(describe(plan), 200)} and {shorten(describe(seen[plan.run]), 200)}"
             raise InputError(f"study {study.name}: two runs are the same: {twins}")
         seen[plan.run] = plan
+
+
+def _refuse_namesakes(study: Study, plans: Sequence[Plan]) -> None:
+    """Raise InputError if two scenario files have one name: the table would take their runs for those of one."""
+    named = dict.fromkeys((plan.scenario.name, plan.varied.get("scenario", study.scenario)) for plan in plans)
+    first: dict[str, str] = {}
+    for name, source in named:
+        other = first.setdefault(name, source)
+        if _find_file(source) != _find_file(other):
+            both = f"{shorten(other, 200)} and {shorten(source, 200)}"
+            raise InputError(
+                f"study {study.name}: scenarios {both} have the same name, {name}; set name in one of them"
+            )
+
+
+def _find_file(source: str) -> Path:
+    return find_settings("scenario", SCENARIOS, source).resolve()
 
 
 def _write_count(count: int) -> str:

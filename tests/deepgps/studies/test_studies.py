@@ -182,6 +182,24 @@ def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(varied,
         assert (plan.scenario.name, plan.scenario.drive.samples) == ("other", 50)
 
 
+def test_two_scenarios_of_one_name_are_refused(tmp_path):
+    for folder, samples in (("one", 50), ("other", 60)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "room.yaml").write_text(f"drive: {{samples: {samples}}}")
+    axes = {"scenario": ["one/room.yaml", "other/room.yaml"]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False)
+    with pytest.raises(InputError, match=r"one/room.yaml and .*other/room.yaml have the same name, room; set name in"):
+        plan_runs(study)
+    (tmp_path / "other" / "room.yaml").write_text("name: other\ndrive: {samples: 60}")
+    assert [plan.scenario.name for plan in plan_runs(study)] == ["room", "other"]
+
+
+def test_one_scenario_by_two_paths_is_no_namesake(tmp_path):
+    cases = [{}, {"scenario": str(tmp_path / "up" / ".." / "mini.yaml"), "learn.seed": 1}]
+    (tmp_path / "up").mkdir()
+    assert len(plan_runs(load_study(str(write_study(tmp_path, cases=cases)), tiny=False))) == 2
+
+
 def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
     axes = {"encoder.step_noise": [0.1, 0.0], "drive.samples": [40, 60]}
     plans = plan_runs(load_study(str(write_study(tmp_path, cases=[{}], axes=axes, seeds=[0, 5])), tiny=False))
