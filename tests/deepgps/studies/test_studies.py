@@ -12,7 +12,7 @@ import yaml
 from deepgps.progress import Report
 from deepgps.scenario import digest, digest_recording, load_scenario, names_in
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.engine.engine import list_undriven
+from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.reports.report import load, varied_names, write_report
@@ -425,6 +425,44 @@ def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     assert done.stderr.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
     assert done.stderr.count("\n") == 1
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        (
+            {"name": "other"},
+            "holds the study mine of the scenario .*mini.yaml, not other of .*mini.yaml; choose another",
+        ),
+        (
+            {"scenario": "plane.yaml", "cases": [{}]},
+            "holds the study mine of the scenario .*mini.yaml, not mine of .*pla",
+        ),
+    ],
+)
+def test_a_folder_of_another_study_is_replaced_by_fresh_alone(changes, says, tmp_path):
+    out, study = tmp_path / "out", load_study(str(write_study(tmp_path)), tiny=False)
+    with claim_study(study, out, fresh=False):
+        pass
+    before = (out / "study.yaml").read_bytes()
+    other = load_study(str(write_study(tmp_path, **changes)), tiny=False)
+    with pytest.raises(InputError, match=says), claim_study(other, out, fresh=False):
+        pass
+    assert (out / "study.yaml").read_bytes() == before
+    with claim_study(other, out, fresh=True):
+        pass
+    assert (out / "study.yaml").read_bytes() != before
+
+
+def test_a_study_that_has_grown_or_moved_continues_in_its_folder(tmp_path):
+    (tmp_path / "moved").mkdir()
+    for folder, seeds in ((tmp_path, [0]), (tmp_path, [0, 1]), (tmp_path / "moved", [0, 1])):
+        with claim_study(load_study(str(write_study(folder, seeds=seeds)), tiny=False), tmp_path / "out", fresh=False):
+            pass
+        assert yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())["seeds"] == seeds
+    (tmp_path / "out" / "study.yaml").write_text("damaged: [")
+    with claim_study(load_study(str(write_study(tmp_path)), tiny=False), tmp_path / "out", fresh=False):
+        pass
 
 
 @pytest.mark.slow
