@@ -135,7 +135,8 @@ class ExportArguments:
     run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
     """The folder of a run."""
     out: OptionalFolder = None
-    """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>."""
+    """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>. It must
+    not hold an export of another run."""
     tum: bool = False
     """Write trajectories as TUM files, which evo reads: each method's and the true one, of both drives."""
     csv: bool = False
