@@ -1,6 +1,7 @@
 """The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
 import hashlib
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from os.path import exists, isfile
@@ -45,6 +46,9 @@ GIVEN_BY: dict[ObservationKind, str] = {
 }
 MOST_VALUES = 1000
 """Limit of keys and values in a scenario's file; all existing settings together make 250."""
+LONGEST_NAME = 64
+NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
+"""Pattern of the names of scenarios and studies, which name folders."""
 DEEPEST = 8
 """Limit of nested groups in the name of a setting."""
 MOST_PROBLEMS = 5
@@ -60,8 +64,9 @@ class PluginSource(Group):
 class Scenario(WithPlugins, SimSettings):
     """Every setting that determines a run."""
 
-    name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the scenario; its runs are stored under runs/<name>."""
+    name: str = Field(default="unnamed", pattern=NAME)
+    """Name of the scenario; its runs are stored under runs/<name>. In a file without it, the file's own name, with _
+    for other letters than a name may hold."""
     seed: int = Field(default=0, ge=0)
     """Seed of the RNG streams, one each for driving, encoder, weights and shuffling."""
     plugins: dict[str, PluginSource] = Field(default_factory=dict)
@@ -158,10 +163,15 @@ def override_scenario(
     Raises:
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
-    values, overrides = {"name": path.stem, **values}, flatten(overrides)
+    values, overrides = {"name": name_after(path), **values}, flatten(overrides)
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
     return check_scenario(values, path, overrides, spell)
+
+
+def name_after(path: Path) -> str:
+    """Name of the scenario or study in a file that gives none: that of the file, without what no name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:LONGEST_NAME]
 
 
 def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:

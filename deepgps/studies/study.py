@@ -16,8 +16,10 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report, ignore
 from deepgps.scenario import (
+    LONGEST_NAME,
     MOST_PROBLEMS,
     MOST_VALUES,
+    NAME,
     MethodName,
     Scenario,
     describe_problems,
@@ -26,6 +28,7 @@ from deepgps.scenario import (
     find_settings,
     flatten,
     join_problems,
+    name_after,
     override_scenario,
     read_room,
 )
@@ -78,8 +81,9 @@ class Variation(Group):
 class Study(Variation):
     """One scenario and what varies in it."""
 
-    name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the study; its folder is runs/studies/<name>."""
+    name: str = Field(default="unnamed", pattern=NAME)
+    """Name of the study; its folder is runs/studies/<name>. In a file without it, the file's own name, with _ for other
+    letters than a name may hold."""
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
     report: ReportName = "plain"
@@ -164,7 +168,7 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
     try:
-        study = Study.model_validate({"name": path.stem, **read_yaml(path)})
+        study = Study.model_validate({"name": name_after(path), **read_yaml(path)})
     except ValidationError as error:
         raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
     if full:
@@ -240,7 +244,12 @@ def _enlarge(study: Study) -> Study:
 
 def _replace(study: Study, other: Variation, kind: str) -> Study:
     given = {name: getattr(other, name) for name in other.model_fields_set}
-    given |= {"set": {**study.set, **other.set}, "name": f"{study.name}-{kind}", "tiny": {}, "full": None}
+    given |= {
+        "set": {**study.set, **other.set},
+        "name": f"{study.name[: LONGEST_NAME - 5]}-{kind}",
+        "tiny": {},
+        "full": None,
+    }
     try:
         return Study.model_validate({**study.model_dump(), **given})
     except ValidationError as error:

@@ -181,6 +181,17 @@ def test_a_message_repeats_little_of_a_long_value(tmp_path, value):
         assert len(str(caught.value)) < 600
 
 
+@pytest.mark.parametrize(
+    ("file", "name"), [("my room", "my_room"), ("Büro", "B_ro"), ("a.b", "a_b"), ("x" * 80, "x" * 64), ("-a_9", "-a_9")]
+)
+def test_a_scenario_is_named_after_its_file_whatever_the_file_is_called(file, name, tmp_path):
+    path = tmp_path / f"{file}.yaml"
+    path.write_text("seed: 1")
+    assert load_scenario(str(path), {}).name == name
+    path.write_text("name: own")
+    assert load_scenario(str(path), {}).name == "own"
+
+
 def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.yaml")
     (tmp_path / "folder.yaml").mkdir()

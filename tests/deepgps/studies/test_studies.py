@@ -147,6 +147,14 @@ def test_groups_given_as_mappings_set_what_they_name_in_every_part_of_a_study(tm
     assert {plan.scenario.grid.headings for plan in whole} == {3}
 
 
+@pytest.mark.parametrize(("file", "name"), [("my study", "my_study"), ("x" * 80, "x" * 64)])
+def test_a_study_is_named_after_its_file_whatever_the_file_is_called(file, name, tmp_path):
+    path = write_study(tmp_path, full={}).rename(tmp_path / f"{file}.yaml")
+    assert load_study(str(path), tiny=False).name == name
+    assert load_study(str(path), tiny=True).name == f"{name[:59]}-tiny"
+    assert load_study(str(path), tiny=False, full=True).name == f"{name[:59]}-full"
+
+
 def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
     full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
     path = str(write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full))
