@@ -229,7 +229,7 @@ class TagCameraSettings(Group):
     """A horizontal pinhole camera on the robot that sees tags, from which labels are made (Sec. IV-C)."""
 
     mounted: bool = False
-    """Whether the robot has it."""
+    """Whether the robot has it; needs a room with tags, as room.kind lab or your own."""
     field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
     """Full angle across the image [deg]."""
     width_px: int = Field(default=960, ge=64, le=4096)
@@ -509,6 +509,8 @@ class SimSettings(Group):
     def _only_a_room_is_seen(self) -> "SimSettings":
         if self.world != "room" and self.tag_camera.mounted:
             raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
+        if self.tag_camera.mounted and self.room.mjcf is None and self.room.kind != "lab":
+            raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {self.room.kind} has none")
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         if self.world != "room" and self.deployment.drive_samples:

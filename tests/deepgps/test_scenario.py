@@ -110,6 +110,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{room: {kind: lab, look_alike: true}}",
             "look_alike: a lab has tags that are all different",
         ),
+        (
+            "tag_camera: {mounted: true}",
+            "tag_camera.mounted needs tags: room.kind lab has some, and living_room has none",
+        ),
         ("seed: true", "seed True: must be numeric, not true or false"),
         ("encoder: {step_noise: yes}", "encoder.step_noise True: must be numeric, not true or false"),
         ("room: {width_m: on}", "room.width_m True: must be numeric, not true or false"),
