@@ -164,7 +164,7 @@ def lay_free_space(world: LidarWorld) -> FreeSpace:
     if not len(size):
         count, clearance_m = world.settings.count, world.settings.clearance_m
         raise InputError(
-            f"obstacles.count {count} and obstacles.clearance_m {clearance_m:g} leave no room for the robot; lower either"
+            f"obstacles.count {count} and obstacles.clearance_m {clearance_m:g} leave the robot no room; lower either"
         )
     reachable = part == 1 + size.argmax()
     row, column = np.nonzero(reachable)
