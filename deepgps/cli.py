@@ -431,6 +431,7 @@ def main(words: Sequence[str] | None = None) -> None:
     words = sys.argv[1:] if words is None else words
     # torch reads this when it is imported: threads that spin while they wait make a busy machine five times slower.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ["MPLBACKEND"] = "agg"  # figures are drawn off-screen; importing matplotlib fails with a backend it lacks
     stop_at_signals()
     code = 0
     try:

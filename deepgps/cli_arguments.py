@@ -135,7 +135,8 @@ class ExportArguments:
     run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
     """The folder of a run."""
     out: OptionalFolder = None
-    """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>."""
+    """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>. It must
+    not hold an export of another run."""
     tum: bool = False
     """Write trajectories as TUM files, which evo reads: each method's and the true one, of both drives."""
     csv: bool = False
@@ -319,8 +320,15 @@ def parse_round_image(arguments: ExportArguments | LocateArguments) -> "RoundIma
         return None
     if arguments.centre is None or arguments.radius_px is None:
         raise InputError("--centre and --radius-px: give both, or neither")
-    from sim.sensors.unwrap import RoundImage
+    from sim.sensors.unwrap import LARGEST_PX, MOST_DEG, RoundImage
 
+    if not all(0 <= place <= LARGEST_PX for place in arguments.centre):
+        written = " ".join(f"{place:g}" for place in arguments.centre)
+        raise InputError(f"--centre {written}: must be column and row, each from 0 to {LARGEST_PX} px")
+    if not 1 <= arguments.radius_px <= LARGEST_PX:
+        raise InputError(f"--radius-px {arguments.radius_px:g}: must be from 1 to {LARGEST_PX} px")
+    if not abs(arguments.forward_deg) <= MOST_DEG:  # also refuses NaN
+        raise InputError(f"--forward-deg {arguments.forward_deg:g}: must be from -{MOST_DEG} to {MOST_DEG}")
     return RoundImage(arguments.centre, arguments.radius_px, arguments.forward_deg)
 
 

@@ -11,7 +11,7 @@ from deepgps.run_folder import RUN, describe_no_run, list_runs, open_run
 from deepgps.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.spelling import as_option
 from sim.errors import InputError
-from sim.files import read_json
+from sim.files import damaged, read_json
 from sim.paths import SCENARIOS
 from sim.recording.format import is_whole
 from sim.renamed import name_methods
@@ -59,10 +59,15 @@ def _describe(run: Path, name: Path) -> tuple[str, str, str, str]:
 
 
 def _describe_errors(run: Path) -> str:
-    if (run / "metrics.json").is_file():
-        methods = name_methods(read_json(run / "metrics.json")["methods"])
-        errors = ((title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in methods.items())
-        return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
+    path = run / "metrics.json"
+    if path.is_file():
+        metrics = read_json(path)
+        try:
+            methods = name_methods(metrics["methods"])
+            errors = [(title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in methods.items()]
+            return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
+        except (LookupError, TypeError, ValueError, AttributeError):
+            raise damaged(path, "it does not list the errors of methods") from None
     return "not measured" if is_whole(run / "recording") else "no finished recording"
 
 

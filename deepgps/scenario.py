@@ -1,7 +1,8 @@
 """The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from os.path import exists, isfile
 from pathlib import Path
@@ -47,6 +48,9 @@ GIVEN_BY: dict[ObservationKind, str] = {
 }
 MOST_VALUES = 1000
 """Limit of keys and values in a scenario's file; all existing settings together make 250."""
+LONGEST_NAME = 64
+NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
+"""Pattern of the names of scenarios and studies, which name folders."""
 DEEPEST = 8
 """Limit of nested groups in the name of a setting."""
 MOST_PROBLEMS = 5
@@ -62,8 +66,9 @@ class PluginSource(Group):
 class Scenario(WithPlugins, SimSettings):
     """Every setting that determines a run."""
 
-    name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the scenario; its runs are stored under runs/<name>."""
+    name: str = Field(default="unnamed", pattern=NAME)
+    """Name of the scenario; its runs are stored under runs/<name>. In a file without it, the file's own name, with _
+    for other letters than a name may hold."""
     seed: int = Field(default=0, ge=0)
     """Seed of the RNG streams, one each for driving, encoder, weights and shuffling."""
     plugins: dict[str, PluginSource] = Field(default_factory=dict)
@@ -160,10 +165,40 @@ def override_scenario(
     Raises:
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
-    values = {"name": path.stem, **values}
+    values, overrides = {"name": name_after(path), **values}, flatten(overrides)
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
     return check_scenario(values, path, overrides, spell)
+
+
+def name_after(path: Path) -> str:
+    """Name of the scenario or study in a file that gives none: that of the file, without what no name may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:LONGEST_NAME]
+
+
+def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides by the dotted names of single settings: a group given as a mapping sets what it names, and no more.
+
+    Args:
+        overrides: Values by dotted name, such as ``{"drive": {"samples": 300}, "room.seed": 3}``.
+
+    Raises:
+        InputError: A setting is given twice, as by ``drive.samples`` and in ``drive``.
+    """
+    flat: dict[str, Any] = {}
+    for name, value in _list_leaves(overrides):
+        if name in flat:
+            raise InputError(f"{shorten(name)}: given twice, as {quote(flat[name])} and {quote(value)}; give it once")
+        flat[name] = value
+    return flat
+
+
+def _list_leaves(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _list_leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
 
 
 def find_settings(kind: str, folder: Path, source: str) -> Path:
@@ -296,7 +331,8 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
     """A copy of nested groups in which the field with the path ``names`` is set."""
     name, *inner = names
     if not inner:
-        return {**values, name: value}
+        nothing = isinstance(value, Mapping) and isinstance(values.get(name), Mapping)  # it is empty after flatten
+        return dict(values) if nothing else {**values, name: value}
     group = values.get(name, {})
     if not isinstance(group, Mapping):
         raise InputError(f"{shorten(dotted)}: {shorten(name)} is not a group of settings")

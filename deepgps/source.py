@@ -62,11 +62,11 @@ def _find_folder(folder: Path, overrides: Mapping[str, Any], out: Path | None, f
         if (out is None or out.resolve() == folder.resolve()) and set(overrides) <= {"methods"}:
             _refuse_part_of_study(folder)
             return Source(scenario if fresh else join_methods(scenario, folder), folder, find_adopted(folder))
-        _refuse_settings_of_drive(scenario, held, recording, overrides, spell)
+        refuse_settings_of_drive(scenario, held, recording, overrides, spell)
     elif isfile(recording / MANIFEST):
         defaults = {"methods": list(DEFAULT_METHODS)}
         scenario = describe_recording(recording, {**defaults, **overrides})
-        _refuse_settings_of_drive(scenario, describe_recording(recording, defaults), recording, overrides, spell)
+        refuse_settings_of_drive(scenario, describe_recording(recording, defaults), recording, overrides, spell)
     else:
         raise InputError(_describe_strange(folder))
     if not isfile(recording / MANIFEST):
@@ -75,10 +75,18 @@ def _find_folder(folder: Path, overrides: Mapping[str, Any], out: Path | None, f
     return Source(scenario if fresh else join_methods(scenario, place), place, recording)
 
 
-def _refuse_settings_of_drive(
+def refuse_settings_of_drive(
     scenario: Scenario, held: Scenario, recording: Path, overrides: Mapping[str, Any], spell: Spell
 ) -> None:
-    """Raise InputError if overrides change what the recording was made with."""
+    """Raise InputError if overrides change what the recording was made with.
+
+    Args:
+        scenario: The scenario with the overrides.
+        held: The scenario without them, or that of the run that holds the recording.
+        recording: The recording's folder.
+        overrides: Values by dotted name.
+        spell: How the message writes their names.
+    """
     if (scenario.sim, scenario.seed) != (held.sim, held.seed):
         made = [name for name in overrides if name.partition(".")[0] not in {"learn", "methods", "name"}]
         raise InputError(

@@ -1,17 +1,19 @@
 """Settings of world, robot, sensors and driving: frozen groups, each checked once when it is created."""
 
-from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
     SerializerFunctionWrapHandler,
+    ValidationInfo,
     field_validator,
     model_serializer,
     model_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.user_input import shorten
@@ -30,9 +32,36 @@ Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
 class Group(BaseModel):
-    """A frozen group of settings; unknown keys, infinities and NaN are refused."""
+    """A frozen group of settings; unknown keys, infinities, NaN and true or false in place of a number are refused."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _true_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if _holds_bool(value) and _takes_only_numbers(cls.model_fields[str(info.field_name)].annotation):
+            raise PydanticCustomError("number_type", "Input should be numeric, not true or false")
+        return value
+
+
+def _holds_bool(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_holds_bool, value.values()))
+    return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_bool, value)))
+
+
+def _takes_only_numbers(annotation: Any) -> bool:
+    """Whether a field of this type, or a list or table in it, takes numbers but neither true nor groups that may."""
+    parts = list(_list_types(annotation))
+    groups = any(isinstance(part, type) and issubclass(part, Group) for part in parts)
+    return (int in parts or float in parts) and bool not in parts and Any not in parts and not groups
+
+
+def _list_types(annotation: Any) -> Iterator[Any]:
+    """The types that a type is composed of; those of a Literal are its values."""
+    yield annotation
+    for part in get_args(annotation):
+        yield from _list_types(part)
 
 
 class WithLater(Group):
@@ -200,7 +229,7 @@ class TagCameraSettings(Group):
     """A horizontal pinhole camera on the robot that sees tags, from which labels are made (Sec. IV-C)."""
 
     mounted: bool = False
-    """Whether the robot has it."""
+    """Whether the robot has it; needs a room with tags, as room.kind lab or your own."""
     field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
     """Full angle across the image [deg]."""
     width_px: int = Field(default=960, ge=64, le=4096)
@@ -480,6 +509,8 @@ class SimSettings(Group):
     def _only_a_room_is_seen(self) -> "SimSettings":
         if self.world != "room" and self.tag_camera.mounted:
             raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
+        if self.tag_camera.mounted and self.room.mjcf is None and self.room.kind != "lab":
+            raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {self.room.kind} has none")
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         if self.world != "room" and self.deployment.drive_samples:

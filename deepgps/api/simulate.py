@@ -12,6 +12,8 @@ from deepgps.plugins import load_plugins
 from deepgps.progress import Report, ignore, show_progress
 from deepgps.run_folder import claim, default_folder
 from deepgps.scenario import Scenario, load_scenario, override_scenario
+from deepgps.source import refuse_settings_of_drive
+from deepgps.spelling import as_key
 from deepgps.stages import choose_renderer_for, evaluate, list_undriven
 from deepgps.stages import train as train_methods
 from sim.recording.format import has_truth, open_recording
@@ -34,7 +36,8 @@ def simulate(
         scenario: A scenario, the name of one, such as ``tiny``, or the path of a YAML file.
         out: The run's folder; None: runs/<scenario>/seed<seed>-<hash>.
         methods: Methods to train and compare; None: the scenario's own.
-        settings: Values by dotted name that replace the scenario's, such as ``{"encoder.step_noise": 0.1}``.
+        settings: Values by dotted name that replace the scenario's, such as ``{"encoder.step_noise": 0.1}``; of a group
+            given as a mapping, those that it names.
         plugins: Files of plugins to load.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Whether to show the progress on standard error.
@@ -68,19 +71,21 @@ def train(
         recording: The recording's folder, which the run links to.
         methods: Methods to train; None: those of ``settings``, or DeepGPS alone.
         out: The run's folder; None: runs/<recording>/seed<seed>-<hash>.
-        settings: Values by dotted name, such as ``{"learn.train.steps": 2000}``.
+        settings: Values by dotted name, such as ``{"learn.train.steps": 2000}``; of the name and of ``learn`` alone.
         plugins: Files of plugins to load.
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Whether to show the progress on standard error.
 
     Raises:
-        InputError: It is no finished recording, a setting is wrong, or a method cannot learn from it.
+        InputError: It is no finished recording, a setting is wrong or of the drive, or a method cannot learn from it.
         WorkError: A plugin's code raises an exception.
     """
     load_plugins(plugins)
     home = Path(recording)
-    chosen = {"methods": list(DEFAULT_METHODS), **(settings or {}), **_name_methods(methods)}
+    defaults = {"methods": list(DEFAULT_METHODS)}
+    chosen = {**defaults, **(settings or {}), **_name_methods(methods)}
     scenario = describe_recording(home, chosen)
+    refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, as_key)
     folder = choose_folder(home, scenario) if out is None else Path(out)
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)

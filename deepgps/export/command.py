@@ -1,7 +1,8 @@
 """What ``deepgps export`` does: writes the chosen formats into one folder of its own."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from deepgps.api.run import Frame, Run
@@ -10,13 +11,16 @@ from deepgps.export.onnx_folder import write_onnx
 from deepgps.export.trajectories import WRITE, Format, write_trajectories
 from deepgps.owned_folder import Kind, hold
 from deepgps.progress import Report
-from sim.files import sweep
+from sim.errors import InputError
+from sim.files import read_json, sweep, write_json
 from sim.sensors.unwrap import RoundImage
 
 FILES = re.compile(
-    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)"
+    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
 )
 EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
+ABOUT = "export.json"
+"""The file that says which run is exported."""
 
 
 def default_folder(run: Path) -> Path:
@@ -38,8 +42,7 @@ def export_trajectories(
         progress: Called with the trajectories done and their number.
     """
     methods = run.methods if method is None else (run.choose(method),)
-    with hold(folder, EXPORT):
-        sweep(folder, FILES)
+    with _claim(run, folder):
         write_trajectories(folder, run, methods, frame, formats, progress)
     return [folder / name for name in formats]
 
@@ -47,8 +50,7 @@ def export_trajectories(
 def export_mcap(run: Run, folder: Path, method: str | None, frame: Frame | None, progress: Report) -> list[Path]:
     """Write the drives of a run as MCAP files into a folder; return its subfolder. Arguments as above."""
     methods = run.methods if method is None else (run.choose(method),)
-    with hold(folder, EXPORT):
-        sweep(folder, FILES)
+    with _claim(run, folder):
         write_drives(folder, run, methods, frame, progress)
     return [folder / "mcap"]
 
@@ -68,9 +70,26 @@ def export_onnx(
     """
     name = run.choose(method)
     alignment = run.alignment(name, frame or run.choose_frame(name))
-    with hold(folder, EXPORT):
-        sweep(folder, FILES)
+    with _claim(run, folder):
         progress("onnx", 0, 1)
         write_onnx(folder / "onnx", name, run.positioner(name), alignment, raw)
         progress("onnx", 1, 1)
     return [folder / "onnx"]
+
+
+@contextmanager
+def _claim(run: Run, folder: Path) -> Iterator[None]:
+    """Hold an export folder for this run; raise InputError if it holds files of another run, which would be mixed."""
+    with hold(folder, EXPORT):
+        sweep(folder, FILES)
+        path, own = folder / ABOUT, str(run.folder.resolve())
+        begun = path.is_file()
+        if begun and (held := read_json(path).get("run")) != own:
+            raise InputError(f"--out {folder} holds an export of the run {held}, not of {own}; choose another folder")
+        write_json(path, {"run": own})
+        try:
+            yield
+        except InputError:
+            if not begun:  # wrong input leaves nothing behind
+                path.unlink()
+            raise

@@ -11,20 +11,24 @@ from pkgutil import resolve_name
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report, ignore
 from deepgps.scenario import (
+    LONGEST_NAME,
     MOST_PROBLEMS,
     MOST_VALUES,
+    NAME,
     MethodName,
     Scenario,
     describe_problems,
     digest,
     digest_recording,
     find_settings,
+    flatten,
     join_problems,
+    name_after,
     override_scenario,
     read_room,
 )
@@ -41,7 +45,7 @@ MOST_WRONG = 500
 """Number of invalid runs after which planning stops."""
 STRIDE = 100
 """Runs planned between two progress reports."""
-Point = dict[str, Any]
+Point = Annotated[dict[str, Any], AfterValidator(flatten)]
 
 
 class Variation(Group):
@@ -50,7 +54,7 @@ class Variation(Group):
     methods: tuple[MethodName, ...] | None = None
     """Methods to train and compare; None: the scenario's own."""
     set: Point = Field(default_factory=dict)
-    """Settings by dotted name, the same for all runs."""
+    """Settings by dotted name, the same for all runs; a group given as a mapping sets those that it names."""
     cases: tuple[Point, ...] = Field(default=({},), min_length=1)
     """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
@@ -77,8 +81,9 @@ class Variation(Group):
 class Study(Variation):
     """One scenario and what varies in it."""
 
-    name: str = Field(default="unnamed", pattern=r"^[A-Za-z0-9_-]{1,64}$")
-    """Name of the study; its folder is runs/studies/<name>."""
+    name: str = Field(default="unnamed", pattern=NAME)
+    """Name of the study; its folder is runs/studies/<name>. In a file without it, the file's own name, with _ for other
+    letters than a name may hold."""
     scenario: str
     """A name in assets/scenarios, or the path of a YAML file, relative to the study's own folder."""
     report: ReportName = "plain"
@@ -163,7 +168,7 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
     try:
-        study = Study.model_validate({"name": path.stem, **read_yaml(path)})
+        study = Study.model_validate({"name": name_after(path), **read_yaml(path)})
     except ValidationError as error:
         raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
     if full:
@@ -181,8 +186,8 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         progress: Called with the number of runs planned and their total.
 
     Raises:
-        InputError: There are too many runs, two are the same, or some are invalid; the message describes the first
-            problems and says how many more there are.
+        InputError: There are too many runs, two are the same, two scenarios have one name, or some runs are invalid;
+            the message describes the first problems and says how many more there are.
     """
     total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
     if total > MOST_RUNS:
@@ -206,6 +211,7 @@ def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
         raise InputError(f"study {study.name}: {text}{stopped}")
     progress("plan", total, total)
     _refuse_twins(study, plans)
+    _refuse_namesakes(study, plans)
     return plans
 
 
@@ -238,7 +244,12 @@ def _enlarge(study: Study) -> Study:
 
 def _replace(study: Study, other: Variation, kind: str) -> Study:
     given = {name: getattr(other, name) for name in other.model_fields_set}
-    given |= {"set": {**study.set, **other.set}, "name": f"{study.name}-{kind}", "tiny": {}, "full": None}
+    given |= {
+        "set": {**study.set, **other.set},
+        "name": f"{study.name[: LONGEST_NAME - 5]}-{kind}",
+        "tiny": {},
+        "full": None,
+    }
     try:
         return Study.model_validate({**study.model_dump(), **given})
     except ValidationError as error:
@@ -276,7 +287,7 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
         if isinstance(found, InputError):
             raise found
         path, values = found
-        scenario = override_scenario(values, path, {**study.set, **settings, **methods, "seed": seed})
+        scenario = override_scenario(values, path, {**study.set, **flatten(settings), **methods, "seed": seed})
         return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
 
     return plan
@@ -289,6 +300,23 @@ def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:
             twins = f"{shorten(describe(plan), 200)} and {shorten(describe(seen[plan.run]), 200)}"
             raise InputError(f"study {study.name}: two runs are the same: {twins}")
         seen[plan.run] = plan
+
+
+def _refuse_namesakes(study: Study, plans: Sequence[Plan]) -> None:
+    """Raise InputError if two scenario files have one name: the table would take their runs for those of one."""
+    named = dict.fromkeys((plan.scenario.name, plan.varied.get("scenario", study.scenario)) for plan in plans)
+    first: dict[str, str] = {}
+    for name, source in named:
+        other = first.setdefault(name, source)
+        if _find_file(source) != _find_file(other):
+            both = f"{shorten(other, 200)} and {shorten(source, 200)}"
+            raise InputError(
+                f"study {study.name}: scenarios {both} have the same name, {name}; set name in one of them"
+            )
+
+
+def _find_file(source: str) -> Path:
+    return find_settings("scenario", SCENARIOS, source).resolve()
 
 
 def _write_count(count: int) -> str:

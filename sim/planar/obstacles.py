@@ -162,7 +162,10 @@ def lay_free_space(world: LidarWorld) -> FreeSpace:
     ndimage.label(free, output=part)
     size = np.bincount(part.ravel())[1:]
     if not len(size):
-        raise InputError("map: the obstacles leave no room for the robot")
+        count, clearance_m = world.settings.count, world.settings.clearance_m
+        raise InputError(
+            f"obstacles.count {count} and obstacles.clearance_m {clearance_m:g} leave the robot no room; lower either"
+        )
     reachable = part == 1 + size.argmax()
     row, column = np.nonzero(reachable)
     extent = min(np.ptp(row), np.ptp(column)) * cell + 2 * world.settings.clearance_m

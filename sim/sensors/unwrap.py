@@ -12,6 +12,8 @@ MOST_FINER = 16
 """Largest number of points, along each axis, whose mean is a pixel of the polar image."""
 LARGEST_PX = 32_000
 """Largest side of an image that OpenCV remaps."""
+MOST_DEG = 360
+"""Largest angle of the forward axis, to either side."""
 
 
 def unwrap_fisheye(
@@ -45,10 +47,10 @@ def unwrap_fisheye(
         Polar images (rings, sectors, 3) or (N, rings, sectors, 3) uint8, black where the raw image shows nothing.
 
     Raises:
-        InputError: The images have the wrong shape or type, or the centre or a size is impossible.
+        InputError: The images have the wrong shape or type, or the centre, a size or the angle is impossible.
     """
     images = np.asarray(images)
-    _check(images, centre, radius_px, rings, sectors)
+    _check(images, centre, radius_px, rings, sectors, forward_deg)
     across, around = oversample(radius_px, rings, sectors)
     warp = _make_warp(centre, radius_px, rings * across, sectors * around, forward_deg, lens, polar_lens)
     batch = images if images.ndim == 4 else images[None]
@@ -92,7 +94,9 @@ def _make_warp(
     return tuple(np.nan_to_num(axis, nan=-1e6).astype(np.float32) for axis in (column, row))
 
 
-def _check(images: np.ndarray, centre: tuple[float, float], radius_px: float, rings: int, sectors: int) -> None:
+def _check(
+    images: np.ndarray, centre: tuple[float, float], radius_px: float, rings: int, sectors: int, forward_deg: float
+) -> None:
     if images.ndim not in {3, 4} or images.shape[-1] != 3 or images.dtype != np.uint8 or 0 in images.shape[-3:]:
         raise InputError(
             f"images {images.shape} {images.dtype}: must be (height, width, 3) or (N, height, width, 3) uint8 RGB"
@@ -107,6 +111,8 @@ def _check(images: np.ndarray, centre: tuple[float, float], radius_px: float, ri
         raise InputError(f"radius_px {radius_px}: must be from 1 to {LARGEST_PX}")
     if not (1 <= rings <= 1024 and 1 <= sectors <= 4096):
         raise InputError(f"rings {rings} and sectors {sectors}: must be from 1 to 1024, and from 1 to 4096")
+    if not abs(forward_deg) <= MOST_DEG:  # also refuses NaN
+        raise InputError(f"forward_deg {forward_deg}: must be from -{MOST_DEG} to {MOST_DEG}")
 
 
 @dataclass(frozen=True)
@@ -131,4 +137,4 @@ class RoundImage:
 
     def check(self, image: np.ndarray, rings: int, sectors: int) -> None:
         """Raise InputError if this cannot be the circle in a raw image (height, width, 3) uint8."""
-        _check(image, self.centre, self.radius_px, rings, sectors)
+        _check(image, self.centre, self.radius_px, rings, sectors, self.forward_deg)

@@ -77,6 +77,13 @@ def test_a_world_without_a_camera_needs_no_renderer(tmp_path):
     assert deepgps("collect", "tiny", "--out", "room", cwd=tmp_path, MUJOCO_GL="nothing").returncode == 2
 
 
+def test_figures_are_drawn_whatever_backend_the_environment_names(tmp_path):
+    words = ("landmarks", "--landmarks.segments", "12", "--grid.spacing-m", "0.5", "--methods", "knn", "--out", "a")
+    done = deepgps("run", *words, cwd=tmp_path, MPLBACKEND="module://missing")  # as Jupyter names one that it has
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "a" / "figures").glob("*.png"))
+
+
 def test_a_log_changes_nothing_in_the_recording(tmp_path):
     (tmp_path / "mini.yaml").write_text(MINI)
     words = ("collect", "mini.yaml", "--drive.samples", "16", "--out")

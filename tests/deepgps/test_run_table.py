@@ -53,6 +53,18 @@ def test_what_cannot_be_read_is_said_and_the_others_are_listed(tmp_path: Path):
     assert "cannot be read: " in done.stdout
 
 
+@pytest.mark.parametrize("metrics", ["{}", '{"methods": []}', '{"methods": {"knn": {}}}', '{"methods": {"knn": null}}'])
+def test_a_run_with_damaged_figures_is_listed_as_such(metrics: str, tmp_path: Path):
+    names = [make_run(tmp_path, {}, 0.041, age_s=90), make_run(tmp_path, {"seed": 1}, 0.041)]
+    (tmp_path / "runs" / "tiny" / names[1] / "metrics.json").write_text(metrics)
+    done = deepgps_here("runs", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    _, whole, damaged = done.stdout.splitlines()
+    assert "Nearest neighbour 4.1 (2.0)" in whole
+    assert damaged.startswith(f"tiny/{names[1]}")
+    assert damaged.endswith("metrics.json is damaged: it does not list the errors of methods")
+
+
 @pytest.mark.parametrize(("folder", "says"), [("nowhere", "nowhere does not exist"), (".", ". holds no runs")])
 def test_nothing_to_list(folder, says, tmp_path):
     done = deepgps_here("runs", folder, cwd=tmp_path)

@@ -1,5 +1,6 @@
 import json
 import os
+from typing import get_args
 
 import pytest
 from hypothesis import given, settings
@@ -8,6 +9,7 @@ from pydantic import ValidationError
 
 from deepgps.plain_yaml import read_yaml
 from deepgps.scenario import Scenario, check_scenario, digest, digest_recording, load_scenario, names_in, write_out
+from deepgps.spelling import list_settings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 
@@ -28,6 +30,17 @@ def test_every_scenario_loads_and_comes_back_from_what_it_writes(name, tmp_path)
 def test_overrides_win_and_are_converted():
     scenario = load_scenario("living_room", {"room.seed": "3", "encoder.step_noise": "1e-1", "room.mjcf": None})
     assert (scenario.room.seed, scenario.encoder.step_noise, scenario.room.mjcf) == (3, 0.1, None)
+
+
+def test_true_is_no_number_of_any_setting_and_false_of_none():
+    kinds = {name: {kind, *get_args(kind)} for name, kind in list_settings(Scenario)}
+    numbers = [name for name, kind in kinds.items() if kind & {int, float}]
+    assert len(numbers) > 100
+    for name in numbers:
+        for value in (True, False):
+            with pytest.raises(InputError, match=f"{name} {value}: must be numeric, not true or false"):
+                load_scenario("tiny", {name: value})
+    assert load_scenario("tiny", {"drive.turn_images": False}).drive.turn_images is False
 
 
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
@@ -97,6 +110,13 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{room: {kind: lab, look_alike: true}}",
             "look_alike: a lab has tags that are all different",
         ),
+        (
+            "tag_camera: {mounted: true}",
+            "tag_camera.mounted needs tags: room.kind lab has some, and living_room has none",
+        ),
+        ("seed: true", "seed True: must be numeric, not true or false"),
+        ("encoder: {step_noise: yes}", "encoder.step_noise True: must be numeric, not true or false"),
+        ("room: {width_m: on}", "room.width_m True: must be numeric, not true or false"),
         ("deployment: {drive_samples: 15}", "deployment.drive_samples: 15 must be 0 or at least 16"),
         (
             "deployment: {drive_samples: 100001}",
@@ -165,6 +185,17 @@ def test_a_message_repeats_little_of_a_long_value(tmp_path, value):
         assert len(str(caught.value)) < 600
 
 
+@pytest.mark.parametrize(
+    ("file", "name"), [("my room", "my_room"), ("Büro", "B_ro"), ("a.b", "a_b"), ("x" * 80, "x" * 64), ("-a_9", "-a_9")]
+)
+def test_a_scenario_is_named_after_its_file_whatever_the_file_is_called(file, name, tmp_path):
+    path = tmp_path / f"{file}.yaml"
+    path.write_text("seed: 1")
+    assert load_scenario(str(path), {}).name == name
+    path.write_text("name: own")
+    assert load_scenario(str(path), {}).name == "own"
+
+
 def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe.yaml")
     (tmp_path / "folder.yaml").mkdir()
@@ -231,6 +262,36 @@ def test_a_file_that_does_not_exist_and_a_name_that_does_not():
 def test_an_override_inside_a_plain_value_is_refused():
     with pytest.raises(InputError, match=r"seed\.x: seed is not a group"):
         load_scenario("living_room", {"seed": "1", "seed.x": "2"})
+
+
+@pytest.mark.parametrize(
+    ("as_group", "dotted"),
+    [
+        ({"drive": {"spacing_m": 0.1}}, {"drive.spacing_m": 0.1}),
+        ({"drive": {"spacing_m": 0.1}, "drive.samples": 50}, {"drive.spacing_m": 0.1, "drive.samples": 50}),
+        ({"learn": {"train": {"steps": 7}, "seed": 2}}, {"learn.train.steps": 7, "learn.seed": 2}),
+        ({"learn.train": {"steps": 7}}, {"learn.train.steps": 7}),
+        ({"drive": {}}, {}),
+    ],
+)
+def test_a_group_given_as_a_mapping_sets_what_it_names_and_no_more(as_group, dotted):
+    assert load_scenario("tiny", as_group) == load_scenario("tiny", dotted)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        ({"drive": {"samples": 50}, "drive.samples": 60}, "drive.samples: given twice, as 50 and 60; give it once"),
+        ({"drive": {"samples": 1}}, "drive.samples 1: must be greater than or equal to 16"),
+        ({"drive": {"sampels": 50}}, "drive.sampels: there is no such setting, did you mean samples?"),
+        ({"seed": {"x": 2}}, "seed {'x': 2}: must be a valid integer"),
+        ({"room.seed": {}}, "room.seed {}: must be a valid integer"),
+    ],
+)
+def test_a_wrong_group_given_as_a_mapping_is_named_by_its_setting(overrides, message):
+    with pytest.raises(InputError) as caught:
+        load_scenario("tiny", overrides)
+    assert message in str(caught.value)
 
 
 def test_scenarios_are_frozen():

@@ -14,6 +14,7 @@ from typing import Literal
 
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.owned_folder import Kind, choose_place, discard, hold, replace
+from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report
 from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.scenario import Scenario
@@ -28,6 +29,7 @@ from deepgps.studies.study import Plan, Study, write_out
 from sim.errors import InputError
 from sim.files import sweep, write_lines
 from sim.recording.format import COLLECTING, RECORDING
+from sim.user_input import shorten
 
 _HASH = "[0-9a-f]{8}"
 
@@ -89,10 +91,12 @@ def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
         The folder to work in.
 
     Raises:
-        InputError: The folder does not belong to deepgps, or another process uses it.
+        InputError: The folder does not belong to deepgps, another process uses it, or it holds another study.
     """
     with hold(folder, STUDY):
         place = find_place(folder, fresh)
+        if place == folder:
+            _refuse_another(study, folder)
         sweep(place, STUDY.files)
         begun = (place / STUDY.first).is_file()
         write_lines(place / STUDY.first, write_out(study))
@@ -104,6 +108,21 @@ def claim_study(study: Study, folder: Path, fresh: bool) -> Iterator[Path]:
             raise
         if place != folder:
             replace(folder, STUDY)
+
+
+def _refuse_another(study: Study, folder: Path) -> None:
+    """Raise InputError if a folder holds a study of another name or scenario; one that has only grown is the same."""
+    try:
+        held = read_yaml(folder / STUDY.first)
+    except InputError:  # there is none, or it is damaged and written again
+        return
+    name, scenario = str(held.get("name")), str(held.get("scenario"))
+    if name != study.name or Path(scenario).stem != Path(study.scenario).stem:  # a study may be given by another path
+        raise InputError(
+            f"--out {folder} holds the study {shorten(name)} of the scenario {shorten(scenario, 300)}, not "
+            f"{study.name} of {study.scenario}; choose another folder, or add --fresh, which replaces that study once "
+            "the new one is complete"
+        )
 
 
 def find_place(folder: Path, fresh: bool) -> Path:

@@ -73,6 +73,14 @@ def test_turns_of_one_s_own_are_kept_and_checked(drive: dict, small_recording: P
         deepgps.write_recording(tmp_path / "wrong", **drive["arrays"], **images)
 
 
+@pytest.mark.parametrize("name", ["encoder.step_noise", "seed"])
+def test_a_recording_that_is_made_takes_no_settings_of_its_drive(name: str, drive: dict, tmp_path: Path):
+    folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"])
+    with pytest.raises(deepgps.InputError, match=f"{name}: the recording .* is made already; with it, only methods"):
+        deepgps.train(folder, out=tmp_path / "run", settings={**QUICK, name: 1}, progress=False)
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.slow
 def test_with_the_truth_it_is_also_evaluated(drive: dict, tmp_path: Path):
     folder = deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"])

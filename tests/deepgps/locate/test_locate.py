@@ -140,6 +140,18 @@ def test_a_raw_image_is_unwrapped_where_the_circle_is(run: deepgps.Run):
         (("0.png", "--method", "knn"), "method 'knn': "),
         (("0.png", "--radius-px", "3"), "--centre and --radius-px: give both, or neither"),
         (("0.png", "--forward-deg", "3"), "--forward-deg needs --centre and --radius-px"),
+        (("0.png", "--centre", "nan", "3", "--radius-px", "9"), "--centre nan 3: must be column and row, each from 0"),
+        (("0.png", "--centre", "3", "-1", "--radius-px", "9"), "--centre 3 -1: must be column and row, each from 0"),
+        (("0.png", "--centre", "3", "3", "--radius-px", "inf"), "--radius-px inf: must be from 1 to 32000 px"),
+        (("0.png", "--centre", "3", "3", "--radius-px", "0.9"), "--radius-px 0.9: must be from 1 to 32000 px"),
+        (
+            ("0.png", "--centre", "3", "3", "--radius-px", "9", "--forward-deg", "nan"),
+            "--forward-deg nan: must be from -360 to 360",
+        ),
+        (
+            ("0.png", "--centre", "3", "3", "--radius-px", "9", "--forward-deg", "361"),
+            "--forward-deg 361: must be from -360 to 360",
+        ),
     ],
 )
 def test_wrong_words_are_refused(words: tuple[str, ...], message: str, run: deepgps.Run, tmp_path: Path):

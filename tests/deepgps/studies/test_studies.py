@@ -12,7 +12,7 @@ import yaml
 from deepgps.progress import Report
 from deepgps.scenario import digest, digest_recording, load_scenario, names_in
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.engine.engine import list_undriven
+from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.reports.report import load, varied_names, write_report
@@ -131,6 +131,30 @@ def test_tiny_replaces_only_what_it_names(tmp_path):
     assert (plan.scenario.room.seed, plan.scenario.drive.samples, plan.scenario.grid.headings) == (3, 32, 3)
 
 
+def test_groups_given_as_mappings_set_what_they_name_in_every_part_of_a_study(tmp_path):
+    parts = {
+        "set": {"drive": {"samples": 40, "spacing_m": 0.1}, "grid.headings": 3},
+        "cases": [{"drive": {"longest_m": 2.0}}, {"drive": {"longest_m": 3.0, "samples": 50}}],
+        "axes": {"camera": [{"rings": 16}, {"rings": 4}]},
+        "tiny": {"set": {"drive": {"samples": 32}}},
+    }
+    path = str(write_study(tmp_path, **parts))
+    whole, tiny = (plan_runs(load_study(path, is_tiny)) for is_tiny in (False, True))
+    drives = [(run.drive.samples, run.drive.spacing_m, run.drive.longest_m) for run in (p.scenario for p in whole)]
+    assert drives == [(40, 0.1, 2.0)] * 2 + [(50, 0.1, 3.0)] * 2
+    assert [(plan.scenario.camera.rings, plan.scenario.camera.sectors) for plan in whole] == [(16, 32), (4, 32)] * 2
+    assert [plan.scenario.drive.samples for plan in tiny] == [32, 32, 50, 50]
+    assert {plan.scenario.grid.headings for plan in whole} == {3}
+
+
+@pytest.mark.parametrize(("file", "name"), [("my study", "my_study"), ("x" * 80, "x" * 64)])
+def test_a_study_is_named_after_its_file_whatever_the_file_is_called(file, name, tmp_path):
+    path = write_study(tmp_path, full={}).rename(tmp_path / f"{file}.yaml")
+    assert load_study(str(path), tiny=False).name == name
+    assert load_study(str(path), tiny=True).name == f"{name[:59]}-tiny"
+    assert load_study(str(path), tiny=False, full=True).name == f"{name[:59]}-full"
+
+
 def test_full_replaces_only_what_it_names_and_keeps_the_target(tmp_path):
     full = {"set": {"learn.train.steps": 50}, "seeds": [0, 1]}
     path = str(write_study(tmp_path, cases=[{}], set={"grid.headings": 3}, full=full))
@@ -164,6 +188,24 @@ def test_a_scenario_that_varies_is_sought_beside_the_study_as_its_own_is(varied,
     tiny = load_study(str(write_study(tmp_path, tiny={"cases": [{}], **varied})), tiny=True)
     for (plan,) in (plan_runs(whole), plan_runs(tiny)):
         assert (plan.scenario.name, plan.scenario.drive.samples) == ("other", 50)
+
+
+def test_two_scenarios_of_one_name_are_refused(tmp_path):
+    for folder, samples in (("one", 50), ("other", 60)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "room.yaml").write_text(f"drive: {{samples: {samples}}}")
+    axes = {"scenario": ["one/room.yaml", "other/room.yaml"]}
+    study = load_study(str(write_study(tmp_path, cases=[{}], axes=axes)), tiny=False)
+    with pytest.raises(InputError, match=r"one/room.yaml and .*other/room.yaml have the same name, room; set name in"):
+        plan_runs(study)
+    (tmp_path / "other" / "room.yaml").write_text("name: other\ndrive: {samples: 60}")
+    assert [plan.scenario.name for plan in plan_runs(study)] == ["room", "other"]
+
+
+def test_one_scenario_by_two_paths_is_no_namesake(tmp_path):
+    cases = [{}, {"scenario": str(tmp_path / "up" / ".." / "mini.yaml"), "learn.seed": 1}]
+    (tmp_path / "up").mkdir()
+    assert len(plan_runs(load_study(str(write_study(tmp_path, cases=cases)), tiny=False))) == 2
 
 
 def test_a_drive_is_made_once_as_its_longest_recording_without_faults(tmp_path):
@@ -317,6 +359,12 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"seedz": [0]}, "seedz: there is no such setting, did you mean seeds?"),
         ({"seeds": [], "report": "fancy"}, "seeds []: tuple should have at least 1 item"),
         ({"seeds": ["a"], "report": "fancy"}, "report 'fancy': must be 'plain', 'rooms'"),
+        ({"seeds": [True, 0]}, "seeds [True, 0]: must be numeric, not true or false"),
+        ({"target": {"unfolded": True}}, "target {'unfolded': True}: must be numeric, not true or false"),
+        ({"axes": {"encoder.slip_per_m": [0.1, True]}}, "encoder.slip_per_m True: must be numeric, not true or false"),
+        ({"set": {"drive.samples": 50, "drive": {"samples": 60}}}, "set: drive.samples: given twice, as 60 and 50"),
+        ({"axes": {"learn.lift": [{"dimensions": 3}], "learn.lift.dimensions": [4]}}, "learn.lift.dimensions: given"),
+        ({"cases": [{"room": {"seed": 1}}], "axes": {"room.seed": [2]}}, "room.seed is both in cases and in axes"),
         ({"cases": [3]}, "cases.0 3: must be a valid dictionary"),
         ({"cases": [{"seed": 3}]}, "seed can be no name in set, cases or axes"),
         ({"axes": {"learn.seed": [1]}}, "learn.seed is both in cases and in axes"),
@@ -385,6 +433,44 @@ def test_a_folder_that_is_no_study_is_not_touched(tmp_path):
     assert done.stderr.startswith(f"error: --out {tmp_path / 'other'} is neither empty nor a study folder")
     assert done.stderr.count("\n") == 1
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        (
+            {"name": "other"},
+            "holds the study mine of the scenario .*mini.yaml, not other of .*mini.yaml; choose another",
+        ),
+        (
+            {"scenario": "plane.yaml", "cases": [{}]},
+            "holds the study mine of the scenario .*mini.yaml, not mine of .*pla",
+        ),
+    ],
+)
+def test_a_folder_of_another_study_is_replaced_by_fresh_alone(changes, says, tmp_path):
+    out, study = tmp_path / "out", load_study(str(write_study(tmp_path)), tiny=False)
+    with claim_study(study, out, fresh=False):
+        pass
+    before = (out / "study.yaml").read_bytes()
+    other = load_study(str(write_study(tmp_path, **changes)), tiny=False)
+    with pytest.raises(InputError, match=says), claim_study(other, out, fresh=False):
+        pass
+    assert (out / "study.yaml").read_bytes() == before
+    with claim_study(other, out, fresh=True):
+        pass
+    assert (out / "study.yaml").read_bytes() != before
+
+
+def test_a_study_that_has_grown_or_moved_continues_in_its_folder(tmp_path):
+    (tmp_path / "moved").mkdir()
+    for folder, seeds in ((tmp_path, [0]), (tmp_path, [0, 1]), (tmp_path / "moved", [0, 1])):
+        with claim_study(load_study(str(write_study(folder, seeds=seeds)), tiny=False), tmp_path / "out", fresh=False):
+            pass
+        assert yaml.safe_load((tmp_path / "out" / "study.yaml").read_text())["seeds"] == seeds
+    (tmp_path / "out" / "study.yaml").write_text("damaged: [")
+    with claim_study(load_study(str(write_study(tmp_path)), tiny=False), tmp_path / "out", fresh=False):
+        pass
 
 
 @pytest.mark.slow

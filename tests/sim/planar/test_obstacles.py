@@ -142,7 +142,7 @@ def test_reach_and_noise_are_those_of_the_settings(folder: Path, tmp_path: Path)
 
 def test_a_map_without_room_is_one_clear_line(tmp_path: Path):
     full = SETTINGS.model_copy(update={"obstacles": ObstaclesSettings(clearance_m=0.95, count=50)})
-    with pytest.raises(InputError, match="map: the obstacles leave no room for the robot"):
+    with pytest.raises(InputError, match=r"obstacles.count 50 and obstacles.clearance_m 0.95 leave the robot no room"):
         collect(full, 3, tmp_path / "full", quiet)
     with pytest.raises(ValueError, match=r"drive.spacing_m 0.5 m must be at most a quarter .* obstacles world, 1.96 m"):
         SimSettings(world="obstacles", drive=DriveSettings(spacing_m=0.5))

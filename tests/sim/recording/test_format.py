@@ -6,7 +6,7 @@ from sim.files import read_json, write_array, write_json
 from sim.occupancy import FreeSpace, load_free_space, save_free_space
 from sim.recording.format import check_recording, finish_recording, open_recording, open_truth
 from sim.recording.manifest import name_sensors
-from sim.settings import SimSettings, TagCameraSettings
+from sim.settings import RoomSettings, SimSettings, TagCameraSettings
 
 
 @pytest.fixture
@@ -134,6 +134,6 @@ def test_a_manifest_that_cannot_be_is_one_line(folder, changes, message):
 
 def test_no_sensor_is_named_whose_images_are_not_kept():
     kept = SimSettings(tag_camera=TagCameraSettings(kept=True))
-    both = SimSettings(tag_camera=TagCameraSettings(kept=True, mounted=True))
+    both = SimSettings(room=RoomSettings(kind="lab"), tag_camera=TagCameraSettings(kept=True, mounted=True))
     assert name_sensors(kept) == {"fisheye": "polar_image"}
     assert name_sensors(both) == {"fisheye": "polar_image", "tag_camera": "image"}

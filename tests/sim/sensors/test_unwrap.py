@@ -101,6 +101,12 @@ def test_wrong_input_is_refused(images: np.ndarray, centre: tuple, radius_px: fl
         unwrap_fisheye(images, centre, radius_px)
 
 
+@pytest.mark.parametrize("forward_deg", [np.nan, np.inf, 360.1])
+def test_a_forward_axis_that_is_no_direction_is_refused(forward_deg: float):
+    with pytest.raises(InputError, match=f"forward_deg {forward_deg}: must be from -360 to 360"):
+        unwrap_fisheye(np.zeros((10, 10, 3), np.uint8), (5, 5), 4, forward_deg=forward_deg)
+
+
 def measure(one: np.ndarray, other: np.ndarray) -> float:
     """Mean absolute difference of two images, of 255."""
     return float(np.abs(one.astype(int) - other).mean())

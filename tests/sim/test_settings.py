@@ -1,0 +1,36 @@
+"""What every group of settings refuses, whatever the types of its fields."""
+
+from typing import Any
+
+import pytest
+from pydantic import Field, ValidationError
+
+from sim.settings import Group
+
+
+class Mixed(Group):
+    """Fields of all types that settings have."""
+
+    number: float | None = None
+    numbers: tuple[int, ...] = ()
+    table: dict[str, float] = Field(default_factory=dict)
+    switch: bool | float = False
+    switches: tuple[bool, ...] = ()
+    anything: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
+    inner: tuple["Mixed", ...] = ()
+
+
+@pytest.mark.parametrize("wrong", [{"number": True}, {"numbers": [1, False]}, {"table": {"a": True}}])
+def test_true_and_false_are_no_numbers(wrong: dict):
+    for values in (wrong, {"inner": [wrong]}):
+        with pytest.raises(ValidationError, match="Input should be numeric, not true or false"):
+            Mixed.model_validate(values)
+
+
+def test_true_and_false_stay_where_they_are_meant():
+    mixed = Mixed.model_validate({"switch": True, "switches": [False], "anything": {"a": [True, 1]}})
+    assert (mixed.switch is True, mixed.switches, mixed.anything) == (True, (False,), {"a": (True, 1)})
+
+
+def test_whole_numbers_stand_for_fractions():
+    assert Mixed(number=1, table={"a": 2}) == Mixed(number=1.0, table={"a": 2.0})
