@@ -1,14 +1,13 @@
 """A run on a recording that exists already: the scenario that describes it, and the link to it in the run's folder."""
 
 import hashlib
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from deepgps.inputs import RECORDING, note_inputs, read_inputs
 from deepgps.owned_folder import FRESH
-from deepgps.scenario import Scenario, digest, override_scenario
+from deepgps.scenario import Scenario, clean_name, digest, override_scenario
 from sim.errors import InputError
 from sim.files import sha256
 from sim.recording.format import is_whole, read_manifest
@@ -72,7 +71,6 @@ def find_adopted(run: Path) -> Path | None:
 
 
 def _name(recording: Path) -> str:
-    """Name of a run on a recording: that of its folder, without what no name may hold."""
+    """Name of a run on a recording: that of its folder."""
     home = recording.resolve()
-    name = home.parent.name if home.name == "recording" else home.name
-    return re.sub(r"[^A-Za-z0-9_-]", "_", name)[:64] or "recording"
+    return clean_name(home.parent.name if home.name == "recording" else home.name) or "recording"

@@ -165,15 +165,15 @@ def override_scenario(
     Raises:
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
-    values, overrides = {"name": name_after(path), **values}, flatten(overrides)
+    values, overrides = {"name": clean_name(path.stem), **values}, flatten(overrides)
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
     return check_scenario(values, path, overrides, spell)
 
 
-def name_after(path: Path) -> str:
-    """Name of the scenario or study in a file that gives none: that of the file, without what no name may hold."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:LONGEST_NAME]
+def clean_name(text: str) -> str:
+    """A name after that of a file or folder: without what no name of a scenario, study or recording may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME]
 
 
 def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -22,13 +22,13 @@ from deepgps.scenario import (
     NAME,
     MethodName,
     Scenario,
+    clean_name,
     describe_problems,
     digest,
     digest_recording,
     find_settings,
     flatten,
     join_problems,
-    name_after,
     override_scenario,
     read_room,
 )
@@ -168,7 +168,7 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
         raise InputError("--tiny and --full exclude each other")
     path = find_settings("study", STUDIES, source)
     try:
-        study = Study.model_validate({"name": name_after(path), **read_yaml(path)})
+        study = Study.model_validate({"name": clean_name(path.stem), **read_yaml(path)})
     except ValidationError as error:
         raise InputError(f"{shorten(str(path), 300)}: {describe_problems(error, Study)}") from None
     if full:
