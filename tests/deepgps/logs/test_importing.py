@@ -28,6 +28,7 @@ from tests.helpers.robot_log import (
     Note,
     change,
     make_notes,
+    make_texture,
     replace_pixels,
     seconds,
     set_fields,
@@ -226,10 +227,31 @@ def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> No
 def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
     mirrored = replace_pixels(notes, lambda image: image[:, ::-1])
     log = write_log(tmp_path / "log", mirrored, "mcap_lz4")
-    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, or wheels\.left"):
+    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, wheels\.left"):
         bring_in(log, tmp_path)
     folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
     check_complete(folder)
+
+
+@pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)], ids=["left", "right"])
+@pytest.mark.parametrize("lag_s", [0.0, "estimate"])
+def test_one_wheel_that_counts_backward_is_refused(
+    lag_s: float | str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
+) -> None:
+    def reverse(_: int, note: Note) -> Note:
+        return set_fields(note, position=note.fields["position"] * sign)
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
+    with pytest.raises(InputError, match=r"wheels\.left, wheels\.right: they turn against each other in \d+ pairs"):
+        bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
+
+
+@pytest.mark.parametrize("show", [lambda image: image * 0, lambda image: make_texture()[:80, :96]], ids=["dark", "lid"])
+def test_images_that_show_nothing_are_no_sign_of_wheels_that_count_backward(
+    show: Callable[[np.ndarray], np.ndarray], notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", replace_pixels(notes, show), "mcap_lz4")
+    check_complete(bring_in(log, tmp_path)[0], 0.02)
 
 
 def test_a_gap_of_the_wheels_divides_a_segment(notes: list[Note], tmp_path: Path) -> None:
