@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.logs.clocks import align, find_starts, list_offsets, take_times
-from deepgps.logs.joints import WheelLog
+from deepgps.logs.joints import UNUSABLE, WheelLog
 from deepgps.logs.pictures import ImageList
 from deepgps.logs.poses import PoseLog, find_poses
 from deepgps.logs.robot_config import RobotConfig
@@ -58,6 +58,8 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
     motions = find_motions(wheels, path, config.wheels.track_m)
     if config.pose and pose_log is not None:
+        if pose_log.without:
+            notes.append(f"{config.pose.topic}: {pose_log.without} messages are left out: {UNUSABLE}")
         pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{config.pose.topic}: {lacking} images have no pose within half a second and are left out")
