@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
+from deepgps.logs.containers import open_log
 from deepgps.logs.importing import import_log
 from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
@@ -103,6 +104,58 @@ def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
     (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,nan\n")
     with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
         bring_in(log, tmp_path / "again", config)
+
+
+def rename_images(log: Path, name: Callable[[float], str]) -> None:
+    """Name each image by a function of its time [s]."""
+    for path in (log / "images").iterdir():
+        path.rename(path.with_name(f"{name(float(path.stem))}.png"))
+
+
+def list_images(log: Path, name: Callable[[float], str]) -> None:
+    """List the images in images.csv under a function of their times [s]."""
+    rows = [f"{name(float(path.stem))},{path.name}" for path in sorted((log / "images").iterdir())]
+    (log / "images.csv").write_text("\n".join(["time_s,file", *rows]))
+
+
+def change_table(log: Path, table: str, name: Callable[[float], str]) -> None:
+    """Replace the times of a table [s] by a function of them."""
+    head, *rows = (log / table).read_text().splitlines()
+    rows = [f"{name(float(time))},{rest}" for time, _, rest in (row.partition(",") for row in rows)]
+    (log / table).write_text("\n".join([head, *rows]))
+
+
+def times_of(path: Path) -> list[int]:
+    with open_log(path) as log:
+        return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9], ids=["ms", "us", "ns"])
+def test_times_of_plain_files_in_another_unit_are_refused_in_one_line(unit: float, tmp_path: Path) -> None:
+    def since_1970(time_s: float) -> str:
+        return str(round((1.7e9 + time_s) * unit))
+
+    for table in ("wheels.csv", "poses.csv"):
+        log = write_plain(tmp_path / table)
+        change_table(log, table, since_1970)
+        with pytest.raises(InputError, match=rf"{table}: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+            times_of(log)
+    list_images(log := write_plain(tmp_path / "listed"), since_1970)
+    with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+        times_of(log)
+    rename_images(log := write_plain(tmp_path / "named"), since_1970)
+    if unit == 1e9:
+        assert max(times_of(log)) > 1.7e18
+    else:
+        with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
+            times_of(log)
+
+
+def test_names_may_be_nanoseconds_since_the_robot_started(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    times = times_of(log)
+    rename_images(log, lambda time_s: f"{round(time_s * 1e9):016d}")
+    assert times_of(log) == times
 
 
 def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
