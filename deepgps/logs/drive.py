@@ -67,6 +67,20 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
-    notes += wheels.notes
+    notes += [*wheels.notes, *_doubt_direction(config.wheels.topic, motions, path)]
     offsets = list_offsets(times, starts)
     return Drive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)
+
+
+def _doubt_direction(topic: str, motions: list[Motion], path: Path) -> list[str]:
+    """A note if the robot drove backward more than forward, as it seems if both wheels count backward."""
+    metres = dict.fromkeys(("straight", "back"), 0.0)
+    for one in motions:
+        if one.kind in metres:
+            metres[one.kind] += abs(float(path.travelled_m[one.last] - path.travelled_m[one.first]))
+    if metres["back"] <= metres["straight"]:
+        return []
+    return [
+        f"{topic}: the robot drove {metres['back']:.1f} m backward and {metres['straight']:.1f} m forward: do both "
+        "wheels count forward?"
+    ]

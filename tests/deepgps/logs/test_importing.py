@@ -10,7 +10,10 @@ import pytest
 
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.logs.containers import open_log
+from deepgps.logs.drive import find_drive
 from deepgps.logs.importing import import_log
+from deepgps.logs.joints import open_wheels
+from deepgps.logs.pictures import open_images
 from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
 from sim.errors import InputError
@@ -297,6 +300,19 @@ def test_one_wheel_that_counts_backward_is_refused(
     log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
     with pytest.raises(InputError, match=r"wheels\.left, wheels\.right: they turn against each other in \d+ pairs"):
         bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
+
+
+def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    """Swapped and reversed wheels turn as they should, and only their way is backward."""
+    with open_log(write_log(tmp_path / "log", notes, "mcap_lz4")) as log:
+        wheels, images = open_wheels(log, configure().wheels), open_images(log, CAMERA)
+        log.feed({JOINTS: wheels.take, CAMERA: images.take}, ignore)
+    assert find_drive(configure(), wheels, images, None).notes == ()
+    for number, (left, right) in enumerate(wheels.angle.tolist()):
+        wheels.values[2 * number], wheels.values[2 * number + 1] = -right, -left
+    (note,) = find_drive(configure(), wheels, images, None).notes
+    metres = f"{sum(LENGTHS_M):.1f} m backward and 0.0 m forward"
+    assert note == f"{JOINTS}: the robot drove {metres}: do both wheels count forward?"
 
 
 @pytest.mark.parametrize("show", [lambda image: image * 0, lambda image: make_texture()[:80, :96]], ids=["dark", "lid"])
