@@ -471,9 +471,30 @@ def test_strange_files_are_refused(tmp_path: Path) -> None:
         bring_in(tmp_path / "empty", tmp_path)
 
 
-def test_a_folder_with_files_is_not_written_to(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    (tmp_path / "recording").mkdir()
-    (tmp_path / "recording" / "mine").write_text("mine")
-    with pytest.raises(InputError, match="is not empty"):
+def test_messages_that_are_too_rare_are_named_as_the_cause(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, JOINTS, lambda n, note: None if n % 10 else note), "mcap_lz4")
+    with pytest.raises(InputError, match=r"\d+ rest, 0 arc, 0 back, [1-9]\d* unknown; .* no message for 0\.5 s while"):
         bring_in(log, tmp_path)
+
+
+def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    (tmp_path / "dangling").symlink_to("nothing")
+    monkeypatch.chdir(tmp_path / "empty")
+    for out, why in (
+        (tmp_path / "full", "is not empty"),
+        (tmp_path / "full" / "mine", "is not empty"),
+        (tmp_path / "full" / "mine" / "x", "cannot be made: .*mine is no folder"),
+        (tmp_path / "link", "is a link"),
+        (tmp_path / "dangling", "is a link"),
+        (Path("."), "is the working folder"),
+        (tmp_path / "empty", "is the working folder"),
+        (Path("/proc"), "is a mount point"),
+    ):
+        with pytest.raises(InputError, match=f"{why}; a recording is written to a folder of its own"):
+            import_log(tmp_path / "no log", configure(), out, ignore)
