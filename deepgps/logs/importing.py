@@ -36,6 +36,8 @@ MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
 FEWEST_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
+MOST = 0.95
+"""Part of the drive that images must cover; otherwise it is noted."""
 ROUNDS = 3
 """Attempts at a choice of images without damaged ones."""
 WRITTEN_LAST = ("schema", "sha256", "checksum")
@@ -92,7 +94,8 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
             lag = measure_lag(source, drive, file, progress)
         lag_s, notes = choose_lag(config.wheels.lag_s, lag)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
-        return _write(config, source, drive, about, [*log.notes, *drive.notes, *notes], out, progress)
+        notes = [*log.notes, *drive.notes, *_note_cover(source.topic, drive), *notes]
+        return _write(config, source, drive, about, notes, out, progress)
 
 
 def _check_out(out: Path) -> None:
@@ -195,6 +198,18 @@ def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float)
     order, wheel_s, angle = order[good], wheel_s[good], angle[good]
     path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
     return Images(order, drive.image_s[order], wheel_s, angle, path)
+
+
+def _note_cover(topic: str, drive: Drive) -> list[str]:
+    """A note if the camera began late or stopped early: the rest of the drive is not used."""
+    begin_s, end_s = drive.wheels.time_s[[0, -1]]
+    seen_s = np.clip(drive.image_s[np.isfinite(drive.image_s)], begin_s, end_s)
+    if not len(seen_s) or np.ptp(seen_s) >= MOST * (end_s - begin_s):
+        return []
+    return [
+        f"{topic}: images cover {np.ptp(seen_s):.0f} of {end_s - begin_s:.0f} s of the drive, from {seen_s.min():.1f} "
+        f"to {seen_s.max():.1f} s; the rest is not used"
+    ]
 
 
 def _describe_damage(source: PolarSource, drive: Drive) -> str:

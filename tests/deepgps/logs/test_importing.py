@@ -346,6 +346,12 @@ def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: P
     np.testing.assert_allclose(by_ticks, true, atol=0.003)
 
 
+def test_a_camera_that_stops_before_the_drive_ends_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, CAMERA, lambda n, note: note if n < 250 else None), "mcap_lz4")
+    _, about = bring_in(log, tmp_path)
+    assert any(note.startswith(f"{CAMERA}: images cover 25 of 33 s of the drive, from") for note in about["notes"])
+
+
 def test_a_counter_that_restarts_divides_the_drive(notes: list[Note], tmp_path: Path) -> None:
     last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
 
