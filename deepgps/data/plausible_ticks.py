@@ -1,7 +1,8 @@
-"""Checks of ticks: every gap between two consecutive readings is compared with the wheels' usual speed.
+"""Checks of ticks: every gap between two consecutive readings is compared with the wheels' usual top speed.
 
-The usual speed is a median, which changes only if half of all gaps are wrong. The known noise of the encoders is
-allowed for.
+A robot may drive fast for a small part of its way, so the top speed is a high percentile. Many gaps may be wrong, so it
+is one of the speeds near the median, which changes only if half of all gaps are wrong. The known noise of the encoders
+is allowed for.
 
 - A counter of 16 or 32 bits that wrapped around is unwrapped, each wheel for itself.
 - A few readings that are off, while those before and after them fit each other, are left out ("jumps").
@@ -18,8 +19,12 @@ import numpy as np
 from sim.errors import InputError
 from sim.sensors.encoder import measure_tick
 
+TOP = 95
+"""Percentile of the speeds that counts as the usual top speed."""
+MOST_APART = 6.0
+"""Speeds that are larger multiples of the median have no part in the top speed."""
 FASTER = 2.0
-"""Largest speed of a wheel, as a multiple of the median. The simulator's drives reach 1.2."""
+"""Largest speed of a wheel, as a multiple of the usual top speed."""
 DEVIATIONS = 6.0
 """Standard deviations of known noise that a gap may be off by."""
 ROUNDING = 3
@@ -98,17 +103,19 @@ class Pace:
     """How fast the wheels usually turn.
 
     Attributes:
-        inside: Median speed on segments [ticks/s].
+        median: Median speed on segments [ticks/s].
         each: Median speed of each wheel on segments (2,) [ticks/s].
-        between: Median speed between segments, or that on segments if it is higher [ticks/s].
+        inside: Usual top speed on segments [ticks/s].
+        between: Median speed between segments, or the top speed on segments if it is higher [ticks/s].
         forward: Direction of each wheel on segments (2,): 1, -1, or 0 if it turns in both.
         turn: Distance of a wheel in the turns that are allowed between segments [ticks].
         step_noise: Standard deviation of a gap, as a fraction of it.
         slip: Standard deviation of a distance [ticks] over the square root of the distance [ticks].
     """
 
-    inside: float
+    median: float
     each: np.ndarray
+    inside: float
     between: float
     forward: np.ndarray
     turn: float
@@ -140,13 +147,16 @@ def measure_pace(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, odome
     """Measure the pace from gaps (n, 2) [ticks], their durations (n,) [s] and whether they are on a segment (n,)."""
     speed = np.abs(gap.astype(float)) / seconds[:, None]
     usual = _median(speed[inside], LARGEST)
+    credible = speed[inside][(speed[inside] > 0) & (speed[inside] <= MOST_APART * usual)]
+    top = float(np.percentile(credible, TOP)) if len(credible) else usual
     tick_m = measure_tick(odometry)
     ahead, back = (((sign * gap[inside]) > 0).sum(axis=0) for sign in (1, -1))
     most = ONE_WAY * (ahead + back)
     return Pace(
-        inside=usual,
+        median=usual,
         each=np.array([_median(speed[inside, wheel], usual) for wheel in range(2)]),
-        between=max(usual, _median(speed[~inside], 0.0)),
+        inside=top,
+        between=max(top, _median(speed[~inside], 0.0)),
         forward=(ahead > most).astype(int) - (back > most),
         turn=TURNS * np.pi * odometry["track_m"] / tick_m,
         step_noise=odometry.get("step_noise", 0.0),
@@ -217,7 +227,7 @@ def _refuse_nonsense(gap: np.ndarray, pace: Pace, odometry: Mapping[str, Any]) -
             raise InputError(
                 f"reading.npy: the {name} wheel never counts on a segment, while the other does {other} times"
             )
-    speed_mps = pace.inside * measure_tick(odometry)
+    speed_mps = pace.median * measure_tick(odometry)
     if turned.any() and speed_mps > FASTEST_MPS:
         raise InputError(
             f"reading.npy, time.npy: the wheels drive {speed_mps:.3g} m/s in the median, and more than "

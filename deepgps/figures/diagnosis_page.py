@@ -13,6 +13,7 @@ from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_small
 from deepgps.figures.markdown import tabulate
 
 ALL_WELL = "Nothing is wrong with these wheels, as far as the robot's own sensors can tell."
+NOT_MEASURED = "Too little of the drive could be used to tell what is wrong with these wheels."
 HEADINGS = ("quantity", "found", "95 % interval", "assumed", "detectable")
 
 
@@ -58,7 +59,7 @@ def list_rows(diagnosis: Diagnosis) -> list[list[str]]:
 def write_markdown(diagnosis: Diagnosis) -> str:
     """The page in Markdown."""
     faults = find_faults(diagnosis)
-    blocks = ["# What is wrong with these wheels", *_list_findings(faults)]
+    blocks = ["# What is wrong with these wheels", *_list_findings(diagnosis, faults)]
     blocks += [tabulate(HEADINGS, list_rows(diagnosis)), _say_how(diagnosis), UNKNOWN]
     return "\n\n".join(blocks) + "\n"
 
@@ -66,8 +67,9 @@ def write_markdown(diagnosis: Diagnosis) -> str:
 def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
     """Print the page: faults, then the table, then what cannot be known."""
     faults = find_faults(diagnosis)
-    for line in _list_findings(faults):
-        console.print(line + "\n", style="yellow" if faults else "green", markup=False, highlight=False, soft_wrap=True)
+    well = not faults and _is_measured(diagnosis)
+    for line in _list_findings(diagnosis, faults):
+        console.print(line + "\n", style="green" if well else "yellow", markup=False, highlight=False, soft_wrap=True)
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for index, heading in enumerate(HEADINGS):
         table.add_column(heading, justify="left" if index == 0 else "right")
@@ -78,9 +80,14 @@ def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
         console.print(f"\n{line}", highlight=False, markup=False, soft_wrap=True)
 
 
-def _list_findings(faults: Sequence[Finding]) -> list[str]:
+def _is_measured(diagnosis: Diagnosis) -> bool:
+    """Whether enough turns and images could be used to know the track width and the radii."""
+    return diagnosis.track_m.known and diagnosis.wheel_ratio.known
+
+
+def _list_findings(diagnosis: Diagnosis, faults: Sequence[Finding]) -> list[str]:
     if not faults:
-        return [ALL_WELL]
+        return [ALL_WELL if _is_measured(diagnosis) else NOT_MEASURED]
     return [
         f"{number}. {one.text}\n   Set: {one.cure}.\n   In the simulator: {one.setting}"
         for number, one in enumerate(faults, start=1)
@@ -88,7 +95,7 @@ def _list_findings(faults: Sequence[Finding]) -> list[str]:
 
 
 def _say_how(diagnosis: Diagnosis) -> str:
-    if not (diagnosis.track_m.known and diagnosis.wheel_ratio.known):
+    if not _is_measured(diagnosis):
         return f"Only {diagnosis.turns} turns and {diagnosis.pairs} pairs of images could be used: drive longer."
     return (
         f"By {diagnosis.turns} turns in place, {diagnosis.pairs} pairs of images of about one place, and the readings; "

@@ -1,6 +1,6 @@
 """The camera's calibration, from a log's CameraInfo, a file or the robot's configuration."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCam
     if config.info is not None:
         camera, where = _read_info(log, config.info), config.info
     elif config.file is not None:
-        camera, where = _read_file(config.file), str(config.file)
+        camera, where = read_calibration(config.file), str(config.file)
     elif config.intrinsics is not None:
         given = config.intrinsics
         camera = make_camera(
@@ -104,18 +104,44 @@ def _read_info(log: Log, topic: str) -> RawCamera:
     raise InputError(f"{topic} holds no message")
 
 
-def _read_file(path: Path) -> RawCamera:
-    """The calibration in a file of ROS's camera_calibration."""
+def read_calibration(path: Path) -> RawCamera:
+    """The calibration in a file of ROS's camera_calibration; raises InputError that names what is wrong."""
     values = read_yaml(path)
     try:
-        k = [float(value) for value in values["camera_matrix"]["data"]]
-        d = [float(value) for value in values["distortion_coefficients"]["data"]]
-        size = int(values["image_width"]), int(values["image_height"])
+        k, d = (_take_numbers(values, name) for name in ("camera_matrix", "distortion_coefficients"))
+        if len(k) != 9:
+            raise InputError(f"camera_matrix.data has {len(k)} numbers, and must have 9")
+        size = _take_size(values, "image_width"), _take_size(values, "image_height")
         return make_camera(str(values["distortion_model"]), size, (k[0], k[4]), (k[2], k[5]), d)
-    except (KeyError, TypeError, ValueError, IndexError) as error:
-        if isinstance(error, InputError):
-            raise InputError(f"{path}: {error}") from None
-        raise InputError(f"{path} is no calibration as of camera_calibration: {quote(str(error))} is missing") from None
+    except KeyError as error:
+        raise InputError(f"{path} is no calibration as of camera_calibration: {error} is missing") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _take_numbers(values: Mapping[str, Any], name: str) -> list[float]:
+    """The numbers of a matrix in a calibration file; raises InputError if they are none."""
+    data = values[name].get("data") if isinstance(values[name], dict) else values[name]
+    numbers = [_as_number(value) for value in data] if isinstance(data, list) else [np.nan]
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{name}.data {quote(data)}: must be a list of finite numbers")
+    return numbers
+
+
+def _take_size(values: Mapping[str, Any], name: str) -> int:
+    """A number of pixels in a calibration file; raises InputError if it is none."""
+    number = _as_number(values[name])
+    if not number.is_integer():
+        raise InputError(f"{name} {quote(values[name])}: must be a whole number of pixels")
+    return int(number)
+
+
+def _as_number(value: Any) -> float:
+    """A number, which YAML reads as text if it has an exponent and no point; NaN: it is none."""
+    try:
+        return float(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else np.nan
+    except (ValueError, OverflowError):
+        return np.nan
 
 
 def _assume(config: CameraConfig, size: tuple[int, int]) -> RawCamera:

@@ -112,17 +112,16 @@ def compare(first: Times, second: Times) -> str | None:
     """What is wrong between the clocks of two topics; None: they agree, or have no stamps to compare."""
     if not (first.is_stamped and second.is_stamped):
         return None
-    edge = np.arange(first.log_s.min(), first.log_s.max() + STRETCH_S, STRETCH_S)
-    one, other = _find_delays(first, edge), _find_delays(second, edge)
-    apart = other - one
-    if not np.isfinite(apart).any():
+    begin_s = float(first.log_s.min())
+    (number, delay), (other_number, other_delay) = (_find_delays(topic, begin_s) for topic in (first, second))
+    both, rows, other_rows = np.intersect1d(number, other_number, assume_unique=True, return_indices=True)
+    apart = other_delay[other_rows] - delay[rows]
+    if not len(apart) or np.abs(apart).max() <= APART_S:
         return None
-    worst = int(np.nanargmax(np.abs(apart)))
-    if abs(apart[worst]) <= APART_S:
-        return None
+    worst = int(np.argmax(np.abs(apart)))
     return (
         f"the clock of {second.topic} differs from that of {first.topic} by {-apart[worst]:+.3f} s at "
-        f"{edge[worst]:.1f} s"
+        f"{begin_s + STRETCH_S * both[worst]:.1f} s"
     )
 
 
@@ -145,18 +144,18 @@ def list_offsets(topics: Sequence[Times], starts: Starts) -> Mapping[str, float]
     return {one.topic: float(np.nanmedian(one.late_s)) + apart_s if one.is_stamped else np.nan for one in topics}
 
 
-def _find_delays(times: Times, edge: np.ndarray) -> np.ndarray:
-    """Shortest delay in each stretch (E,) [s]; NaN where there is no message."""
-    late, found = times.late_s, np.full(len(edge), np.nan)
-    place = np.searchsorted(edge, times.log_s, side="right") - 1
-    good = np.isfinite(late) & (place >= 0)
-    if not good.any():
-        return found
-    order = np.argsort(place[good], kind="stable")
-    numbers, starts = np.unique(place[good][order], return_index=True)
-    for number, values in zip(numbers, np.split(late[good][order], starts[1:]), strict=True):
-        found[number] = np.percentile(values, SHORTEST)
-    return found
+def _find_delays(times: Times, begin_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the stretches with stamped messages (S,), counted from a time on, and the shortest delay in each (S,).
+
+    Others are not listed: one wrong time of logging may lie decades before the others.
+    """
+    late = times.late_s
+    good = np.isfinite(late)
+    place = np.floor((times.log_s[good] - begin_s) / STRETCH_S).astype(np.int64)
+    order = np.argsort(place, kind="stable")
+    numbers, starts = np.unique(place[order], return_index=True)
+    parts = np.split(late[good][order], starts[1:]) if len(numbers) else []
+    return numbers, np.array([np.percentile(values, SHORTEST) for values in parts])
 
 
 def _fill(times: Times) -> np.ndarray:
@@ -171,13 +170,13 @@ def _by_recorder(times: Times) -> np.ndarray:
     """
     if not times.is_stamped:
         return times.log_s
-    edge = np.arange(times.log_s.min(), times.log_s.max() + STRETCH_S, STRETCH_S)
-    middle, delay = edge + STRETCH_S / 2, _find_delays(times, edge)
-    known = np.isfinite(delay)
-    offset = np.interp(times.log_s, middle[known], delay[known])
-    if (jumps := np.abs(np.diff(delay[known])) > APART_S).any() and find_jump(times):
-        nearest = np.clip(np.searchsorted(edge[known], times.log_s, side="right") - 1, 0, known.sum() - 1)
-        offset = delay[known][nearest]
+    begin_s = float(times.log_s.min())
+    number, delay = _find_delays(times, begin_s)
+    edge = begin_s + STRETCH_S * number
+    offset = np.interp(times.log_s, edge + STRETCH_S / 2, delay)
+    if (jumps := np.abs(np.diff(delay)) > APART_S).any() and find_jump(times):
+        nearest = np.clip(np.searchsorted(edge, times.log_s, side="right") - 1, 0, len(edge) - 1)
+        offset = delay[nearest]
         at_jump = jumps[np.clip(nearest - 1, 0, len(jumps) - 1)] | jumps[np.clip(nearest, 0, len(jumps) - 1)]
         found = np.where(np.isfinite(times.stamp_s), times.stamp_s + offset, times.log_s)
         return np.where(at_jump & ~(np.abs(times.late_s - offset) <= APART_S), np.nan, found)

@@ -14,6 +14,7 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from deepgps.logs.databases import METADATA, SUFFIXES, prepare_databases
 from deepgps.logs.plain_folder import PlainFolder, is_plain
 from deepgps.logs.sample import Part, Sample, explained, read_stamp
 from deepgps.logs.truncated import is_truncated, salvage
@@ -21,7 +22,6 @@ from deepgps.progress import Report
 from sim.errors import InputError
 from sim.user_input import shorten
 
-SUFFIXES = (".bag", ".mcap", ".db3")
 ZSTD = ".zstd"
 
 
@@ -87,14 +87,18 @@ def open_log(path: Path) -> Iterator[Log]:
         yield Log(path, part.types, (), [part])
         return
     files = _list_files(path)
-    with explained(path):
-        cut = [file for file in files if is_truncated(file)]
-    notes = tuple(f"{file.name} is cut off: what is complete is read" for file in cut)
-    if path.is_dir() and (path / "metadata.yaml").is_file() and not cut:
-        files = [path]
     with ExitStack() as stack:
         with explained(path):
-            parts = [_open_part(file, file in cut, stack) for file in files]
+            place, copies = prepare_databases(path, files, stack)
+            cut = [is_truncated(copy) for copy in copies]
+            if path.is_dir() and (path / METADATA).is_file() and not any(cut):
+                parts: list[Part] = [_open_indexed(path, place, stack)]
+            else:
+                some = zip(files, copies, cut, strict=True)
+                parts = [salvage(copy) if bad else _open_indexed(file, copy, stack) for file, copy, bad in some]
+        notes = tuple(
+            f"{file.name} is cut off: what is complete is read" for file, bad in zip(files, cut, strict=True) if bad
+        )
         types = {topic: kind for part in parts for topic, kind in part.types.items()}
         yield Log(path, types, notes, parts)
 
@@ -106,7 +110,7 @@ def _list_files(path: Path) -> list[Path]:
             raise InputError(f"{shorten(str(path), 300)}: a log is a .bag, .mcap or .db3 file, or a folder")
         return [path]
     files = [file for file in path.iterdir() if file.suffix in SUFFIXES and file.is_file()]
-    if not files and not (path / "metadata.yaml").is_file():
+    if not files and not (path / METADATA).is_file():
         zipped = any(file.suffix == ZSTD for file in path.iterdir())
         hint = f"; files compressed as {ZSTD} need their metadata.yaml" if zipped else ""
         raise InputError(
@@ -120,11 +124,10 @@ def _split(name: str) -> list[str]:
     return re.split(r"(\d+)", name)
 
 
-def _open_part(file: Path, cut: bool, stack: ExitStack) -> Part:
-    if cut:
-        return salvage(file)
+def _open_indexed(file: Path, copy: Path, stack: ExitStack) -> Part:
+    """Open a file, or a folder of files with one index, under the path at which it can be read."""
     defaults = get_typestore(Stores.ROS2_HUMBLE)  # rosbag2 up to version 5 stores no definitions of types
-    return IndexedPart(file, stack.enter_context(AnyReader([file], default_typestore=defaults)))
+    return IndexedPart(file, stack.enter_context(AnyReader([copy], default_typestore=defaults)))
 
 
 class IndexedPart:

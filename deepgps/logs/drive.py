@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.logs.clocks import align, find_starts, list_offsets, take_times
-from deepgps.logs.joints import WheelLog
+from deepgps.logs.joints import UNUSABLE, WheelLog
 from deepgps.logs.pictures import ImageList
 from deepgps.logs.poses import PoseLog, find_poses
 from deepgps.logs.robot_config import RobotConfig
@@ -58,6 +58,8 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
     motions = find_motions(wheels, path, config.wheels.track_m)
     if config.pose and pose_log is not None:
+        if pose_log.without:
+            notes.append(f"{config.pose.topic}: {pose_log.without} messages are left out: {UNUSABLE}")
         pose = find_poses(time_s[config.pose.topic], pose_log.pose, np.nan_to_num(image_s, nan=-np.inf))
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{config.pose.topic}: {lacking} images have no pose within half a second and are left out")
@@ -65,6 +67,20 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
-    notes += wheels.notes
+    notes += [*wheels.notes, *_doubt_direction(config.wheels.topic, motions, path)]
     offsets = list_offsets(times, starts)
     return Drive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)
+
+
+def _doubt_direction(topic: str, motions: list[Motion], path: Path) -> list[str]:
+    """A note if the robot drove backward more than forward, as it seems if both wheels count backward."""
+    metres = dict.fromkeys(("straight", "back"), 0.0)
+    for one in motions:
+        if one.kind in metres:
+            metres[one.kind] += abs(float(path.travelled_m[one.last] - path.travelled_m[one.first]))
+    if metres["back"] <= metres["straight"]:
+        return []
+    return [
+        f"{topic}: the robot drove {metres['back']:.1f} m backward and {metres['straight']:.1f} m forward: do both "
+        "wheels count forward?"
+    ]

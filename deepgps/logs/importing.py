@@ -21,7 +21,7 @@ from deepgps.logs.pictures import ImageList, open_images
 from deepgps.logs.polar import PolarSource, open_polar
 from deepgps.logs.poses import PoseLog, open_poses
 from deepgps.logs.robot_config import RobotConfig
-from deepgps.logs.segmentation import find_path
+from deepgps.logs.segmentation import KINDS, find_path
 from deepgps.logs.summary import describe
 from deepgps.logs.turn_pairs import choose_lag, measure_lag
 from deepgps.progress import Report
@@ -36,6 +36,8 @@ MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
 FEWEST_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
+MOST = 0.95
+"""Part of the drive that images must cover; otherwise it is noted."""
 ROUNDS = 3
 """Attempts at a choice of images without damaged ones."""
 WRITTEN_LAST = ("schema", "sha256", "checksum")
@@ -73,7 +75,7 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
     Args:
         path: The log.
         config: What it does not say of its robot.
-        out: Folder of the recording; must be empty or not exist.
+        out: Folder of the recording; must be empty or not exist, and no link, mount point or working folder.
         progress: Called with what is done.
         config_sha256: Checksum of the configuration's file, for the manifest.
 
@@ -83,8 +85,7 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
     Raises:
         InputError: The log or its configuration cannot be used; one line says why, with topic and time.
     """
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"{shorten(str(out), 300)} is not empty; a recording is written to a folder of its own")
+    _check_out(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     with open_log(path) as log:
         drive = find_drive(config, *_read(log, config, progress))
@@ -93,7 +94,26 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
             lag = measure_lag(source, drive, file, progress)
         lag_s, notes = choose_lag(config.wheels.lag_s, lag)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
-        return _write(config, source, drive, about, [*log.notes, *drive.notes, *notes], out, progress)
+        notes = [*log.notes, *drive.notes, *_note_cover(source.topic, drive), *notes]
+        return _write(config, source, drive, about, notes, out, progress)
+
+
+def _check_out(out: Path) -> None:
+    """Raise InputError if the finished recording could not be moved to this place."""
+    above = next(place for place in out.absolute().parents if place.exists())
+    if not above.is_dir():
+        why = f"cannot be made: {shorten(str(above), 300)} is no folder"
+    elif out.is_symlink():
+        why = "is a link"
+    elif out.absolute().is_mount():
+        why = "is a mount point"
+    elif out.exists() and out.samefile("."):
+        why = "is the working folder"
+    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
+        why = "is not empty"
+    else:
+        return
+    raise InputError(f"{shorten(str(out), 300)} {why}; a recording is written to a folder of its own")
 
 
 def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
@@ -155,11 +175,12 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
     spacing_m, ticks = config.drive.spacing_m, config.wheels.ticks_per_rev
     train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)
     if not len(train.motions):
-        found = {kind: sum(one.kind == kind for one in drive.motions) for kind in ("straight", "turn", "arc", "back")}
+        found = {kind: sum(one.kind == kind for one in drive.motions) for kind in KINDS}
+        hint = next(iter(wheels.notes), "do their times overlap, and do both wheels count forward?")
         raise InputError(
             f"{config.wheels.topic}, {source.topic}: no straight segment with two images was found (motions: "
             f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
-            f"{len(images.number)}); do their times overlap, and do both wheels count forward?"
+            f"{len(images.number)}); {hint}"
         )
     test = plan_recording(drive.motions, range(end, len(drive.motions)), wheels, path, images, spacing_m, ticks)
     return Choice(train, test)
@@ -177,6 +198,18 @@ def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float)
     order, wheel_s, angle = order[good], wheel_s[good], angle[good]
     path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
     return Images(order, drive.image_s[order], wheel_s, angle, path)
+
+
+def _note_cover(topic: str, drive: Drive) -> list[str]:
+    """A note if the camera began late or stopped early: the rest of the drive is not used."""
+    begin_s, end_s = drive.wheels.time_s[[0, -1]]
+    seen_s = np.clip(drive.image_s[np.isfinite(drive.image_s)], begin_s, end_s)
+    if not len(seen_s) or np.ptp(seen_s) >= MOST * (end_s - begin_s):
+        return []
+    return [
+        f"{topic}: images cover {np.ptp(seen_s):.0f} of {end_s - begin_s:.0f} s of the drive, from {seen_s.min():.1f} "
+        f"to {seen_s.max():.1f} s; the rest is not used"
+    ]
 
 
 def _describe_damage(source: PolarSource, drive: Drive) -> str:

@@ -17,6 +17,10 @@ from sim.user_input import quote
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 KINDS = (JOINT_STATE, ODOMETRY)
+LEAST_LENGTH = 1e-6
+"""Length of a quaternion up to which it tells no orientation."""
+UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"
+"""Why a message of a pose is left out."""
 
 
 @dataclass
@@ -64,7 +68,8 @@ class WheelLog:
         """Raise InputError unless there are positions of both wheels."""
         topic = self.config.topic
         if not self.names and not self.log_ns:
-            raise InputError(f"{topic} holds no message of wheels")
+            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            raise InputError(f"{topic} holds no message of wheels{why}")
         known = [bool(np.isfinite(wheel).any()) for wheel in self.angle.T]
         for name, has in zip((self.config.left, self.config.right), known, strict=True):
             if not has:
@@ -133,6 +138,10 @@ class OdometryPath:
 
 
 def read_yaw(turn: Any) -> float:
-    """Yaw of a quaternion message [rad]."""
+    """Yaw of a quaternion message [rad], of any length; NaN if it is 0, which some drivers send for no orientation."""
     w, x, y, z = (float(getattr(turn, axis)) for axis in "wxyz")
+    length = math.hypot(w, x, y, z)
+    if not length > LEAST_LENGTH:
+        return math.nan
+    w, x, y, z = w / length, x / length, y / length, z / length
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -83,7 +83,8 @@ def plan_recording(
             builder.begin(rows)
             continue
         kind = judge_turn(motions[before + 1 : number], wheels, path)
-        last, after = builder.rows[-1], _find_after(motions, number, wheels, path, images)
+        last = builder.rows[-1]
+        after = _find_after(motions, number, wheels, path, images, last)
         at_rest = _is_near(images, last, path, motions[before].last)
         if kind == IN_PLACE and at_rest and after is not None:
             builder.turn_in_place(rows, after, spacing_m)
@@ -143,11 +144,23 @@ def _range_at_rest(motions: Sequence[Motion], number: int) -> tuple[int, int]:
     return first, last
 
 
-def _find_after(motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images) -> int | None:
-    """Row of the first image that shows a segment's beginning after a turn in place; None: there is none."""
+def _find_after(
+    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, last: int
+) -> int | None:
+    """Row of the first image that shows a segment's beginning after a turn in place; None: there is none.
+
+    It comes after the last row of the segment before, as segments may share a rest.
+    """
     first, _ = _range_at_rest(motions, number)
     begin, end = np.searchsorted(images.wheel_s, wheels.time_s[[first, motions[number].last]])
-    return next((row for row in range(begin, end) if _is_near(images, row, path, motions[number].first)), None)
+    return next(
+        (
+            row
+            for row in range(max(int(begin), last + 1), int(end))
+            if _is_near(images, row, path, motions[number].first)
+        ),
+        None,
+    )
 
 
 def _is_near(images: Images, row: int, path: Path, message: int) -> bool:

@@ -1,7 +1,8 @@
 """A log as plain files: a folder ``images``, ``wheels.csv`` with angles, and ``poses.csv`` if poses are known.
 
 ``wheels.csv`` has the columns time_s, left_rad, right_rad; ``poses.csv`` time_s, x_m, y_m, yaw_rad. An image's time is
-in ``images.csv`` (time_s, file), or its name is its time: seconds, or nanoseconds if it has at least 16 digits.
+in ``images.csv`` (time_s, file), or its name is its time: seconds, or nanoseconds if it has at least 16 digits. Times
+beyond the year 2255, and names that are microseconds since 1970, are refused.
 """
 
 import csv
@@ -29,6 +30,11 @@ COLUMNS = {
 JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
 NANOSECOND_DIGITS = 16
+LATEST_S = 9e9
+"""Largest time that is believed [s]: in the year 2255. Milliseconds since 1970 are larger."""
+UPTIME_NS, SINCE_1970_NS = 10**15, 10**18
+"""Names in nanoseconds are below the one, by a clock that began with the robot, or from the other on, since 1970 [ns].
+Those between are microseconds since 1970."""
 
 
 def is_plain(path: Path) -> bool:
@@ -86,10 +92,17 @@ def _list_images(folder: Path) -> list[tuple[int, str]]:
 def _read_name(folder: Path, name: str) -> int:
     """The time that an image's name tells [ns]."""
     stem = name.rpartition(".")[0]
+    in_ns = stem.isdigit() and len(stem) >= NANOSECOND_DIGITS
     try:
-        return int(stem) if stem.isdigit() and len(stem) >= NANOSECOND_DIGITS else _read_ns(stem)
+        ns = int(stem) if in_ns else _read_ns(stem)
     except (ValueError, OverflowError):
         raise InputError(f"{folder / IMAGES / name}: its name is no time [s], and there is no {TIMES}") from None
+    if abs(ns) > LATEST_S * 1e9 or (in_ns and UPTIME_NS <= ns < SINCE_1970_NS):
+        raise InputError(
+            f"{folder / IMAGES / name}: its name must be seconds, or nanoseconds since 1970, and there is no {TIMES}; "
+            "is it in ms or us?"
+        )
+    return ns
 
 
 def _read_ns(text: str) -> int:
@@ -116,4 +129,8 @@ def _read_table(path: Path) -> Iterator[list[str]]:
                 raise InputError(
                     f"{path}: line {rows.line_num} must be {','.join(columns)}, and is {quote(row)}"
                 ) from None
+            if abs(numbers[0]) > LATEST_S:
+                raise InputError(
+                    f"{path}: line {rows.line_num}: time_s {quote(row[0])} must be seconds; is it in ms or ns?"
+                )
             yield row

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.logs.containers import Log
-from deepgps.logs.joints import read_yaw
+from deepgps.logs.joints import UNUSABLE, read_yaw
 from deepgps.logs.sample import Part, Sample
 from sim.errors import InputError
 from sim.geometry import wrap
@@ -31,11 +31,13 @@ class PoseLog:
         log_ns: When each was logged (n,) [ns].
         stamp_ns: Its stamp (n,) [ns]; 0: none.
         values: x, y [m] and yaw [rad] of each, one after the other.
+        without: Messages that tell no pose and are left out.
     """
 
     log_ns: array = field(default_factory=lambda: array("q"))
     stamp_ns: array = field(default_factory=lambda: array("q"))
     values: array = field(default_factory=lambda: array("d"))
+    without: int = 0
 
     @property
     def pose(self) -> np.ndarray:
@@ -43,17 +45,20 @@ class PoseLog:
         return np.array(self.values).reshape(-1, 3)
 
     def take(self, sample: Sample, part: Part) -> None:
-        """Read a message; one that is not finite is left out."""
+        """Read a message; one that tells no pose is only counted."""
         pose = _take(part.decode(sample))
-        if all(map(math.isfinite, pose)):
-            self.log_ns.append(sample.log_ns)
-            self.stamp_ns.append(sample.stamp_ns)
-            self.values.extend(pose)
+        if not all(map(math.isfinite, pose)):
+            self.without += 1
+            return
+        self.log_ns.append(sample.log_ns)
+        self.stamp_ns.append(sample.stamp_ns)
+        self.values.extend(pose)
 
     def check(self, topic: str) -> None:
         """Raise InputError if there is no pose."""
         if not self.log_ns:
-            raise InputError(f"pose.topic {topic} holds no pose")
+            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            raise InputError(f"pose.topic {topic} holds no pose{why}")
 
 
 def open_poses(log: Log, topic: str) -> PoseLog:

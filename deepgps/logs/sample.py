@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 from rosbags.typesys.store import Typestore
 
-from sim.errors import InputError, one_line
+from sim.errors import InputError, WorkError, one_line
 from sim.user_input import shorten
 
 HEADER = "std_msgs/msg/Header"
@@ -53,7 +53,7 @@ def explained(path: Path) -> Iterator[None]:
     """Raise every exception of the libraries that read logs as an InputError of one line."""
     try:
         yield
-    except (InputError, MemoryError, OSError):
+    except (InputError, WorkError, MemoryError, OSError):
         raise
     except Exception as error:
         why = one_line(error) or type(error).__name__

@@ -1,12 +1,14 @@
 """The lag of the wheels against the images of a log, measured at its turns in place, and which lag counts."""
 
+from collections.abc import Collection
 from typing import IO
 
 import numpy as np
 
 from deepgps.logs.drive import Drive
-from deepgps.logs.lag import FEWEST, Lag, Pairs, estimate_lag, measure_shift
+from deepgps.logs.lag import FEWEST, LEAST_RAD, Lag, Pairs, estimate_lag, measure_shift
 from deepgps.logs.polar import PolarSource
+from deepgps.logs.segmentation import Kind
 from deepgps.progress import Report
 from sim.errors import InputError
 
@@ -20,27 +22,77 @@ AGREE = 0.5
 """Share of turns in which images and wheels must agree."""
 
 
+FEW_SEEN = 0.2
+"""Share of the wheels' turns below which images seem not to turn. Good logs have nearly all."""
+DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
+"""Motions that a turn in place becomes by wheels of which one counts backward."""
+
+
 def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> Lag | None:
-    """How much later than the images the wheels are; None: no turn shows it."""
-    first, second = _pair_images(drive)
+    """How much later than the images the wheels are; None: no turn shows it.
+
+    Args:
+        source: Images of the log.
+        drive: Its drive.
+        file: Takes the images that are looked at.
+        progress: Called with what is done.
+
+    Raises:
+        InputError: Images turn where the wheels drive, and not where they turn: one wheel counts backward.
+    """
+    pairs = _measure_pairs(source, _pair_images(drive, ("turn",), AROUND_S), drive, file, progress)
+    _refuse_reversed(pairs, source, drive, file, progress)
+    return estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
+
+
+def _measure_pairs(
+    source: PolarSource, numbers: tuple[np.ndarray, np.ndarray], drive: Drive, file: IO[bytes], progress: Report
+) -> Pairs:
+    """The turns by the images between the first and second image of pairs, by their numbers (p,), (p,)."""
+    first, second = numbers
     wanted = np.unique(np.concatenate([first, second]))
     source.draw(wanted.tolist(), file, progress, "see turns")
     images = source.map(file, len(wanted))
     rows = np.searchsorted(wanted, first), np.searchsorted(wanted, second)
     turned = [measure_shift(images[one], images[other]) for one, other in zip(*rows, strict=True)]
-    pairs = Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
-    return estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
+    return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
 
 
-def _pair_images(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of the first and second image of pairs in and around turns, spread over the drive."""
+def _refuse_reversed(pairs: Pairs, source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> None:
+    """Raise InputError if the wheels turn against each other where images do not turn, and images where they do not.
+
+    Images that show nothing, as of a covered camera, turn nowhere, so they are no reason.
+    """
+    time_s, yaw = drive.wheels.time_s, drive.path.yaw
+    by_wheels = np.interp(pairs.second_s, time_s, yaw) - np.interp(pairs.first_s, time_s, yaw)
+    turned = pairs.turned[np.abs(by_wheels) > LEAST_RAD]
+    if len(turned) < FEWEST or _share_turning(turned) >= FEW_SEEN:
+        return
+    driven = _measure_pairs(source, _pair_images(drive, DRIVES, 0.0), drive, file, progress).turned
+    if len(driven) >= FEWEST and _share_turning(driven) > AGREE:
+        raise InputError(
+            f"wheels.left, wheels.right: they turn against each other in {len(turned)} pairs of images of which "
+            f"{_share_turning(turned):.0%} turn, and images turn where they do not: one of them counts backward"
+        )
+
+
+def _share_turning(turned: np.ndarray) -> float:
+    """Share of turns between two images (p,) [rad] that are no error of measurement."""
+    return float((np.abs(turned) > LEAST_RAD / 2).mean())
+
+
+def _pair_images(drive: Drive, kinds: Collection[Kind], around_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the first and second image of pairs in motions of some kinds and shortly before and after them.
+
+    The pairs are spread over the drive.
+    """
     order = np.argsort(drive.image_s, kind="stable")
     order = order[np.isfinite(drive.image_s[order])]
     image_s, time_s = drive.image_s[order], drive.wheels.time_s
     inside = np.zeros(len(order), bool)
     for motion in drive.motions:
-        if motion.kind == "turn":
-            begin, end = time_s[motion.first] - AROUND_S, time_s[motion.last] + AROUND_S
+        if motion.kind in kinds:
+            begin, end = time_s[motion.first] - around_s, time_s[motion.last] + around_s
             inside[slice(*np.searchsorted(image_s, (begin, end)))] = True
     rows = np.flatnonzero(inside[:-1] & inside[1:] & (np.diff(image_s) < LONGEST_PAIR_S))
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_PAIRS).astype(int))] if len(rows) else rows
@@ -65,8 +117,8 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
         return float(given), []
     if lag.agree < AGREE and lag.mirrored > max(AGREE, lag.agree + 0.2):
         raise InputError(
-            f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, or "
-            "wheels.left and wheels.right are exchanged"
+            f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
+            "wheels.left and wheels.right are exchanged, or both wheels count backward"
         )
     notes = []
     if lag.agree < AGREE:

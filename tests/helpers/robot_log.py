@@ -366,7 +366,7 @@ def make_message(store: Any, note: Note) -> Any:
         )
     if note.kind == INFO:
         return _make_info(store, header, given)
-    return _make_pose(store, note.kind, header, given["pose"])
+    return _make_pose(store, note.kind, header, given["pose"], given.get("length", 1.0))
 
 
 def new_fields(store: Any, kind: str) -> list[str]:
@@ -393,10 +393,13 @@ def _make_info(store: Any, header: Any, given: Mapping[str, Any]) -> Any:
     )
 
 
-def _make_pose(store: Any, kind: str, header: Any, pose: np.ndarray) -> Any:
+def _make_pose(store: Any, kind: str, header: Any, pose: np.ndarray, length: float) -> Any:
+    """A message of a pose, with a quaternion of some length."""
     x, y, yaw = map(float, pose)
     place = store.types["geometry_msgs/msg/Point"](x=x, y=y, z=0.0)
-    turn = store.types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=np.sin(yaw / 2), w=np.cos(yaw / 2))
+    turn = store.types["geometry_msgs/msg/Quaternion"](
+        x=0.0, y=0.0, z=length * np.sin(yaw / 2), w=length * np.cos(yaw / 2)
+    )
     inner = store.types["geometry_msgs/msg/Pose"](position=place, orientation=turn)
     if kind == POSE:
         return store.types[kind](header=header, pose=inner)

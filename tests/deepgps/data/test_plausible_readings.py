@@ -79,6 +79,24 @@ def test_of_clean_encoders_no_reading_is_touched(ticks: int, faults: dict):
         assert checked.counts == {"kept": len(reading), **dict.fromkeys((*LEFT_OUT, "wrapped", "breaks"), 0)}
 
 
+def slow_down(share: float, times: float) -> np.ndarray:
+    """Times of the readings of a robot that drives a part of its segments slower."""
+    slow = np.random.default_rng(0).random(READING[-1, 0] + 1) < share
+    on_slow = slow[READING[1:, 0]] & (np.diff(READING[:, 0]) == 0)
+    return TIME[0] + np.append(0.0, np.cumsum(np.diff(TIME) * np.where(on_slow, times, 1.0)))
+
+
+@pytest.mark.parametrize("times", [1.5, 3.0, 5.0])
+@pytest.mark.parametrize("share", [0.1, 0.4, 0.6, 0.8])
+def test_a_robot_may_drive_at_two_speeds(share: float, times: float):
+    time = slow_down(share, times)
+    assert check(READING, time).reading is READING
+    chosen, reading = choose(np.random.default_rng(1)), READING.copy()
+    reading[chosen, 2:] += 10**6
+    found, left = check(reading, time), np.delete(np.arange(len(READING)), chosen)
+    assert np.array_equal(np.flatnonzero(found.kept), left)
+
+
 def test_a_real_recording_stays_as_it_is(small_recording: Path):
     recording = open_recording(small_recording)
     checked = keep_plausible(recording)

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.diagnosis.diagnosis import Diagnosis, apply_diagnosis, diagnose
+from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, diagnose
 from deepgps.diagnosis.findings import correct, find_faults
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
-from deepgps.figures.diagnosis_page import ALL_WELL, UNKNOWN, write_markdown
+from deepgps.figures.diagnosis_page import ALL_WELL, NOT_MEASURED, UNKNOWN, write_markdown
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
@@ -55,6 +55,9 @@ def test_wheels_without_faults_raise_no_alarm(recording: Recording, sight: Sight
     assert names(diagnosis) == []
     assert ALL_WELL in write_markdown(diagnosis)
     assert UNKNOWN in write_markdown(diagnosis)
+    nothing = Estimate(np.nan, np.nan, np.nan)
+    unknown = write_markdown(replace(diagnosis, track_m=nothing))
+    assert NOT_MEASURED in unknown and ALL_WELL not in unknown
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
+from deepgps.logs.containers import open_log
+from deepgps.logs.drive import find_drive
 from deepgps.logs.importing import import_log
+from deepgps.logs.joints import open_wheels
+from deepgps.logs.pictures import open_images
 from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
 from sim.errors import InputError
@@ -28,6 +32,7 @@ from tests.helpers.robot_log import (
     Note,
     change,
     make_notes,
+    make_texture,
     replace_pixels,
     seconds,
     set_fields,
@@ -102,6 +107,58 @@ def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
     (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,nan\n")
     with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
         bring_in(log, tmp_path / "again", config)
+
+
+def rename_images(log: Path, name: Callable[[float], str]) -> None:
+    """Name each image by a function of its time [s]."""
+    for path in (log / "images").iterdir():
+        path.rename(path.with_name(f"{name(float(path.stem))}.png"))
+
+
+def list_images(log: Path, name: Callable[[float], str]) -> None:
+    """List the images in images.csv under a function of their times [s]."""
+    rows = [f"{name(float(path.stem))},{path.name}" for path in sorted((log / "images").iterdir())]
+    (log / "images.csv").write_text("\n".join(["time_s,file", *rows]))
+
+
+def change_table(log: Path, table: str, name: Callable[[float], str]) -> None:
+    """Replace the times of a table [s] by a function of them."""
+    head, *rows = (log / table).read_text().splitlines()
+    rows = [f"{name(float(time))},{rest}" for time, _, rest in (row.partition(",") for row in rows)]
+    (log / table).write_text("\n".join([head, *rows]))
+
+
+def times_of(path: Path) -> list[int]:
+    with open_log(path) as log:
+        return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9], ids=["ms", "us", "ns"])
+def test_times_of_plain_files_in_another_unit_are_refused_in_one_line(unit: float, tmp_path: Path) -> None:
+    def since_1970(time_s: float) -> str:
+        return str(round((1.7e9 + time_s) * unit))
+
+    for table in ("wheels.csv", "poses.csv"):
+        log = write_plain(tmp_path / table)
+        change_table(log, table, since_1970)
+        with pytest.raises(InputError, match=rf"{table}: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+            times_of(log)
+    list_images(log := write_plain(tmp_path / "listed"), since_1970)
+    with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+        times_of(log)
+    rename_images(log := write_plain(tmp_path / "named"), since_1970)
+    if unit == 1e9:
+        assert max(times_of(log)) > 1.7e18
+    else:
+        with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
+            times_of(log)
+
+
+def test_names_may_be_nanoseconds_since_the_robot_started(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    times = times_of(log)
+    rename_images(log, lambda time_s: f"{round(time_s * 1e9):016d}")
+    assert times_of(log) == times
 
 
 def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
@@ -226,10 +283,44 @@ def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> No
 def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
     mirrored = replace_pixels(notes, lambda image: image[:, ::-1])
     log = write_log(tmp_path / "log", mirrored, "mcap_lz4")
-    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, or wheels\.left"):
+    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, wheels\.left"):
         bring_in(log, tmp_path)
     folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
     check_complete(folder)
+
+
+@pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)], ids=["left", "right"])
+@pytest.mark.parametrize("lag_s", [0.0, "estimate"])
+def test_one_wheel_that_counts_backward_is_refused(
+    lag_s: float | str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
+) -> None:
+    def reverse(_: int, note: Note) -> Note:
+        return set_fields(note, position=note.fields["position"] * sign)
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
+    with pytest.raises(InputError, match=r"wheels\.left, wheels\.right: they turn against each other in \d+ pairs"):
+        bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
+
+
+def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    """Swapped and reversed wheels turn as they should, and only their way is backward."""
+    with open_log(write_log(tmp_path / "log", notes, "mcap_lz4")) as log:
+        wheels, images = open_wheels(log, configure().wheels), open_images(log, CAMERA)
+        log.feed({JOINTS: wheels.take, CAMERA: images.take}, ignore)
+    assert find_drive(configure(), wheels, images, None).notes == ()
+    for number, (left, right) in enumerate(wheels.angle.tolist()):
+        wheels.values[2 * number], wheels.values[2 * number + 1] = -right, -left
+    (note,) = find_drive(configure(), wheels, images, None).notes
+    metres = f"{sum(LENGTHS_M):.1f} m backward and 0.0 m forward"
+    assert note == f"{JOINTS}: the robot drove {metres}: do both wheels count forward?"
+
+
+@pytest.mark.parametrize("show", [lambda image: image * 0, lambda image: make_texture()[:80, :96]], ids=["dark", "lid"])
+def test_images_that_show_nothing_are_no_sign_of_wheels_that_count_backward(
+    show: Callable[[np.ndarray], np.ndarray], notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", replace_pixels(notes, show), "mcap_lz4")
+    check_complete(bring_in(log, tmp_path)[0], 0.02)
 
 
 def test_a_gap_of_the_wheels_divides_a_segment(notes: list[Note], tmp_path: Path) -> None:
@@ -253,6 +344,12 @@ def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: P
     folder, _ = bring_in(log, tmp_path)
     by_ticks, true = measure(folder)
     np.testing.assert_allclose(by_ticks, true, atol=0.003)
+
+
+def test_a_camera_that_stops_before_the_drive_ends_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, CAMERA, lambda n, note: note if n < 250 else None), "mcap_lz4")
+    _, about = bring_in(log, tmp_path)
+    assert any(note.startswith(f"{CAMERA}: images cover 25 of 33 s of the drive, from") for note in about["notes"])
 
 
 def test_a_counter_that_restarts_divides_the_drive(notes: list[Note], tmp_path: Path) -> None:
@@ -380,9 +477,30 @@ def test_strange_files_are_refused(tmp_path: Path) -> None:
         bring_in(tmp_path / "empty", tmp_path)
 
 
-def test_a_folder_with_files_is_not_written_to(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    (tmp_path / "recording").mkdir()
-    (tmp_path / "recording" / "mine").write_text("mine")
-    with pytest.raises(InputError, match="is not empty"):
+def test_messages_that_are_too_rare_are_named_as_the_cause(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, JOINTS, lambda n, note: None if n % 10 else note), "mcap_lz4")
+    with pytest.raises(InputError, match=r"\d+ rest, 0 arc, 0 back, [1-9]\d* unknown; .* no message for 0\.5 s while"):
         bring_in(log, tmp_path)
+
+
+def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    (tmp_path / "dangling").symlink_to("nothing")
+    monkeypatch.chdir(tmp_path / "empty")
+    for out, why in (
+        (tmp_path / "full", "is not empty"),
+        (tmp_path / "full" / "mine", "is not empty"),
+        (tmp_path / "full" / "mine" / "x", "cannot be made: .*mine is no folder"),
+        (tmp_path / "link", "is a link"),
+        (tmp_path / "dangling", "is a link"),
+        (Path("."), "is the working folder"),
+        (tmp_path / "empty", "is the working folder"),
+        (Path("/proc"), "is a mount point"),
+    ):
+        with pytest.raises(InputError, match=f"{why}; a recording is written to a folder of its own"):
+            import_log(tmp_path / "no log", configure(), out, ignore)

@@ -1,11 +1,13 @@
 """What a log holds is printed as a robot.yaml that imports it; the command and the file's errors."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
 
 from deepgps.cli import main
+from deepgps.logs.camera import read_calibration
 from deepgps.logs.look import look
 from deepgps.logs.robot_config import RobotConfig, load_config
 from deepgps.progress import ignore
@@ -113,15 +115,45 @@ def test_a_wrong_robot_is_refused_in_one_line(values: dict, message: str, tmp_pa
     assert "\n" not in str(caught.value)
 
 
+CALIBRATION = {
+    "image_width": 96,
+    "image_height": 80,
+    "distortion_model": "fisheye",
+    "camera_matrix": {"rows": 3, "cols": 3, "data": [32.0, 0, 47.5, 0, 32.0, 39.5, 0, 0, 1]},
+    "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.0, 0.0, 0.0, 0.0]},
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("image_width", float("inf"), "image_width inf: must be a whole number of pixels"),
+        ("image_width", float("nan"), "image_width nan: must be a whole number of pixels"),
+        ("image_height", 80.5, r"image_height 80\.5: must be a whole number of pixels"),
+        ("image_height", [80], r"image_height \[80\]: must be a whole number of pixels"),
+        ("camera_matrix", {"data": "123456789"}, r"camera_matrix\.data '123456789': must be a list of finite numbers"),
+        ("camera_matrix", {"data": [1.0] * 8}, r"camera_matrix\.data has 8 numbers, and must have 9"),
+        ("camera_matrix", {"data": [True] * 9}, r"camera_matrix\.data .*: must be a list of finite numbers"),
+        ("distortion_coefficients", {"data": {"a": 1}}, r"distortion_coefficients\.data .* must be a list of finite"),
+        ("distortion_coefficients", None, r"distortion_coefficients\.data None: must be a list of finite numbers"),
+    ],
+)
+def test_a_wrong_calibration_is_refused_in_one_line(name: str, value: Any, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "ost.yaml"
+    path.write_text(yaml.safe_dump({**CALIBRATION, name: value}))
+    with pytest.raises(InputError, match=message) as caught:
+        read_calibration(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_calibration_may_hold_numbers_that_yaml_reads_as_text(tmp_path: Path) -> None:
+    path = tmp_path / "ost.yaml"
+    path.write_text(yaml.safe_dump({**CALIBRATION, "distortion_coefficients": {"data": [0, 0, 0, "1e-05"]}}))
+    assert read_calibration(path).coefficients == (0.0, 0.0, 0.0, 1e-5)
+
+
 def test_a_calibration_file_is_found_beside_the_robot(log: Path, tmp_path: Path) -> None:
-    calibration = {
-        "image_width": 96,
-        "image_height": 80,
-        "distortion_model": "fisheye",
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [32.0, 0, 47.5, 0, 32.0, 39.5, 0, 0, 1]},
-        "distortion_coefficients": {"rows": 1, "cols": 4, "data": [0.0, 0.0, 0.0, 0.0]},
-    }
-    (tmp_path / "ost.yaml").write_text(yaml.safe_dump(calibration))
+    (tmp_path / "ost.yaml").write_text(yaml.safe_dump(CALIBRATION))
     robot = {
         "wheels": {"radius_m": 0.033, "track_m": 0.16, "lag_s": 0.05},
         "camera": {"topic": CAMERA, "file": "ost.yaml"},

@@ -84,3 +84,10 @@ def test_without_images_at_rest_a_turn_has_none_of_its_own() -> None:
 def test_a_stop_on_the_way_divides_nothing() -> None:
     found, _ = plan(drive((0.5, 0), (0.5, 0), (0, 2.0), (0.6, 0)))
     assert lengths(found) == pytest.approx([1.0, 0.6], abs=1e-3)
+
+
+def test_segments_that_share_a_rest_share_no_image() -> None:
+    """Slight curves that together bend too far for one segment are divided by a rest alone."""
+    found, _ = plan(drive(*[(1.0, turn) for turn in (0.12, 0.12, -0.12, -0.12) * 3], rest_s=0.3))
+    assert len(np.unique(found.reading[:, 0])) > 3
+    assert (np.diff(found.time_s) > 0).all()

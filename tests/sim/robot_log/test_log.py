@@ -14,9 +14,10 @@ from sim.files import write_arrays, write_json
 from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
 from sim.robot.model import WHEEL_RADIUS_M
-from sim.robot_log.check import check_log
+from sim.robot_log.check import check_log, robot_file
 from sim.robot_log.clocks import EPOCH_NS, make_base_clock
 from sim.robot_log.log import write_log
+from sim.robot_log.robot_yaml import write_robot
 from sim.settings import DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 20
@@ -241,3 +242,16 @@ def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path, name,
     with pytest.raises(InputError, match=message):
         check_log(tmp_path / name, settings.model_copy(update=changes))
     assert content is None or (tmp_path / name).read_bytes() == content
+
+
+@pytest.mark.parametrize("edit", [lambda text: text + "# mine\n", lambda text: text.replace("estimate", "0.061")])
+def test_a_description_of_the_robot_that_was_edited_is_not_overwritten(settings, tmp_path, edit):
+    path = tmp_path / "a.mcap"
+    for _ in range(2):  # what deepgps wrote may be written again
+        check_log(path, settings)
+        write_robot(path, settings)
+    file = robot_file(path)
+    file.write_text(edited := edit(file.read_text()))
+    with pytest.raises(InputError, match=r"a\.robot\.yaml was edited, .* move it away, or give the log another name"):
+        check_log(path, settings)
+    assert file.read_text() == edited
