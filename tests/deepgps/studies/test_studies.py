@@ -283,7 +283,8 @@ def test_cut_off_among_derived_recordings_only_what_is_missing_is_made_and_a_see
 
 
 def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path):
-    (tmp_path / "broken.xml").write_text("<mujoco")
+    broken = "<mujoco><worldbody><geom/></worldbody></mujoco>"  # XML, but a sphere without a size is no geom
+    (tmp_path / "broken.xml").write_text(broken)
     cases = [{"room.mjcf": str(tmp_path / "broken.xml")}, {"scenario": "plane.yaml"}]
     axes = {"encoder.step_noise": [0.0, 0.1]}
     failures = do_here(write_study(tmp_path, cases=cases, axes=axes, target={}, report="plain"), tmp_path / "out")
