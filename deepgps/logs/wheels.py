@@ -181,8 +181,13 @@ def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 def _find_top(speed: np.ndarray) -> float:
     """Usual top speed of wheels that turn, from speeds (n, 2) [rad/s]."""
-    turning = speed[speed > 1e-9]
-    return max(float(np.percentile(turning, 95)), SLOWEST_RADPS) if len(turning) else SLOWEST_RADPS
+    return max(_find_usual_top(speed), SLOWEST_RADPS)
+
+
+def _find_usual_top(size: np.ndarray) -> float:
+    """Largest of some sizes but for one in twenty, of those that are not zero; 0: all are."""
+    moving = size[size > 1e-9]
+    return float(np.percentile(moving, 95)) if len(moving) else 0.0
 
 
 def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray, int]:
@@ -196,7 +201,7 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
     for full in (2 * np.pi, *(2 * np.pi * 2**bits / ticks_per_rev for bits in (16, 32))):
         turns = np.rint(step / full)
         short = step - turns * full
-        usual = np.array([np.percentile(one[one > 1e-9], 95) if one.any() else 0.0 for one in np.abs(short).T])
+        usual = np.array([_find_usual_top(one) for one in np.abs(short).T])
         small = np.minimum(FASTER * usual + STILL_RAD, full / 4)  # beyond, another program or a restart
         fits = (np.ptp(angle, axis=0) <= full * 1.001) & (turns != 0) & (np.abs(short) < small)
         step = np.where(fits, short, step)

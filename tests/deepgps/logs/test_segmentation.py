@@ -100,6 +100,13 @@ def test_counters_that_wrap_are_unwrapped(full: float, stride: int, rest_s: floa
     assert not wrapped.broken.any()
 
 
+def test_wheels_at_rest_may_differ_by_the_rounding_of_floats() -> None:
+    time_s = PERIOD_S * np.arange(100)
+    angle = 1e-12 * np.random.default_rng(0).standard_normal((100, 2))
+    wheels = clean_wheels(time_s, angle, 4096, "/joint_states")
+    assert not wheels.notes and not wheels.broken.any()
+
+
 @pytest.mark.parametrize("seconds", [0.0, 3.0, 60.0])
 def test_a_counter_that_restarts_leaves_the_way_unknown_however_long_its_gap(seconds: float) -> None:
     wheels = sample()
