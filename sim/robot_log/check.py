@@ -1,14 +1,13 @@
 """Checks before the work on a log begins."""
 
-import hashlib
 from pathlib import Path
 
-from sim.errors import InputError
-from sim.files import check_overwrite
+from sim.errors import DamagedError, InputError
+from sim.files import check_lines, check_overwrite
 from sim.robot_log.mcap_file import check_file
 from sim.settings import ImageFaultSettings, SimSettings
 
-ROBOT_HEAD = "# The robot of a simulated log, for deepgps import. sha256 of the lines below: "
+ROBOT_HEAD = "# The robot of a simulated log, for deepgps import.\n"
 
 
 def robot_file(log: Path) -> Path:
@@ -16,21 +15,17 @@ def robot_file(log: Path) -> Path:
     return log.with_suffix(".robot.yaml")
 
 
-def sign_robot(text: str) -> str:
-    """The text of a robot's description after a line with its checksum, which tells whether a user edits it."""
-    return f"{ROBOT_HEAD}{hashlib.sha256(text.encode()).hexdigest()}\n{text}"
-
-
 def _check_robot(path: Path) -> None:
     """Raise InputError if a robot's description is not as deepgps wrote it."""
-    check_overwrite(path, lambda data: data.startswith(b"# The robot of a simulated log"))
-    if path.exists():
-        head, _, text = path.read_bytes().partition(b"\n")
-        if head.decode(errors="replace") != f"{ROBOT_HEAD}{hashlib.sha256(text).hexdigest()}":
-            raise InputError(
-                f"{path} was edited, or is of an earlier version, and would be overwritten: move it away, or give the "
-                "log another name"
-            )
+    check_overwrite(path, lambda data: ROBOT_HEAD.encode() in data)
+    try:
+        if path.exists():
+            check_lines(path)
+    except DamagedError:
+        raise InputError(
+            f"{path} was edited, or is of an earlier version, and would be overwritten: move it away, or give the "
+            "log another name"
+        ) from None
 
 
 def check_log(path: Path, settings: SimSettings) -> None:

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import yaml
 
-from sim.files import write_text
+from sim.files import write_lines
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
-from sim.robot_log.check import robot_file, sign_robot
+from sim.robot_log.check import ROBOT_HEAD, robot_file
 from sim.robot_log.content import JOINTS
 from sim.robot_log.pictures import ROWS
 from sim.sensors.encoder import describe_odometry
@@ -38,4 +38,4 @@ def write_robot(log: Path, settings: SimSettings) -> None:
         "drive": {"spacing_m": settings.drive.spacing_m},
         "clocks": "align",
     }
-    write_text(robot_file(log), sign_robot(yaml.safe_dump(values, sort_keys=False)))
+    write_lines(robot_file(log), ROBOT_HEAD + yaml.safe_dump(values, sort_keys=False))
