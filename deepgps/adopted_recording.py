@@ -40,7 +40,7 @@ def choose_folder(recording: Path, scenario: Scenario) -> Path:
 
 
 def link_recording(recording: Path, run: Path) -> None:
-    """Link a recording into a run's folder; raises InputError if the run has another one, or is made anew around it."""
+    """Link a recording into a run's folder; raises InputError if it has another, or --fresh would remove it."""
     home = run.parent if run.name == FRESH else run
     if home != run and recording.resolve().is_relative_to(home.resolve()):
         raise InputError(f"--out {home} holds the recording itself, which --fresh would remove; choose another folder")

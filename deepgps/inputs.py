@@ -6,7 +6,7 @@ They may change while the run exists. It is then not continued: it would be half
 import hashlib
 from pathlib import Path
 
-from deepgps.scenario import Scenario, read_room
+from deepgps.scenario import Scenario, list_own_files, read_room
 from sim.errors import InputError
 from sim.files import read_json, write_json
 from sim.user_input import shorten
@@ -27,8 +27,7 @@ def read_inputs(run: Path) -> dict[str, str]:
 
 def list_inputs(scenario: Scenario) -> dict[str, str]:
     """Checksums of the files of a scenario's own room and robot and all that they use, by setting; none if missing."""
-    files = {"room.mjcf": scenario.room.mjcf, "robot.mjcf": scenario.robot.mjcf}
-    found = {field: read_room(path, field) for field, path in files.items() if path}
+    found = {field: read_room(path, field) for field, path in list_own_files(scenario).items()}
     return {field: hashlib.sha256(content).hexdigest() for field, content in found.items() if content}
 
 
@@ -37,8 +36,8 @@ def check_inputs(run: Path, scenario: Scenario) -> None:
     held = read_inputs(run)
     for field, checksum in list_inputs(scenario).items() if held else ():
         if held.get(field, checksum) != checksum:
-            path = scenario.room.mjcf if field == "room.mjcf" else scenario.robot.mjcf
+            path = shorten(list_own_files(scenario)[field], 300)
             raise InputError(
-                f"{field} {shorten(path or '', 300)} has changed since this run was begun, or a file that it uses; "
+                f"{field} {path} has changed since this run was begun, or a file that it uses; "
                 "put the old one back, choose another folder, or add --fresh, which makes the run again"
             )

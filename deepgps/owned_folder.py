@@ -162,15 +162,14 @@ def finish_replacement(folder: Path, kind: Kind) -> None:
 
 def _refuse_blocked(folder: Path, kind: Kind, built: list[str]) -> None:
     ours = set(list_files(folder, kind.files))
-    fresh, home = folder / FRESH, folder.resolve()
+    fresh, home, disk = (folder / FRESH).resolve(), folder.resolve(), folder.stat().st_dev
     for path in sorted({folder / parent for name in built for parent in Path(name).parents[:-1]}):
-        elsewhere = path.exists() and (path.is_symlink() or path.stat().st_dev != folder.stat().st_dev)
-        if elsewhere and path not in ours:
+        if path not in ours and path.exists() and (path.is_symlink() or path.stat().st_dev != disk):
             raise InputError(f"--out {folder}: {path} is a link or another disk; nothing was replaced: move it away")
     for name in built:
-        target = (fresh / name).resolve()
-        if target.is_relative_to(home) and not target.is_relative_to(fresh.resolve()):
-            raise InputError(f"--out {folder}: the new {name} is a link to {target}, which would be replaced")
+        link = fresh / name
+        if link.is_symlink() and link.resolve().is_relative_to(home) and not link.resolve().is_relative_to(fresh):
+            raise InputError(f"--out {folder}: the new {name} is a link to {link.resolve()}, which would be replaced")
         if (folder / name).is_dir() and not (folder / name).is_symlink():
             inside = [path for path in (folder / name).rglob("*") if path.is_symlink() or not path.is_dir()]
             if foreign := sorted(set(inside) - ours):

@@ -174,17 +174,15 @@ def _compare(scenario: Scenario, folder: Path, place: Path) -> None:
             remove_files(place, RUN.files)
         return
     held = open_run(folder)
-    if held == scenario:
-        check_inputs(folder, scenario)
-        return
-    if is_same_but_methods(held, scenario) and set(list_trained(folder)) <= set(scenario.methods):
-        check_inputs(folder, scenario)
-        write_lines(folder / RUN.first, write_out(scenario))
-    else:
+    grown = is_same_but_methods(held, scenario) and set(list_trained(folder)) <= set(scenario.methods)
+    if held != scenario and not grown:
         raise InputError(
             f"--out {folder} holds a run of another scenario ({describe_work(folder)}); choose another folder, or add "
             "--fresh, which replaces that run once the new one is complete"
         )
+    check_inputs(folder, scenario)
+    if held != scenario:
+        write_lines(folder / RUN.first, write_out(scenario))
 
 
 def _refuse_unknown_methods(folder: Path) -> None:

@@ -30,7 +30,6 @@ from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
-from sim.rooms.mjcf_files import Files
 from sim.settings import LARGEST_MJCF, Group, SimSettings, WithPlugins
 from sim.user_input import quote, read_file, shorten
 
@@ -284,6 +283,12 @@ def list_settings(group: BaseModel, before: str = "") -> dict[str, Any]:
     return found
 
 
+def list_own_files(scenario: Scenario) -> dict[str, str]:
+    """The files of an own room and an own robot by the setting that names them."""
+    files = {"room.mjcf": scenario.room.mjcf, "robot.mjcf": scenario.robot.mjcf}
+    return {field: path for field, path in files.items() if path}
+
+
 def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     """What tells a room or a robot from others: the bytes of its file, and the checksums of all files that it uses.
 
@@ -299,6 +304,8 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     """
     if not isfile(Path(path)):
         return None
+    from sim.rooms.mjcf_files import Files
+
     used = Files(Path(path), field).list_used()
     return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(
         bytes.fromhex(sha256(one)) for one in used
@@ -322,8 +329,8 @@ def digest_recording(scenario: Scenario, read: Callable[[str, str], bytes | None
 
 def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
     state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
-    for field, path in (("room.mjcf", scenario.room.mjcf), ("robot.mjcf", scenario.robot.mjcf)):
-        state.update((path and read(path, field)) or b"")
+    for field, path in list_own_files(scenario).items():
+        state.update(read(path, field) or b"")
     return state.hexdigest()[:8]
 
 

@@ -6,15 +6,13 @@ from os.path import isfile
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, find_adopted
+from deepgps.adopted_recording import DEFAULT_METHODS, MANIFEST, choose_folder, describe_recording, find_adopted
 from deepgps.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
 from deepgps.scenario import Scenario, Spell, load_scenario, names_in, override_scenario
 from deepgps.spelling import as_option
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.user_input import shorten
-
-MANIFEST = "manifest.json"
 
 
 @dataclass(frozen=True)

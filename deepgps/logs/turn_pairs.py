@@ -20,8 +20,6 @@ AROUND_S = 0.3
 """Images are looked at this long before and after a turn [s]."""
 AGREE = 0.5
 """Share of turns in which images and wheels must agree."""
-
-
 FEW_SEEN = 0.2
 """Share of the wheels' turns below which images seem not to turn. Good logs have nearly all."""
 DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")

@@ -50,7 +50,7 @@ def rename(log: Path, name: str) -> Path:
 def test_a_path_may_hold_what_is_special_in_a_uri(name: str, form: str, notes: list[Note], tmp_path: Path) -> None:
     log = rename(write_log(tmp_path / "log", notes, form), name)
     check_complete(log, notes)
-    if form != "db3_zstd":  # what is compressed is told by metadata.yaml alone
+    if form != "db3_zstd":  # only metadata.yaml says that a file is compressed
         check_complete(log / f"{name}.db3", notes)
 
 
