@@ -74,13 +74,9 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
 
 def _doubt_direction(topic: str, motions: list[Motion], path: Path) -> list[str]:
     """A note if the robot drove backward more than forward, as it seems if both wheels count backward."""
-    metres = dict.fromkeys(("straight", "back"), 0.0)
-    for one in motions:
-        if one.kind in metres:
-            metres[one.kind] += abs(float(path.travelled_m[one.last] - path.travelled_m[one.first]))
-    if metres["back"] <= metres["straight"]:
+    ahead_m, back_m = (sum(path.find_way(one) for one in motions if one.kind == kind) for kind in ("straight", "back"))
+    if back_m <= ahead_m:
         return []
     return [
-        f"{topic}: the robot drove {metres['back']:.1f} m backward and {metres['straight']:.1f} m forward: do both "
-        "wheels count forward?"
+        f"{topic}: the robot drove {back_m:.1f} m backward and {ahead_m:.1f} m forward: do both wheels count forward?"
     ]

@@ -100,7 +100,7 @@ def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
         if one.kind == "unknown" and wheels.broken[one.first : one.last].any():
             return RELOCATED
         if one.kind not in {"rest", "turn"}:
-            way += abs(path.travelled_m[one.last] - path.travelled_m[one.first])
+            way += path.find_way(one)
             turned += abs(path.yaw[one.last] - path.yaw[one.first]) if one.kind != "back" else 0.0
     if way <= IN_PLACE_M:
         return IN_PLACE

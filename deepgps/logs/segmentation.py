@@ -65,6 +65,10 @@ class Path:
     travelled_m: np.ndarray
     yaw: np.ndarray
 
+    def find_way(self, motion: Motion) -> float:
+        """Distance driven in a motion, forward or backward [m]."""
+        return abs(float(self.travelled_m[motion.last] - self.travelled_m[motion.first]))
+
 
 def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
     """Distance and heading by wheel angles (n, 2) [rad]: the wheels' mean, and their difference over the track."""
@@ -153,9 +157,7 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
         while (shorter := _absorb(joined, path)) is not None:
             joined = shorter
     return [
-        Motion("arc", one.first, one.last)
-        if one.kind == "straight" and abs(path.travelled_m[one.last] - path.travelled_m[one.first]) < SHORTEST_M
-        else one
+        Motion("arc", one.first, one.last) if one.kind == "straight" and path.find_way(one) < SHORTEST_M else one
         for one in joined
     ]
 
@@ -179,7 +181,7 @@ def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
 def _is_slight(motion: Motion, path: Path) -> bool:
     """Whether a motion is too short to count."""
     turned = abs(path.yaw[motion.last] - path.yaw[motion.first])
-    return turned < JOIN_RAD and abs(path.travelled_m[motion.last] - path.travelled_m[motion.first]) < JOIN_M
+    return turned < JOIN_RAD and path.find_way(motion) < JOIN_M
 
 
 def _is_one_line(one: Motion, other: Motion, path: Path) -> bool:

@@ -65,9 +65,8 @@ def _describe_camera(config: RobotConfig, source: PolarSource) -> dict[str, Any]
 def _sum_up(drive: Drive, kind: str) -> dict[str, float]:
     """Number, duration [s] and distance [m] of the motions of a kind."""
     some = [one for one in drive.motions if one.kind == kind]
-    first, last = [one.first for one in some], [one.last for one in some]
-    seconds = (drive.wheels.time_s[last] - drive.wheels.time_s[first]).sum()
-    metres = np.abs(drive.path.travelled_m[last] - drive.path.travelled_m[first]).sum()
+    seconds = sum(drive.wheels.time_s[one.last] - drive.wheels.time_s[one.first] for one in some)
+    metres = sum(map(drive.path.find_way, some))
     return {"count": len(some), "seconds": round(float(seconds), 1), "metres": round(float(metres), 2)}
 
 

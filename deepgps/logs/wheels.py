@@ -105,11 +105,17 @@ def clean_wheels(
         (lost, "no message for {:.1f} s while the robot moved, so the way between is unknown"),
         (paused, "nothing was logged for {:.0f} s, so the robot may have been carried elsewhere"),
     ):
-        for row in np.flatnonzero(kind)[:MOST_NOTES]:
-            notes.append(f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}")
-        if (more := int(kind.sum()) - MOST_NOTES) > 0:
-            notes.append(f"{topic}: the same at {more} other times")
+        notes += _note(topic, time_s, np.flatnonzero(kind), what)
     return Wheels(time_s, angle, broken, gap, tuple(notes))
+
+
+def _note(topic: str, time_s: np.ndarray, rows: np.ndarray, what: str) -> list[str]:
+    """What happened between some messages (r,) and the next ones, for the first of them; its seconds are filled in."""
+    notes = [
+        f"{topic} at {time_s[row]:.2f} s: {what.format(time_s[row + 1] - time_s[row])}" for row in rows[:MOST_NOTES]
+    ]
+    more = len(rows) - MOST_NOTES
+    return [*notes, f"{topic}: the same at {more} other times"] if more > 0 else notes
 
 
 def _find_gaps(

@@ -36,6 +36,8 @@ ACCEPTED = {
     "max_accepted_m": "max of accepted [cm]",
     "accepted": "accepted",
 }
+LEVELS = (68, 95)
+"""Probabilities with which the radii of images hold the true position [%]."""
 ACCEPTED_NOTE = (
     "Accepted: share of the images. A position is among the accepted where any of its headings is, with the error of "
     "the worst of these."

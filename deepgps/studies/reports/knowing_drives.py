@@ -25,7 +25,7 @@ from deepgps.run_folder import open_run
 from deepgps.stages import training_seed
 from deepgps.studies.reports.change import group_changes
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
-from deepgps.studies.table import Row
+from deepgps.studies.table import LEVELS, Row
 from sim.files import read_arrays
 from sim.recording.format import Recording, open_recording
 
@@ -36,7 +36,6 @@ EXPECTED = {
 }
 """The cause that should be named, and the settings that bring it about."""
 COLUMN, LARGE_M = "drives", 0.1
-LEVELS = (68, 95)
 SEEN, FEWEST = 0.7, 10
 """Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
 

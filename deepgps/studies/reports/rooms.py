@@ -15,6 +15,7 @@ from deepgps.studies.table import (
     ACCEPTED,
     ACCEPTED_NOTE,
     ERRORS,
+    LEVELS,
     PAPERS_ERRORS,
     Row,
     choose_accepted,
@@ -25,8 +26,6 @@ from deepgps.studies.table import (
 
 OURS = ("deepgps_compass", "deepgps")
 """Methods whose wins are counted, each over those that are not before it."""
-LEVELS = (68, 95)
-"""Of the radii [%]."""
 SHARES = ("relative_rms", "seen", "flipped")
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. "
