@@ -125,7 +125,7 @@ class ImportArguments:
     config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """What the log does not say of its robot: robot.yaml, which --look proposes."""
     out: OptionalFolder = None
-    """Folder of the recording; must be empty or not exist."""
+    """Folder of the recording; must be empty or not exist, and be no link."""
     look: bool = False
     """Only print what the log holds, and propose a robot.yaml."""
 
