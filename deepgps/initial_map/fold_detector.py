@@ -76,11 +76,12 @@ def measure_overlap(
 ) -> float:
     """Part of the observations that look unlike a quarter or more of their neighbours on the map, within ``NEAR_M``.
 
-    Only neighbours on other segments count. Two observations look unlike each other if their features differ by more
-    than 1.5 times the 0.9 quantile of the differences between readings ``LOOK_M`` apart on one segment.
+    Only neighbours on other segments count; unknown positions (NaN) are left out. Two observations look unlike each
+    other if their features differ by more than 1.5 times the 0.9 quantile of the differences between readings
+    ``LOOK_M`` apart on one segment.
     """
     owner = find_owners(segments, len(positions))[1].numpy()
-    known = np.flatnonzero(owner >= 0)
+    known = np.flatnonzero((owner >= 0) & np.isfinite(positions).all(axis=1))
     chosen = known[torch.randperm(len(known), generator=generator)[:SAMPLES].numpy()]
     apart, found = KDTree(positions[known]).query(positions[chosen], k=min(NEIGHBOURS, len(known)))
     other = known[found]

@@ -6,10 +6,15 @@ Solving the normal equations for residuals drawn from their own distribution giv
 
 import numpy as np
 from scipy.sparse import csc_array, eye_array
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 SAMPLES = 32
 DAMPING = 1e-6
+
+
+def factorise(normal: csc_array) -> SuperLU:
+    """Factors of a symmetric positive definite matrix, whose pattern is kept sparse and which needs no pivots."""
+    return splu(normal, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 class Equations:
@@ -41,9 +46,7 @@ class Equations:
         entries = np.concatenate(self._values), (np.concatenate(self._rows), np.concatenate(self._columns))
         jacobian = csc_array(entries, shape=(self._count, unknowns))
         normal = (jacobian.T @ jacobian).tocsc() + DAMPING * eye_array(unknowns, format="csc")
-        solver = splu(
-            normal.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
+        solver = factorise(normal.tocsc())
         drawn = rng.standard_normal((self._count, SAMPLES))
         step, samples = -solver.solve(jacobian.T @ np.concatenate(self._residual)), solver.solve(jacobian.T @ drawn)
         if not held.any():

@@ -6,12 +6,14 @@ nearly coincide. A few loop closures are false, such as the undersides of two de
 of the robust weights shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.sparse import csc_array, eye_array
-from scipy.sparse.linalg import splu
 
 from deepgps.data.segments import Segments
 from deepgps.initial_map.isomap import LoopClosures
+from deepgps.initial_map.least_squares import factorise
 
 ROUNDS = 12
 BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
@@ -22,9 +24,31 @@ LARGEST_TURN = 0.5
 DAMPING = 1e-9
 
 
-def relax(
-    places: np.ndarray, segments: Segments, closures: LoopClosures, believed_first: float = BELIEVED_FIRST
-) -> tuple[np.ndarray, float]:
+class PoseGraph(NamedTuple):
+    """Readings on bars, and the pairs of them that should coincide.
+
+    Attributes:
+        observation: Observation of each reading (r,).
+        along: Distance of each from the mean of its segment's readings (r,) [m].
+        bar: Bar of each, counted from 0 (r,).
+        a: First reading of each pair (p,).
+        b: Second reading of each pair (p,).
+        firm: Whether the two are one observation, at which two bars meet, and not a loop closure (p,) bool.
+        weight: Inverse expected squared distance of each pair (p,) [1 / m^2].
+        step: Median distance between consecutive readings [m].
+    """
+
+    observation: np.ndarray
+    along: np.ndarray
+    bar: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    firm: np.ndarray
+    weight: np.ndarray
+    step: float
+
+
+def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
     """Move all segments, as rigid bars, to where they fit one another.
 
     Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
@@ -34,29 +58,16 @@ def relax(
         places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
         segments: Weak constraints.
         closures: Loop closures, each pair in both orders.
-        believed_first: The scale b of the first round, in steps between readings; the last one is ``BELIEVED_LAST``.
 
     Returns:
         Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
         ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
     """
-    index = segments.index.numpy()
-    placed = np.asarray(np.isfinite(places).all(axis=1))
-    row, column = np.nonzero(segments.valid.numpy() & placed[index])
-    observation, along = index[row, column], _from_middle(segments)[row, column]
-    bar = np.unique(row, return_inverse=True)[1]
-    step = float(np.median(np.diff(along)[np.diff(bar) == 0]))
+    observation, along, bar, a, b, firm, weight, step = build_pose_graph(
+        segments, closures, np.asarray(np.isfinite(places).all(axis=1))
+    )
     middle, heading = _lay_bars(places[observation], bar, along)
-    reading = np.full(len(places), -1)
-    reading[observation[::-1]] = np.arange(len(bar))[::-1]
-    meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))
-    first, second, length = closures
-    known = (reading[first] >= 0) & (reading[second] >= 0) & (first < second)
-    a = np.concatenate([reading[first[known]], reading[observation[meet]]])
-    b = np.concatenate([reading[second[known]], meet])
-    firm = np.arange(len(a)) >= known.sum()
-    weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
-    for believed in step * np.geomspace(believed_first, BELIEVED_LAST, ROUNDS):
+    for believed in step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
         ahead = _ahead(heading, bar, along)
         apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
         trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)
@@ -69,6 +80,25 @@ def relax(
     found = np.array(places, float)
     found[observation] = point
     return found, float(cost.sum())
+
+
+def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndarray) -> PoseGraph:
+    """Bars and pairs of readings among the observations ``placed`` (N,) bool. Arguments as in ``relax``."""
+    index = segments.index.numpy()
+    row, column = np.nonzero(segments.valid.numpy() & placed[index])
+    observation, along = index[row, column], _from_middle(segments)[row, column]
+    bar = np.unique(row, return_inverse=True)[1]
+    step = float(np.median(np.diff(along)[np.diff(bar) == 0]))
+    reading = np.full(len(placed), -1)
+    reading[observation[::-1]] = np.arange(len(bar))[::-1]
+    meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))
+    first, second, length = closures
+    known = (reading[first] >= 0) & (reading[second] >= 0) & (first < second)
+    a = np.concatenate([reading[first[known]], reading[observation[meet]]])
+    b = np.concatenate([reading[second[known]], meet])
+    firm = np.arange(len(a)) >= known.sum()
+    weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
+    return PoseGraph(observation, along, bar, a, b, firm, weight, step)
 
 
 def _from_middle(segments: Segments) -> np.ndarray:
@@ -110,4 +140,4 @@ def _solve(
     normal = (jacobian.T @ weighted).tocsc()
     # Damped, because the map may move and turn freely; a bar that no link reaches stays, even if there is no link.
     damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(shape[1], format="csc")
-    return -splu(damped).solve(weighted.T @ apart.T.ravel())
+    return -factorise(damped).solve(weighted.T @ apart.T.ravel())

@@ -5,9 +5,9 @@ import torch
 from deepgps.data.features import fit_features
 from deepgps.data.segments import read_segments
 from deepgps.initial_map import dense
-from deepgps.initial_map.dense import adopt_regions, find_initial_map, find_regions, lay_over
+from deepgps.initial_map.affine_maps import find_affine_maps
+from deepgps.initial_map.dense import find_initial_map
 from deepgps.initial_map.isomap import find_loop_closures
-from deepgps.initial_map.pose_graph import relax
 from deepgps.settings import FeatureSettings
 from tests.deepgps.initial_map.test_pose_graph import error
 from tests.helpers.toy import make_toy
@@ -28,63 +28,38 @@ def test_the_map_is_exact_to_a_centimetre(toy):
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
-def test_of_several_maps_the_cheapest_is_kept(toy, monkeypatch: pytest.MonkeyPatch):
-    features, segments, _ = toy
-    costs = iter([3.0, 1.0, 2.0, 4.0])
-    made = []
-
-    def pretend(places, segments, closures):
-        made.append(places)
-        return places, next(costs)
-
-    monkeypatch.setattr(dense, "relax", pretend)
-    monkeypatch.setattr(dense, "adopt_regions", lambda places, cost, *_: (places, cost))
-    monkeypatch.setattr(dense, "find_weak_parts", lambda *_: [])
-    found = find_initial_map(features, segments, torch.Generator().manual_seed(0))
-    assert found is made[1] and len(made) == len(dense.NEIGHBOURS)
-
-
-def test_weakly_connected_parts_are_mirrored_last(toy, monkeypatch: pytest.MonkeyPatch):
-    features, segments, _ = toy
-    monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places + 1.0)
-    mirrored = find_initial_map(features, segments, torch.Generator().manual_seed(0))
-    monkeypatch.setattr(dense, "mirror_parts", lambda places, *_: places)
-    assert np.array_equal(mirrored, find_initial_map(features, segments, torch.Generator().manual_seed(0)) + 1.0)
-
-
-def mirror_corner(place: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Mirror the observations in a corner about the line that cuts it off."""
-    bent = place.copy()
-    out = (place - corner) @ [0.6, 0.8]
-    inside = out > 0.0
-    bent[inside] -= 2.0 * out[inside, None] * np.array([0.6, 0.8])
-    return bent
-
-
-def test_a_mirrored_region_is_replaced_from_another_map_in_any_frame(toy):
+def test_it_is_so_by_straightness_alone_and_by_paths_alone(toy, monkeypatch: pytest.MonkeyPatch):
     features, segments, place = toy
-    closures = find_loop_closures(features, segments, (3,))[0]
-    bent = mirror_corner(place, np.quantile(place, 0.8, axis=0))
-    wrong = np.linalg.norm(bent - place, axis=1) > 0.05
-    other = place[:, ::-1] @ np.array([[0.6, -0.8], [0.8, 0.6]]) + [4.0, -1.0]
-    laid = lay_over(other, bent)
-    assert 10 < wrong.sum() < len(place) / 4
-    assert np.linalg.norm(laid - place, axis=1).max() < 1e-6
-    regions = find_regions(bent, laid, segments, closures)
-    assert np.mean(wrong[np.concatenate(regions)]) == 1.0 and len(np.concatenate(regions)) > 0.5 * wrong.sum()
-    _, dear = relax(bent, segments, closures, 2.0)
-    found, cost = adopt_regions(bent, dear, other, segments, closures)
-    assert cost <= dear
-    assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
+    for name, only in (("find_affine_maps", lambda *_: []), ("NEIGHBOURS", (3,))):
+        with monkeypatch.context() as patched:
+            patched.setattr(dense, name, only)
+            if name == "NEIGHBOURS":
+                patched.setattr(dense, "map_by_paths", lambda count, *_: np.zeros((count, 2)))
+            found = find_initial_map(features, segments, torch.Generator().manual_seed(0))
+        assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
-def test_nothing_is_taken_from_an_equal_map_nor_from_a_worse_one(toy):
-    features, segments, place = toy
-    closures = find_loop_closures(features, segments, (3,))[0]
-    right, cost = relax(place, segments, closures)
-    assert not find_regions(right, lay_over(right, right), segments, closures)
-    kept, same = adopt_regions(right, cost, mirror_corner(place, np.quantile(place, 0.8, axis=0)), segments, closures)
-    assert same <= cost and np.sqrt(np.mean(error(kept, place) ** 2)) < 0.01
+@pytest.mark.parametrize(("costs", "overlaps", "best"), [((3, 1, 2), (0, 0, 0), 1), ((3, 1, 2), (0, 0.3, 0), 2)])
+def test_the_cheapest_map_is_kept_unless_it_lays_unlike_places_together(
+    toy, monkeypatch: pytest.MonkeyPatch, costs: tuple[int, ...], overlaps: tuple[float, ...], best: int
+):
+    features, segments, _ = toy
+    made, cost, overlap = [np.zeros((len(features), 2)) for _ in costs], iter(costs), iter(overlaps)
+    monkeypatch.setattr(dense, "map_by_paths", lambda *_: made[0])
+    monkeypatch.setattr(dense, "NEIGHBOURS", (3,))
+    monkeypatch.setattr(dense, "find_affine_maps", lambda *_: made[1:])
+    monkeypatch.setattr(dense, "relax", lambda places, *_: (places, float(next(cost))))
+    monkeypatch.setattr(dense, "measure_overlap", lambda *_: next(overlap))
+    assert find_initial_map(features, segments, torch.Generator().manual_seed(0)) is made[best]
+
+
+def test_short_drives_have_a_map_too(toy):
+    features, segments, _ = toy
+    few = segments.take(torch.arange(8))
+    closures = find_loop_closures(features, few, (3,))[0]
+    assert len(list(find_affine_maps(len(features), few, closures))) >= 1
+    found = find_initial_map(features, few, torch.Generator().manual_seed(0))
+    assert np.isfinite(found[few.index[0, 0]]).all()
 
 
 def test_same_generator_same_map(toy):
