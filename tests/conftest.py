@@ -26,11 +26,6 @@ SMALL = SimSettings(
 )
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the longest file: two workers that took it last would leave one of them without work."""
-    items.sort(key=lambda item: item.path.name != "test_docs.py")
-
-
 @pytest.fixture(autouse=True)
 def without_plugins():
     """Forget the plugins that a test has loaded: no other test knows of them."""

@@ -29,7 +29,8 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
         Reasons why runs failed, by the hash of the run.
     """
     failed, done = {}, {plan.run: 0 for plan in plans}
-    total, waiting = sum(count_steps(plan.scenario) for plan in plans), list(plans)
+    steps = {plan.run: count_steps(plan.scenario, folder / "runs" / plan.run) for plan in plans}
+    waiting = list(plans)
     active: dict[Connection, tuple[Plan, Popen[bytes]]] = {}
     try:
         while waiting or active:
@@ -46,9 +47,8 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
                     update = Update(0, ended=True)
                 if update.failure:
                     failed[plan.run] = update.failure
-                steps = count_steps(plan.scenario)
-                done[plan.run] = steps if update.ended else min(update.steps, steps)
-                progress(f"steps of {len(plans)} runs", sum(done.values()), total)
+                done[plan.run] = steps[plan.run] if update.ended else min(update.steps, steps[plan.run])
+                progress(f"steps of {len(plans)} runs", sum(done.values()), sum(steps.values()))
                 if update.ended and waiting and process.poll() is None:
                     active[pipe] = _give(pipe, waiting), process
                 elif update.ended:

@@ -86,7 +86,9 @@ def _keep_handlers() -> Iterator[None]:
 
 def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Train and measure these runs like ``engine_local.run_all``; progress counts only the steps of ended runs."""
-    failed, done, total = Failures(), 0, sum(count_steps(plan.scenario) for plan in plans)
+    failed, done = Failures(), 0
+    steps = {plan.run: count_steps(plan.scenario, folder / "runs" / plan.run) for plan in plans}
+    total = sum(steps.values())
     gpus = int("GPU" in ray.cluster_resources())
     running = {}
     for plan in plans:
@@ -104,7 +106,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
             reason = f"its process was lost: {one_line(error)}"
         if reason:
             failed[plan.run] = reason
-        done += count_steps(plan.scenario)
+        done += steps[plan.run]
         progress(f"steps of {len(plans)} runs", done, total)
     return failed
 

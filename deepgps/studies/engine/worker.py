@@ -9,7 +9,7 @@ from pathlib import Path
 from deepgps.methods.catalog import METHODS
 from deepgps.plugins import load_plugins
 from deepgps.progress import Report
-from deepgps.run_folder import claim
+from deepgps.run_folder import claim, list_trained
 from deepgps.scenario import Scenario
 from deepgps.stages import evaluate, train
 from sim.errors import InputError, WorkError, one_line
@@ -59,6 +59,7 @@ def do_run(
     return None
 
 
-def count_steps(scenario: Scenario) -> int:
-    """Number of training steps of a run without restarts; at least one, so that every run counts."""
-    return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in scenario.methods))
+def count_steps(scenario: Scenario, folder: Path) -> int:
+    """Number of training steps that a run lacks, without restarts; at least one, so that every run counts."""
+    missing = set(scenario.methods) - set(list_trained(folder))
+    return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in missing))
