@@ -21,7 +21,11 @@ from deepgps.evaluation.segment_errors import reckon_path
 from deepgps.figures.field_plot import add_scale, draw_field, draw_room
 from deepgps.figures.run_figures import read_histories
 from deepgps.figures.style import PAPER, count_by_decades, to_png
-from deepgps.learning.trainer import use_threads
+from deepgps.initial_map.affine_maps import find_affine_maps, find_modes
+from deepgps.initial_map.dense import NEIGHBOURS
+from deepgps.initial_map.isomap import find_loop_closures, map_by_paths
+from deepgps.initial_map.pose_graph import build_pose_graph
+from deepgps.learning.trainer import make_generator, use_threads
 from deepgps.learning.training_data import prepare
 from deepgps.methods.catalog import colour_of
 from deepgps.methods.deepgps import make_initial_map
@@ -49,6 +53,7 @@ def draw_all(run: Path) -> None:
     figures = {
         "camera": draw_camera(scenario, truth),
         "segments": draw_segments(recording, truth),
+        "straightness": draw_straightness(run, scenario, recording, truth),
         "map": draw_maps(run, scenario, recording, truth),
         "fold": draw_fold(run, scenario, recording, truth),
         "error_field": draw_errors(run, truth),
@@ -123,6 +128,32 @@ def draw_segments(recording: Recording, truth: Truth) -> Figure:
     return figure
 
 
+def draw_straightness(run: Path, scenario: Scenario, recording: Recording, truth: Truth) -> Figure:
+    """The two slowest modes, the rough map that they become, and that of shortest paths, with their errors."""
+    data = prepare(recording, scenario.learn, scenario.seed, run)
+    segments, count = keep_inliers(data.segments), len(data.features)
+    closures = find_loop_closures(data.features, segments, NEIGHBOURS)
+    with use_threads(1):
+        graph = build_pose_graph(segments, closures[0], np.ones(count, bool))
+        middle, slope, _ = find_modes(graph, np.ones(len(graph.a)))
+        rough = next(find_affine_maps(count, segments, closures[0]))
+        paths = map_by_paths(count, segments, closures[0], make_generator(scenario.seed, "start", 0))
+    modes = np.full((count, 2), np.nan)
+    modes[graph.observation] = middle[graph.bar, :2] + graph.along[:, None] * slope[graph.bar, :2]
+    figure = Figure(figsize=(11, 2.9), layout="constrained")
+    axes = figure.subplots(1, 3)
+    maps = {"slopes as long as driven": rough, "by shortest paths instead": paths}
+    scatter_alone(axes[0], modes / np.nanstd(modes, axis=0), truth.pose[:, :2])
+    axes[0].set_title("the two slowest modes", loc="left", fontsize=12)
+    for some, (title, points) in zip(axes[1:], maps.items(), strict=True):
+        known = np.isfinite(points).all(axis=1)
+        laid = fit_alignment(points[known], truth.pose[known, :2], "E2").apply(points)
+        error = 100 * np.sqrt(np.nanmean(((laid - truth.pose[:, :2]) ** 2).sum(axis=1)))
+        scatter_alone(some, laid, truth.pose[:, :2])
+        some.set_title(f"{title}: RMS {error:.1f} cm", loc="left", fontsize=12)
+    return figure
+
+
 def draw_maps(run: Path, scenario: Scenario, recording: Recording, truth: Truth) -> Figure:
     """The initial map, and the network's map at three steps of the training."""
     history = read_histories(run)["deepgps"]
@@ -158,8 +189,7 @@ def draw_fold(run: Path, scenario: Scenario, recording: Recording, truth: Truth)
     maps = {"right": right, "mirrored: as good": right * [-1, 1], "folded: a failure (random start)": wrong}
     figure = Figure(figsize=(11, 2.9), layout="constrained")
     for axes, (title, points) in zip(figure.subplots(1, 3, sharex=True, sharey=True), maps.items(), strict=True):
-        axes.scatter(*points.T, s=4, c=colours_of_places(place) / 255, linewidths=0)
-        axes.set(aspect="equal", xticks=[], yticks=[])
+        scatter_alone(axes, points, place)
         axes.set_title(title, loc="left", fontsize=12)
     return figure
 
@@ -192,6 +222,12 @@ def scatter(axes: Axes, truth: Truth, points: np.ndarray, place: np.ndarray) -> 
     """Draw a map's points (n, 2) [m] over the floor, in the colours of their true places (n, 2) [m]."""
     draw_room(axes, truth.free_space, PAPER)
     axes.scatter(*points.T, s=5, c=colours_of_places(place) / 255, linewidths=0)
+
+
+def scatter_alone(axes: Axes, points: np.ndarray, place: np.ndarray) -> None:
+    """Draw a map's points (n, 2) in the colours of their true places (n, 2) [m], without the floor."""
+    axes.scatter(*points.T, s=4, c=colours_of_places(place) / 255, linewidths=0)
+    axes.set(aspect="equal", xticks=[], yticks=[])
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ def test_the_pictures_of_concepts_are_drawn_from_a_run(finished_run: Path, tmp_p
     monkeypatch.setattr(pictures, "PICTURES", tmp_path)
     pictures.draw_all(finished_run)
     drawn = {path.stem: np.asarray(cv2.imread(str(path))) for path in tmp_path.glob("*.png")}
-    assert set(drawn) == {"camera", "segments", "map", "fold", "error_field"}
+    assert set(drawn) == {"camera", "segments", "straightness", "map", "fold", "error_field"}
     assert all(picture.std() > 10 for picture in drawn.values())
 
 

@@ -1,11 +1,11 @@
-"""Rough maps that cannot fold, because segments are straight: where bars cross fixes them up to an affine map.
+"""Rough maps by straightness: where straight segments cross fixes the map up to an affine map.
 
-Each coordinate of a map is a linear function along every segment: a bar has it at its middle and its slope. Loop
-closures say where two bars have the same value. If bars cross often enough, only constants and linear functions of the
-true position satisfy them all. So the two slowest modes of a linear problem are the true coordinates up to an affine
-map, whatever the room's shape, and that all slopes are as long as driven fixes the affine map. Nothing is iterated from
-a start, so nothing folds. A part that few bars reach has slow modes of its own, so maps of more modes are tried too;
-and false loop closures, which bend all modes, lose their weight round by round (iteratively reweighted least squares).
+Along a segment, each coordinate of the position is a linear function of the distance driven, with two unknowns: its
+value at the middle of the bar and its slope. At a loop closure, the functions of two bars are equal. If bars cross
+often enough, only constants and linear functions of the true position satisfy all these equations, whatever the shape
+of the room. So the two slowest modes of a linear problem are the coordinates up to an affine map, which follows from
+slopes of unit length. A part that few bars reach has slow modes of its own, so maps of more modes are made too; and
+false loop closures, which bend all modes, lose their weight round by round (iteratively reweighted least squares).
 """
 
 from collections.abc import Iterator
