@@ -45,12 +45,14 @@ class Lag(NamedTuple):
         agree: Share of pairs in which wheels and images turn by the same angle then.
         mirrored: The same share if images turned the other way.
         pairs: Number of pairs.
+        ratio: How many times as far the wheels turn, as a median.
     """
 
     seconds: float
     agree: float
     mirrored: float
     pairs: int
+    ratio: float
 
 
 def measure_shift(first: np.ndarray, second: np.ndarray) -> float:
@@ -75,9 +77,11 @@ def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | Non
     if len(turned) < FEWEST:
         return None
 
+    def turn_by_wheels(lag_s: float) -> np.ndarray:
+        return np.interp(second_s + lag_s, time_s, yaw) - np.interp(first_s + lag_s, time_s, yaw)
+
     def differ(lag_s: float, sign: float = 1.0) -> np.ndarray:
-        by_wheels = np.interp(second_s + lag_s, time_s, yaw) - np.interp(first_s + lag_s, time_s, yaw)
-        return np.abs(wrap(sign * turned - by_wheels))
+        return np.abs(wrap(sign * turned - turn_by_wheels(lag_s)))
 
     def best(sign: float) -> tuple[float, float]:
         lags = np.arange(-LONGEST_S, LONGEST_S + STEP_S / 2, STEP_S)
@@ -86,4 +90,5 @@ def estimate_lag(pairs: Pairs, time_s: np.ndarray, yaw: np.ndarray) -> Lag | Non
         return lag_s, float((differ(lag_s, sign) < OUTLIER_RAD / 2).mean())
 
     (lag_s, agree), (_, mirrored) = best(1.0), best(-1.0)
-    return Lag(round(lag_s, 4), agree, mirrored, len(turned))
+    ratio = float(np.median(np.abs(turn_by_wheels(lag_s) / turned)))
+    return Lag(round(lag_s, 4), agree, mirrored, len(turned), ratio)

@@ -20,6 +20,8 @@ AROUND_S = 0.3
 """Images are looked at this long before and after a turn [s]."""
 AGREE = 0.5
 """Share of turns in which images and wheels must agree."""
+NO_RADIANS = 10.0
+"""How many times as far as the images the wheels turn at least if their angles are in degrees or ticks."""
 FEW_SEEN = 0.2
 """Share of the wheels' turns below which images seem not to turn. Good logs have nearly all."""
 DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
@@ -105,7 +107,7 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
         lag: The lag by turns; None: they do not show it.
 
     Raises:
-        InputError: Images turn against the wheels, or the lag cannot be estimated.
+        InputError: Images turn against the wheels, the wheels are not in radians, or the lag cannot be estimated.
     """
     if lag is None:
         if given == "estimate":
@@ -118,9 +120,17 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
             f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
             "wheels.left and wheels.right are exchanged, or both wheels count backward"
         )
+    if lag.ratio > NO_RADIANS:
+        raise InputError(
+            f"wheels.left, wheels.right: they turn {lag.ratio:.0f} times as far as the images: their positions must be "
+            "angles in radians"
+        )
     notes = []
     if lag.agree < AGREE:
-        notes.append(f"in only {lag.agree:.0%} of {lag.pairs} turns images and wheels agree: check track, radius, lens")
+        notes.append(
+            f"in only {lag.agree:.0%} of {lag.pairs} turns images and wheels agree, and "
+            f"the wheels turn {lag.ratio:.2g} times as far: check radius, track, lens"
+        )
     if given == "estimate":
         return lag.seconds, [*notes, f"the wheels are {1000 * lag.seconds:.0f} ms later than the images"]
     if abs(lag.seconds - float(given)) > 0.02:

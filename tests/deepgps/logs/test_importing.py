@@ -1,5 +1,6 @@
 """Logs of a synthetic robot, in every container and with every fault, become right recordings or are refused."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -287,6 +288,23 @@ def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
         bring_in(log, tmp_path)
     folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
     check_complete(folder)
+
+
+def test_wheels_in_degrees_are_refused(notes: list[Note], tmp_path: Path) -> None:
+    def turn_into_degrees(_: int, note: Note) -> Note:
+        return set_fields(note, position=np.degrees(note.fields["position"]))
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, turn_into_degrees), "mcap_lz4")
+    with pytest.raises(InputError, match=r"they turn 5[678] times as far as the images: .* radians"):
+        bring_in(log, tmp_path)
+
+
+def test_a_track_that_is_wrong_is_noticed(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"track_m": 0.32}))
+    assert any(
+        re.search(r"the wheels turn 0\.(49|5|51) times as far: check radius, track", note) for note in about["notes"]
+    )
 
 
 @pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)], ids=["left", "right"])
