@@ -14,8 +14,8 @@ from sim.errors import InputError
 
 MOST_PAIRS = 400
 """Pairs of images from which the lag is estimated at most."""
-LONGEST_PAIR_S = 0.5
-"""Longest time between the two images of a pair [s]."""
+PAIR_S = (0.19, 0.5)
+"""Shortest and longest time between the two images of a pair [s]: two images of a fast camera hardly differ."""
 AROUND_S = 0.3
 """Images are looked at this long before and after a turn [s]."""
 AGREE = 0.5
@@ -94,9 +94,11 @@ def _pair_images(drive: Drive, kinds: Collection[Kind], around_s: float) -> tupl
         if motion.kind in kinds:
             begin, end = time_s[motion.first] - around_s, time_s[motion.last] + around_s
             inside[slice(*np.searchsorted(image_s, (begin, end)))] = True
-    rows = np.flatnonzero(inside[:-1] & inside[1:] & (np.diff(image_s) < LONGEST_PAIR_S))
+    second = np.searchsorted(image_s, image_s + PAIR_S[0])
+    rows = np.flatnonzero(inside & (second < len(order)))
+    rows = rows[inside[second[rows]] & (image_s[second[rows]] - image_s[rows] < PAIR_S[1])]
     rows = rows[np.unique(np.linspace(0, len(rows) - 1, MOST_PAIRS).astype(int))] if len(rows) else rows
-    return order[rows], order[rows + 1]
+    return order[rows], order[second[rows]]
 
 
 def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:

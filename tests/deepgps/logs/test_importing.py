@@ -19,6 +19,7 @@ from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import check_recording, has_truth, open_labels, open_recording, open_truth
+from tests.helpers import robot_log
 from tests.helpers.robot_log import (
     CAMERA,
     CAMERA_INFO,
@@ -279,6 +280,18 @@ def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> No
     assert abs(about["lag_s"] - 0.05) <= 0.008
     _, about = bring_in(log, tmp_path / "again", configure(wheels={"lag_s": 0.3}))
     assert any("wheels.lag_s is 0.3 s, but the turns show 0.0" in note for note in about["notes"])
+
+
+def test_a_fast_camera_shows_the_lag_in_slow_turns_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_all = robot_log._draw_all
+    monkeypatch.setattr(robot_log, "RATE_RPS", 0.4)
+    monkeypatch.setattr(robot_log, "_draw_all", lambda _: draw_all(1 / 30))
+    robot_log.make_motion.cache_clear()
+    slow = make_notes("image/jpeg")
+    robot_log.make_motion.cache_clear()
+    log = write_log(tmp_path / "log", slow, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    assert abs(about["lag_s"] - 0.05) <= 0.02
 
 
 def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
