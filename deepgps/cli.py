@@ -85,7 +85,6 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
 
     def command(words: Sequence[str]) -> None:
         from deepgps.adopted_recording import link_recording
-        from deepgps.figures.run_report import describe_left_out
         from deepgps.run_folder import claim, find_place
         from deepgps.stages import STAGES, ask_for_device, check_log, choose_renderer_for, list_undriven, write_log
 
@@ -95,7 +94,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             check_log(arguments.log, scenario)
         elif source.recording is None:
             choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
-        place = find_place(folder, arguments.fresh)
+        place, left_out = find_place(folder, arguments.fresh), None
         with (
             working_in(folder),
             show_progress(errors) as progress,
@@ -112,7 +111,10 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
                     write_log(scenario, place, arguments.log, report)
                 if name == stage:
                     break
-            left_out = describe_left_out(place, scenario.methods) if stage == "train" else None
+            if stage == "train":
+                from deepgps.figures.run_report import describe_left_out  # needs torch, which collecting does not
+
+                left_out = describe_left_out(place, scenario.methods)
         if left_out:
             say(left_out)
         say(f"{stage} is done: {folder}")

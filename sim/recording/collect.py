@@ -53,6 +53,8 @@ ROUNDED = 1e-6
 """How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
+PER_RENDERER = 500
+"""Images for which it pays to start one more rendering process, which takes as long as drawing them."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 log = logging.getLogger(__name__)
 Report = Callable[[str, int, int], None]
@@ -82,8 +84,16 @@ class _Job:
 
     def estimate_bytes(self) -> int:
         """Bytes that the recording needs at least."""
-        tests = math.prod(self.test_pose.shape[:2])
-        return estimate_bytes(self.settings, self.world.model.nq, tests, self.work)
+        return estimate_bytes(self.settings, self.world.model.nq, self.count_tests(), self.work)
+
+    def count_tests(self) -> int:
+        """Number of test images."""
+        return math.prod(self.test_pose.shape[:2])
+
+    def count_renderers(self) -> int:
+        """Number of rendering processes that pay."""
+        images = self.settings.drive.samples + self.count_tests()
+        return min(usable_cores(), 1 + images // PER_RENDERER)
 
 
 def collect(
@@ -102,7 +112,7 @@ def collect(
         folder: The recording's folder; finished once it holds ``manifest.json``.
         progress: Called with a stage (``drive`` or ``render``, or these ``in use``), the number of images done and
             their total.
-        workers: Number of rendering processes; None: one for each usable core.
+        workers: Number of rendering processes; None: one for each usable core, or fewer if there are few images.
         base: A finished recording for which ``has_same_training_drive`` holds; only what differs is made.
 
     Raises:
@@ -151,7 +161,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
 
     deaths = 0
     for tries in range(TRIES):
-        with Renderers(sense_part, workers or usable_cores(), build_s) as renderers:
+        with Renderers(sense_part, workers or job.count_renderers(), build_s) as renderers:
             parts = _make_parts(renderers, job, progress)
         deaths += renderers.deaths
         try:
