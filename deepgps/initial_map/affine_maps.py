@@ -30,6 +30,9 @@ LENGTH_ROUNDS, LENGTH_ERROR = 5, 0.3
 """Rounds in which the slopes' lengths are fitted robustly, and the scale of their errors, relative to the length."""
 RIDGE = 1e-9
 
+Modes = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Values at the middles of the bars and slopes (L, k), and the firmness of the bars (L,); see ``find_modes``."""
+
 
 def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> Iterator[np.ndarray]:
     """Yield rough positions (N, 2) [m] of N observations, each in a frame of its own.
@@ -42,21 +45,22 @@ def find_affine_maps(count: int, segments: Segments, closures: LoopClosures) -> 
         closures: Loop closures, each pair in both orders.
     """
     graph = _keep_largest_part(count, segments, closures)
+    plain = _find_modes_if_any(graph, np.ones(len(graph.a)))
     for used in USED:
-        places = _lay_out(graph, np.ones(len(graph.a)), used, count)
+        places = _lay_out(graph, plain, used, count)
         if places is None:
             return
         yield places
         for believed in BELIEVED:
             trust = (1.0 + _measure_gaps(graph, places) / (believed * graph.step) ** 2) ** -2
-            robust = _lay_out(graph, trust, used, count)
+            robust = _lay_out(graph, _find_modes_if_any(graph, trust), used, count)
             if robust is None:
                 break
             places = robust
         yield places
 
 
-def find_modes(graph: PoseGraph, trust: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def find_modes(graph: PoseGraph, trust: np.ndarray) -> Modes:
     """Slowest modes: functions that are linear along each bar and nearly equal where two readings coincide.
 
     Minimises ``sum_p w_p (z_a - z_b)^2`` over ``z = m + c u`` of each reading at the distance c from its bar's middle,
@@ -105,16 +109,20 @@ def find_plane(slope: np.ndarray, firm: np.ndarray) -> np.ndarray:
     return axes[:, -2:] * np.sqrt(size[-2:].clip(1e-9))
 
 
-def _lay_out(graph: PoseGraph, trust: np.ndarray, used: int, count: int) -> np.ndarray | None:
-    # Rough positions (N, 2) [m] by a number of modes; None if there are fewer.
-    if graph.bar[-1] < used:
+def _find_modes_if_any(graph: PoseGraph, trust: np.ndarray) -> Modes | None:
+    if graph.bar[-1] < min(USED):
         return None
     try:
-        middle, slope, firm = find_modes(graph, trust)
+        return find_modes(graph, trust)
     except ArpackError:  # no bar is held firmly
         return None
-    if slope.shape[1] < used:
+
+
+def _lay_out(graph: PoseGraph, modes: Modes | None, used: int, count: int) -> np.ndarray | None:
+    # Rough positions (N, 2) [m] by a number of modes; None if there are fewer.
+    if modes is None or modes[1].shape[1] < used:
         return None
+    middle, slope, firm = modes
     plane = find_plane(slope[:, :used], firm)
     ahead = slope[:, :used] @ plane
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True).clip(1e-300)

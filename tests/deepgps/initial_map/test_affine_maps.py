@@ -42,7 +42,7 @@ def cross(ends: np.ndarray) -> Crossed:
 
 
 def draw(low: tuple[float, float], high: tuple[float, float], count: int, rng: np.random.Generator) -> np.ndarray:
-    """Ends (n, 2, 2) of lines between places by chance in a rectangle."""
+    """Ends (n, 2, 2) of lines between random places in a rectangle."""
     return rng.uniform(low, high, (count, 2, 2))
 
 
