@@ -89,7 +89,7 @@ class TrainSettings(Group):
     threads: int = Field(default=1, ge=1, le=256)
     """Threads on a CPU. One is as fast as more for the spectral network, and on a busy machine many times faster."""
     bfloat16: bool = True
-    """Compute matrix products in bfloat16 where the processor supports it; the weights stay float32."""
+    """Compute matrix products in bfloat16 where that is faster on this processor; the weights stay float32."""
 
 
 class LiftSettings(Group):

@@ -11,6 +11,7 @@ from deepgps.learning.trainer import (
     Loss,
     choose_device,
     describe_device,
+    has_fast_bfloat16,
     make_generator,
     predict,
     schedule,
@@ -145,6 +146,23 @@ def test_an_absent_device_is_refused():
     with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
         choose_device("cuda")
     assert describe_device().startswith("CPU, ")
+
+
+@pytest.mark.parametrize(
+    ("processor", "fast"),
+    [
+        ({"cpu_name": "AMD EPYC", "avx512_bf16": True, "amx_bf16": False}, True),
+        ({"cpu_name": "Intel Xeon", "avx512_bf16": True, "amx_bf16": True}, True),
+        ({"cpu_name": "Intel Xeon", "avx512_bf16": True, "amx_bf16": False}, False),
+        ({"cpu_name": "AMD EPYC", "avx512_bf16": False, "amx_bf16": False}, False),
+        ({"architecture": "aarch64", "bf16": True}, False),
+    ],
+)
+def test_bfloat16_is_used_where_it_is_faster(
+    processor: dict[str, str | bool], fast: bool, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: processor)
+    assert has_fast_bfloat16(torch.device("cpu")) == fast
 
 
 def test_threads_are_lent_only_to_training(tmp_path: Path):
