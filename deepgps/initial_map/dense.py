@@ -1,4 +1,4 @@
-"""The map from which training starts, found without a network: rough maps, each relaxed, the best kept.
+"""The map from which training starts, found without a network: rough maps, each relaxed, the best kept and refined.
 
 Maps by shortest paths are bent by furniture, which may mirror a region; maps by straightness need bars that cross
 often. So both are tried, and judged by how well segments and loop closures fit one another, and by whether places that
@@ -13,6 +13,7 @@ from deepgps.initial_map.affine_maps import find_affine_maps
 from deepgps.initial_map.fold_detector import measure_overlap
 from deepgps.initial_map.isomap import find_loop_closures, map_by_paths
 from deepgps.initial_map.pose_graph import relax
+from deepgps.initial_map.uneven_bars import relax_unevenly
 
 NEIGHBOURS = (3, 6)
 """Neighbours of each observation in the graphs whose shortest paths give a map; the first gives the loop closures."""
@@ -38,4 +39,5 @@ def find_initial_map(features: torch.Tensor, segments: Segments, generator: torc
         places, cost = found
         return cost * (1.0 + measure_overlap(places, features, segments, generator.set_state(same)) / OVERLAP)
 
-    return min((relax(places, segments, graphs[0]) for places in rough), key=judge)[0]
+    best = min((relax(places, segments, graphs[0]) for places in rough), key=judge)[0]
+    return relax_unevenly(best, segments, graphs[0], np.random.default_rng(generator.initial_seed()))[0]

@@ -63,23 +63,24 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
         Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
         ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
     """
-    observation, along, bar, a, b, firm, weight, step = build_pose_graph(
-        segments, closures, np.asarray(np.isfinite(places).all(axis=1))
-    )
-    middle, heading = _lay_bars(places[observation], bar, along)
-    for believed in step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
-        ahead = _ahead(heading, bar, along)
-        apart = (middle[bar] + ahead)[a] - (middle[bar] + ahead)[b]
-        trust = weight * np.where(firm, 1.0, (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2)
-        move = _solve(bar, a, b, ahead, apart, trust).reshape(-1, 3)
+    graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
+    middle, heading = lay_bars(places[graph.observation], graph)
+    for believed in graph.step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
+        ahead = point_along(heading, graph, graph.along)
+        apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
+        jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, believed), 2)
+        normal, size = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc(), 3 * len(heading)
+        # Damped, because the map may move and turn freely; a bar that no link reaches stays, even if there is no link.
+        damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(size, format="csc")
+        move = -factorise(damped).solve(jacobian.T @ (trust * apart.T.ravel())).reshape(-1, 3)
         middle += move[:, :2]
         heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
-    point = middle[bar] + _ahead(heading, bar, along)
-    squared = ((point[a] - point[b]) ** 2).sum(axis=1)
-    cost = weight * np.where(firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * step) ** 2))
+    point = middle[graph.bar] + point_along(heading, graph, graph.along)
+    squared = ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)
+    robust = np.where(graph.firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * graph.step) ** 2))
     found = np.array(places, float)
-    found[observation] = point
-    return found, float(cost.sum())
+    found[graph.observation] = point
+    return found, float((graph.weight * robust).sum())
 
 
 def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndarray) -> PoseGraph:
@@ -108,36 +109,43 @@ def _from_middle(segments: Segments) -> np.ndarray:
     return (distance - (distance.sum(dim=1) / segments.count)[:, None]).numpy()
 
 
-def _lay_bars(point: np.ndarray, bar: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def lay_bars(point: np.ndarray, graph: PoseGraph) -> tuple[np.ndarray, np.ndarray]:
     """Middle (L, 2) [m] and heading (L,) [rad] of the bars that fit the readings' points (r, 2) best."""
-    count = np.bincount(bar)
+    bar, count = graph.bar, np.bincount(graph.bar)
     middle = np.stack([np.bincount(bar, point[:, axis]) / count for axis in range(2)], axis=1)
-    pull = [np.bincount(bar, along * point[:, axis]) for axis in range(2)]
+    pull = [np.bincount(bar, graph.along * point[:, axis]) for axis in range(2)]
     return middle, np.arctan2(pull[1], pull[0])
 
 
-def _ahead(heading: np.ndarray, bar: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Offset of each reading from the middle of its bar (r, 2) [m]."""
-    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[bar] * along[:, None]
+def point_along(heading: np.ndarray, graph: PoseGraph, way: np.ndarray) -> np.ndarray:
+    """Offsets (r, 2) [m] of readings that are ``way`` (r,) [m] ahead of the middle of their bars."""
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[graph.bar] * way[:, None]
 
 
-def _solve(
-    bar: np.ndarray, a: np.ndarray, b: np.ndarray, ahead: np.ndarray, apart: np.ndarray, trust: np.ndarray
-) -> np.ndarray:
-    """Gauss-Newton step (3 L,): x, y [m] and heading [rad] of each bar."""
-    pairs = np.arange(len(a))
-    one = np.ones(len(a))
-    rows, columns, values = [], [], []
-    for end, sign in ((a, one), (b, -one)):
-        # Turning a bar moves its points at right angles to it.
-        for axis, lever in ((0, -ahead[end, 1]), (1, ahead[end, 0])):
-            rows += [pairs + axis * len(a)] * 2
-            columns += [3 * bar[end] + axis, 3 * bar[end] + 2]
-            values += [sign, sign * lever]
-    shape = (2 * len(a), 3 * (int(bar[-1]) + 1))
-    jacobian = csc_array((np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=shape)
-    weighted = jacobian.multiply(np.concatenate([trust, trust])[:, None]).tocsc()
-    normal = (jacobian.T @ weighted).tocsc()
-    # Damped, because the map may move and turn freely; a bar that no link reaches stays, even if there is no link.
-    damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(shape[1], format="csc")
-    return -factorise(damped).solve(weighted.T @ apart.T.ravel())
+def move_rigidly(ahead: np.ndarray) -> np.ndarray:
+    """How readings at offsets (r, 2) from their bars' middles move with x, y [m] and heading [rad] (r, 2, 3)."""
+    one, none = np.ones(len(ahead)), np.zeros(len(ahead))
+    return np.stack([one, none, -ahead[:, 1], none, one, ahead[:, 0]], axis=1).reshape(-1, 2, 3)
+
+
+def derive_apart(graph: PoseGraph, moves: np.ndarray) -> csc_array:
+    """Derivatives (2 p, k L) of the differences of all pairs, in x and then in y.
+
+    Args:
+        graph: Bars and pairs.
+        moves: How each reading moves with each of its bar's k unknowns (r, 2, k).
+    """
+    (_, _, unknowns), pairs, bars = moves.shape, len(graph.a), int(graph.bar[-1]) + 1
+    columns = unknowns * graph.bar[:, None] + np.arange(unknowns)
+    columns = np.tile(np.concatenate([columns[graph.a], columns[graph.b]], axis=1), (2, 1))
+    values = np.concatenate([moves[graph.a], -moves[graph.b]], axis=2).transpose(1, 0, 2)
+    rows = np.repeat(np.arange(2 * pairs), 2 * unknowns)
+    derived = csc_array((values.ravel(), (rows, columns.ravel())), shape=(2 * pairs, unknowns * bars))
+    derived.eliminate_zeros()
+    return derived
+
+
+def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:
+    """Robust weights (p,) [1 / m^2] of pairs that are ``apart`` (p, 2) [m], by the scale ``believed`` [m]."""
+    robust = (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
+    return graph.weight * np.where(graph.firm, 1.0, robust)

@@ -1,0 +1,152 @@
+"""Last refinement of an initial map: bars whose readings may lie unevenly, as far as the encoders are noisy.
+
+Errors of the gaps between readings add up along a segment to a random walk, which is a sum of cosines with independent
+coefficients (Karhunen and Loeve). The first few of each bar become unknowns. The noise of the gaps, the same for all
+bars, is estimated with them by expectation maximisation, without the truth: exact encoders leave bars rigid.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array, diags_array
+from scipy.sparse.linalg import SuperLU
+
+from deepgps.data.segments import Segments
+from deepgps.initial_map.isomap import LoopClosures
+from deepgps.initial_map.least_squares import factorise
+from deepgps.initial_map.pose_graph import (
+    DAMPING,
+    LARGEST_TURN,
+    PoseGraph,
+    build_pose_graph,
+    derive_apart,
+    lay_bars,
+    move_rigidly,
+    point_along,
+    weigh,
+)
+
+COSINES = 3
+"""Cosines of each bar; with more, the map is hardly better."""
+NOISE_FIRST, NOISE_LEAST = 0.1, 1e-4
+"""Noise of a gap, relative to it, in the first round, and the least that is assumed."""
+BELIEVED_FIRST, BELIEVED_LAST, ROUNDS = 4.0, 1.0, 6
+"""Scale of the robust weights in the first and the last round, in steps between readings."""
+HELD, SETTLED = 0.6, 2
+"""In the last rounds, which estimate no noise, it counts this much: loop closures pull bars together."""
+SAMPLES = 8
+"""Samples of the errors of the coefficients, for their mean square."""
+
+
+class Normal(NamedTuple):
+    """Normal equations of one round.
+
+    Attributes:
+        jacobian: Derivatives of the pairs' differences (2 p, u).
+        trust: Weights of these (2 p,) [1 / m^2].
+        prior: Inverse variances of the unknowns (u,).
+        factors: Of the normal equations.
+    """
+
+    jacobian: csc_array
+    trust: np.ndarray
+    prior: np.ndarray
+    factors: SuperLU
+
+
+class UnevenBars:
+    """Bars and their unknowns: x, y [m], heading [rad] and the coefficients of the cosines [m].
+
+    Attributes:
+        noise: Standard deviation of a gap, relative to it.
+        unknown: Unknowns of each bar (L, 3 + COSINES).
+    """
+
+    def __init__(self, graph: PoseGraph, places: np.ndarray) -> None:
+        self.noise, self._graph, bar = NOISE_FIRST, graph, graph.bar
+        middle, heading = lay_bars(places[graph.observation], graph)
+        self.unknown = np.concatenate([middle, heading[:, None], np.zeros((len(heading), COSINES))], axis=1)
+        first = np.flatnonzero(np.diff(bar, prepend=-1))
+        begin = np.minimum.reduceat(graph.along, first)
+        length = (np.maximum.reduceat(graph.along, first) - begin).clip(graph.step)
+        order, gaps = np.pi * np.arange(1, COSINES + 1), (np.bincount(bar) - 1).clip(1)
+        self._std = (np.sqrt(2.0 / gaps) * length)[:, None] / order  # for a noise of 1
+        cosine = np.cos(((graph.along - begin[bar]) / length[bar])[:, None] * order)
+        self._cosine = cosine - (np.add.reduceat(cosine, first) / np.bincount(bar)[:, None])[bar]
+        self._longer = np.zeros_like(self.unknown)
+        self._longer[:, 3:] = np.cos(order) - 1.0
+
+    def place(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points of the readings and their offsets from the middles of their bars (r, 2) [m]."""
+        way = self._graph.along + (self._cosine * self.unknown[self._graph.bar, 3:]).sum(axis=1)
+        ahead = point_along(self.unknown[:, 2], self._graph, way)
+        return self.unknown[self._graph.bar, :2] + ahead, ahead
+
+    def derive(self) -> np.ndarray:
+        """How each reading moves with its bar's unknowns (r, 2, 3 + COSINES)."""
+        _, ahead = self.place()
+        along = point_along(self.unknown[:, 2], self._graph, np.ones(len(ahead)))
+        return np.concatenate([move_rigidly(ahead), along[:, :, None] * self._cosine[:, None]], axis=2)
+
+    def move(self, believed: float, noise: float) -> Normal:
+        """Move the bars by one Gauss-Newton step; the sum of their lengths stays, as the map has no other scale.
+
+        Args:
+            believed: Scale of the robust weights [m].
+            noise: Standard deviation of a gap, relative to it.
+        """
+        graph, (point, _) = self._graph, self.place()
+        jacobian, apart = derive_apart(graph, self.derive()), point[graph.a] - point[graph.b]
+        trust = np.tile(weigh(graph, apart, believed), 2)
+        prior = np.zeros_like(self.unknown)
+        prior[:, 3:] = (noise * self._std) ** -2
+        normal = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc()
+        free = DAMPING * (normal.diagonal().max() or 1.0)
+        factors = factorise((normal + diags_array(prior.ravel() + free)).tocsc())
+        pull = jacobian.T @ (trust * apart.T.ravel()) + (prior * self.unknown).ravel()
+        step, scaled = (factors.solve(right).reshape(prior.shape) for right in (-pull, self._longer.ravel()))
+        excess = (self._longer * (self.unknown + step)).sum()
+        step -= scaled * excess / (self._longer * scaled).sum()
+        step[:, 2] = step[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+        self.unknown += step
+        return Normal(jacobian, trust, prior.ravel(), factors)
+
+    def estimate_noise(self, normal: Normal, rng: np.random.Generator) -> None:
+        """Expectation maximisation: the mean square of the coefficients, with their errors, by samples of these.
+
+        The step is twice as long as its, in the logarithm, since it is slow where there is little noise.
+        """
+        jacobian, trust, prior, factors = normal
+        drawn = jacobian.T @ (np.sqrt(trust)[:, None] * rng.standard_normal((len(trust), SAMPLES)))
+        drawn += np.sqrt(prior)[:, None] * rng.standard_normal((len(prior), SAMPLES))
+        error = factors.solve(drawn).reshape(*self.unknown.shape, SAMPLES)[:, 3:]
+        squared = self.unknown[:, 3:] ** 2 + (error**2).mean(axis=2)
+        self.noise = max(float((squared / self._std**2).mean()) / self.noise, NOISE_LEAST)
+
+
+def relax_unevenly(
+    places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator
+) -> tuple[np.ndarray, float]:
+    """Move all segments, and their readings along them, to where they fit one another.
+
+    Minimises the cost of ``pose_graph.relax`` plus ``sum (c_k / (w s_k))^2`` over the bars' middles, headings and
+    coefficients ``c_k``, with ``s_k = sqrt(2 n) g / (k pi)`` for n gaps of length g of noise w.
+
+    Args:
+        places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
+        segments: Weak constraints.
+        closures: Loop closures, each pair in both orders.
+        rng: Draws the samples.
+
+    Returns:
+        Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the noise w.
+    """
+    graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
+    bars = UnevenBars(graph, places)
+    for believed in graph.step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
+        bars.estimate_noise(bars.move(believed, bars.noise), rng)
+    for _ in range(SETTLED):
+        bars.move(graph.step * BELIEVED_LAST, HELD * bars.noise)
+    found = np.array(places, float)
+    found[graph.observation] = bars.place()[0]
+    return found, bars.noise
