@@ -14,6 +14,7 @@ from deepgps.data.segments import Segments, find_runs
 from deepgps.initial_map.dense import NEIGHBOURS
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.pose_graph import relax
+from deepgps.initial_map.uneven_bars import relax_unevenly
 from sim.recording.format import Recording
 
 
@@ -40,15 +41,17 @@ def read_turns(recording: Recording) -> WheelTurns:
     return WheelTurns(path, np.diff(heading))
 
 
-def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments) -> np.ndarray:
+def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rng: np.random.Generator) -> np.ndarray:
     """Positions (N, 2) [m] of the observations: the path, relaxed until segments and loop closures fit.
 
     Args:
         turns: The wheels' path.
         features: Features of the observations (N, K).
         segments: Weak constraints.
+        rng: Draws samples for the noise of the encoders.
     """
-    return relax(turns.path, segments, find_loop_closures(features, segments, NEIGHBOURS[:1])[0])[0]
+    closures = find_loop_closures(features, segments, NEIGHBOURS[:1])[0]
+    return relax_unevenly(relax(turns.path, segments, closures)[0], segments, closures, rng)[0]
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:

@@ -13,6 +13,7 @@ from deepgps.methods.positioner import Fitted
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings, Start
 from sim.recording.format import Recording
+from sim.rng import stream
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
@@ -25,7 +26,7 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     ) -> torch.Tensor:
         if start != "paths" or number > 0:
             return make_initial_map(features, segments, start, seed, number)
-        return torch.from_numpy(straighten(turns, features, segments))
+        return torch.from_numpy(straighten(turns, features, segments, stream(seed, "start")))
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)
