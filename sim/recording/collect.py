@@ -20,7 +20,6 @@ import numpy as np
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import check_space, list_files, remove_files, write_array, write_arrays
 from sim.occupancy import save_free_space
-from sim.processes import usable_cores
 from sim.recording.assemble import (
     Drive,
     count_drawn,
@@ -37,7 +36,7 @@ from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import name_sensors
 from sim.recording.mixed_light import light_part
-from sim.recording.renderers import Part, Renderers
+from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.recording.sensing import part_files, sense_part
 from sim.recording.training_drive import link_training
 from sim.rng import stream
@@ -53,8 +52,6 @@ ROUNDED = 1e-6
 """How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
-PER_RENDERER = 500
-"""Images for which it pays to start one more rendering process, which takes as long as drawing them."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 log = logging.getLogger(__name__)
 Report = Callable[[str, int, int], None]
@@ -89,11 +86,6 @@ class _Job:
     def count_tests(self) -> int:
         """Number of test images."""
         return math.prod(self.test_pose.shape[:2])
-
-    def count_renderers(self) -> int:
-        """Number of rendering processes that pay."""
-        images = self.settings.drive.samples + self.count_tests()
-        return min(usable_cores(), 1 + images // PER_RENDERER)
 
 
 def collect(
@@ -160,8 +152,9 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
     from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
 
     deaths = 0
+    count = workers or count_renderers(job.settings.drive.samples + job.count_tests())
     for tries in range(TRIES):
-        with Renderers(sense_part, workers or job.count_renderers(), build_s) as renderers:
+        with Renderers(sense_part, count, build_s) as renderers:
             parts = _make_parts(renderers, job, progress)
         deaths += renderers.deaths
         try:

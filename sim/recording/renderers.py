@@ -21,7 +21,7 @@ from typing import Self
 import numpy as np
 
 from sim.errors import WorkError
-from sim.processes import start_process
+from sim.processes import start_process, usable_cores
 from sim.settings import SimSettings
 
 DEATHS = 3
@@ -35,8 +35,15 @@ BEAT_S = 0.5
 LOOK_S = 1.0
 AHEAD = 2
 """Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving."""
+PER_RENDERER = 500
+"""Images for which it pays to start one more rendering process, which takes as long as drawing them."""
 CURE = "deepgps doctor checks the renderer"
 log = logging.getLogger(__name__)
+
+
+def count_renderers(images: int) -> int:
+    """Number of worker processes that pay for so many images."""
+    return min(usable_cores(), 1 + images // PER_RENDERER)
 
 
 class UnsteadyError(WorkError):

@@ -16,10 +16,9 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError
 from sim.files import PART, check_space, list_files, read_json, remove_files, write_json
-from sim.processes import usable_cores
 from sim.recording.assemble import read_part
 from sim.recording.format import open_truth
-from sim.recording.renderers import Part, Renderers
+from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
 from sim.robot_log.clocks import make_base_clock
 from sim.robot_log.content import list_topics
@@ -57,7 +56,7 @@ def write_log(
         recording: Folder of the recording, which must have been driven by this simulator.
         key: Names what determines the log.
         progress: Called with a stage, the steps done and their number.
-        workers: Number of drawing processes; None: one for each usable core.
+        workers: Number of drawing processes; None: as many as pay.
 
     Raises:
         InputError: The recording holds another drive than these settings give here.
@@ -77,7 +76,7 @@ def write_log(
     seen = _drive(world, seed, recording, progress)
     check_space(path, 2 * PICTURE_BYTES * len(seen.picture_time))
     parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
-    with Renderers(draw_part, workers or usable_cores(), build_s) as renderers:
+    with Renderers(draw_part, workers or count_renderers(len(seen.picture_time)), build_s) as renderers:
         _draw(renderers, parts, progress)
     topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
     write_robot(path, settings)
