@@ -1,8 +1,9 @@
 """Last refinement of an initial map: bars whose readings may lie unevenly, as far as the encoders are noisy.
 
 Errors of the gaps between readings add up along a segment to a random walk, which is a sum of cosines with independent
-coefficients (Karhunen and Loeve). The first few of each bar become unknowns. The noise of the gaps, the same for all
-bars, is estimated with them by expectation maximisation, without the truth: exact encoders leave bars rigid.
+coefficients (Karhunen and Loeve). The first few of each bar become unknowns. The noise of the gaps is estimated with
+them, without the truth: exact encoders leave bars rigid. Its distribution has heavy tails (Student's t; Lange et al.
+1989), so bars on which a wheel stuck may change their length by much and do not loosen the others.
 """
 
 from typing import NamedTuple
@@ -30,12 +31,14 @@ COSINES = 3
 """Cosines of each bar; with more, the map is hardly better."""
 NOISE_FIRST, NOISE_LEAST = 0.1, 1e-4
 """Noise of a gap, relative to it, in the first round, and the least that is assumed."""
-BELIEVED_FIRST, BELIEVED_LAST, ROUNDS = 4.0, 1.0, 6
+BELIEVED_FIRST, BELIEVED_LAST, ROUNDS = 4.0, 1.0, 8
 """Scale of the robust weights in the first and the last round, in steps between readings."""
 HELD, SETTLED = 0.6, 2
 """In the last rounds, which estimate no noise, it counts this much: loop closures pull bars together."""
 SAMPLES = 8
 """Samples of the errors of the coefficients, for their mean square."""
+TAILS = 4.0
+"""Degrees of freedom of the coefficients' distribution: a bar whose wheel stuck errs more than noise explains."""
 
 
 class Normal(NamedTuple):
@@ -59,6 +62,7 @@ class UnevenBars:
 
     Attributes:
         noise: Standard deviation of a gap, relative to it.
+        usual: Inverse of the factor by which the variance of each bar exceeds that of such noise (L,).
         unknown: Unknowns of each bar (L, 3 + COSINES).
     """
 
@@ -66,6 +70,7 @@ class UnevenBars:
         self.noise, self._graph, bar = NOISE_FIRST, graph, graph.bar
         middle, heading = lay_bars(places[graph.observation], graph)
         self.unknown = np.concatenate([middle, heading[:, None], np.zeros((len(heading), COSINES))], axis=1)
+        self.usual = np.ones(len(heading))
         first = np.flatnonzero(np.diff(bar, prepend=-1))
         begin = np.minimum.reduceat(graph.along, first)
         length = (np.maximum.reduceat(graph.along, first) - begin).clip(graph.step)
@@ -73,8 +78,7 @@ class UnevenBars:
         self._std = (np.sqrt(2.0 / gaps) * length)[:, None] / order  # for a noise of 1
         cosine = np.cos(((graph.along - begin[bar]) / length[bar])[:, None] * order)
         self._cosine = cosine - (np.add.reduceat(cosine, first) / np.bincount(bar)[:, None])[bar]
-        self._longer = np.zeros_like(self.unknown)
-        self._longer[:, 3:] = np.cos(order) - 1.0
+        self._longer = np.append(np.zeros(3), np.cos(order) - 1.0)
 
     def place(self) -> tuple[np.ndarray, np.ndarray]:
         """Points of the readings and their offsets from the middles of their bars (r, 2) [m]."""
@@ -89,7 +93,7 @@ class UnevenBars:
         return np.concatenate([move_rigidly(ahead), along[:, :, None] * self._cosine[:, None]], axis=2)
 
     def move(self, believed: float, noise: float) -> Normal:
-        """Move the bars by one Gauss-Newton step; the sum of their lengths stays, as the map has no other scale.
+        """Move the bars by one Gauss-Newton step; the sum of usual lengths stays, as the map has no other scale.
 
         Args:
             believed: Scale of the robust weights [m].
@@ -99,29 +103,30 @@ class UnevenBars:
         jacobian, apart = derive_apart(graph, self.derive()), point[graph.a] - point[graph.b]
         trust = np.tile(weigh(graph, apart, believed), 2)
         prior = np.zeros_like(self.unknown)
-        prior[:, 3:] = (noise * self._std) ** -2
+        prior[:, 3:] = self.usual[:, None] / (noise * self._std) ** 2
         normal = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc()
         free = DAMPING * (normal.diagonal().max() or 1.0)
         factors = factorise((normal + diags_array(prior.ravel() + free)).tocsc())
         pull = jacobian.T @ (trust * apart.T.ravel()) + (prior * self.unknown).ravel()
-        step, scaled = (factors.solve(right).reshape(prior.shape) for right in (-pull, self._longer.ravel()))
-        excess = (self._longer * (self.unknown + step)).sum()
-        step -= scaled * excess / (self._longer * scaled).sum()
+        longer = self.usual[:, None] * self._longer
+        step, scaled = (factors.solve(right).reshape(prior.shape) for right in (-pull, longer.ravel()))
+        step -= scaled * (longer * (self.unknown + step)).sum() / (longer * scaled).sum()
         step[:, 2] = step[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
         self.unknown += step
         return Normal(jacobian, trust, prior.ravel(), factors)
 
     def estimate_noise(self, normal: Normal, rng: np.random.Generator) -> None:
-        """Expectation maximisation: the mean square of the coefficients, with their errors, by samples of these.
+        """Expectation maximisation for Student's t distribution, with samples of the coefficients' errors.
 
-        The step is twice as long as its, in the logarithm, since it is slow where there is little noise.
+        The step is twice as long, in the logarithm, since it is slow where there is little noise.
         """
         jacobian, trust, prior, factors = normal
         drawn = jacobian.T @ (np.sqrt(trust)[:, None] * rng.standard_normal((len(trust), SAMPLES)))
         drawn += np.sqrt(prior)[:, None] * rng.standard_normal((len(prior), SAMPLES))
         error = factors.solve(drawn).reshape(*self.unknown.shape, SAMPLES)[:, 3:]
-        squared = self.unknown[:, 3:] ** 2 + (error**2).mean(axis=2)
-        self.noise = max(float((squared / self._std**2).mean()) / self.noise, NOISE_LEAST)
+        squared = (self.unknown[:, 3:] ** 2 + (error**2).mean(axis=2)) / self._std**2
+        self.usual = (TAILS + COSINES) / (TAILS + squared.sum(axis=1) / self.noise**2)
+        self.noise = max(float((self.usual[:, None] * squared).mean()) / self.noise, NOISE_LEAST)
 
 
 def relax_unevenly(

@@ -54,6 +54,17 @@ def test_the_noise_is_found_and_the_map_is_better_than_that_of_rigid_bars(toy: T
     assert rms(found, place) < 0.8 * rms(rigid, place)
 
 
+def test_bars_of_a_wheel_that_stuck_are_mended_and_the_others_stay_rigid(toy: Toy):
+    place, segments, closures = toy
+    distance = segments.distance.clone()
+    distance[::10] *= 0.5
+    stuck = replace(segments, distance=distance)
+    rigid, _ = relax(place, stuck, closures)
+    found, estimated = refine(rigid, stuck, closures)
+    assert estimated < 0.1
+    assert rms(found, place) < 0.3 * rms(rigid, place)
+
+
 def test_exact_encoders_lose_nothing(toy: Toy):
     place, segments, closures = toy
     rigid, _ = relax(place, segments, closures)
