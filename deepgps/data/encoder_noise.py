@@ -53,9 +53,11 @@ def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     return float((noise + expect_bias(encoder, way)).mean().sqrt())
 
 
-def keep_inliers(segments: Segments) -> Segments:
-    """Return the segments without those whose weight is less than a half."""
-    return segments if segments.weight is None else segments.take((segments.weight >= 0.5).nonzero()[:, 0])
+def find_inliers(segments: Segments) -> torch.Tensor:
+    """Numbers (n,) int64 of the segments whose weight is at least a half; all of them where they have no weights."""
+    if segments.weight is None:
+        return torch.arange(len(segments.count))
+    return (segments.weight >= 0.5).nonzero()[:, 0]
 
 
 def measure_wheel_disagreement(recording: Recording, tick_m: float, slip_per_m: float) -> np.ndarray:

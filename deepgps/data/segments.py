@@ -64,6 +64,10 @@ class Segments:
         tensors = {name: value[rows] for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
         return replace(self, **tensors)
 
+    def replace_distances(self, rows: torch.Tensor, distance: torch.Tensor) -> "Segments":
+        """Return the segments with other distances (n, longest) [m] in the segments ``rows`` (n,) int64."""
+        return replace(self, distance=self.distance.index_copy(0, rows, distance))
+
     def through(self, observations: torch.Tensor) -> "Segments":
         """Return the segments through any of the observations marked (N,) bool."""
         return self.take((observations[self.index] & self.valid).any(dim=1).nonzero()[:, 0])

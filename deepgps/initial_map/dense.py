@@ -21,11 +21,14 @@ OVERLAP = 0.1
 """Part of the observations that look unlike their neighbours on the map which counts as much as the whole cost."""
 
 
-def find_initial_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
+def find_initial_map(
+    features: torch.Tensor, segments: Segments, generator: torch.Generator
+) -> tuple[np.ndarray, Segments]:
     """Positions of observations with features (N, K), in an arbitrary frame.
 
     Returns:
-        (N, 2) [m]; NaN for observations outside the largest connected part.
+        (N, 2) [m]; NaN for observations outside the largest connected part. And the segments, with the distances that
+        their readings have on this map: those of the encoders, as far as these are exact.
 
     Raises:
         InputError: The segments are not connected.
@@ -40,4 +43,5 @@ def find_initial_map(features: torch.Tensor, segments: Segments, generator: torc
         return cost * (1.0 + measure_overlap(places, features, segments, generator.set_state(same)) / OVERLAP)
 
     best = min((relax(places, segments, graphs[0]) for places in rough), key=judge)[0]
-    return relax_unevenly(best, segments, graphs[0], np.random.default_rng(generator.initial_seed()))[0]
+    relaxed = relax_unevenly(best, segments, graphs[0], np.random.default_rng(generator.initial_seed()))
+    return relaxed.places, relaxed.segments

@@ -41,11 +41,13 @@ WRONG_M = 0.05
 """Unit of the errors when maps are compared; an error of more than twice this counts as twice this [m]."""
 
 
-def find_end_point_map(features: torch.Tensor, segments: Segments, generator: torch.Generator) -> np.ndarray:
+def find_end_point_map(
+    features: torch.Tensor, segments: Segments, generator: torch.Generator
+) -> tuple[np.ndarray, Segments]:
     """Positions of observations with features (N, K), in an arbitrary frame.
 
     Returns:
-        (N, 2) [m]; NaN for observations outside the largest connected part.
+        (N, 2) [m]; NaN for observations outside the largest connected part. And the segments as they are.
 
     Raises:
         InputError: No segment is short, or the segments are not connected.
@@ -55,7 +57,7 @@ def find_end_point_map(features: torch.Tensor, segments: Segments, generator: to
         rough = map_by_paths(len(features), segments, closures, generator)
         tries.append(relax_ends(rough, segments, closures))
     best = min(tries, key=lambda found: found[1])[0]
-    return fit_mixture(best, segments, find_mixture(features))
+    return fit_mixture(best, segments, find_mixture(features)), segments
 
 
 def find_mixture(features: torch.Tensor) -> csr_array:

@@ -6,9 +6,11 @@ them, without the truth: exact encoders leave bars rigid. Its distribution has h
 1989), so bars on which a wheel stuck may change their length by much and do not loosen the others.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import SuperLU
 
@@ -39,6 +41,20 @@ SAMPLES = 8
 """Samples of the errors of the coefficients, for their mean square."""
 TAILS = 4.0
 """Degrees of freedom of the coefficients' distribution: a bar whose wheel stuck errs more than noise explains."""
+
+
+class Relaxed(NamedTuple):
+    """A map, and what it says of the encoders.
+
+    Attributes:
+        places: Positions (N, 2) float64 [m]; observations on no segment keep theirs.
+        segments: The segments, with the distances that their readings have on the map.
+        noise: Standard deviation of a gap, relative to it.
+    """
+
+    places: np.ndarray
+    segments: Segments
+    noise: float
 
 
 class Normal(NamedTuple):
@@ -82,9 +98,12 @@ class UnevenBars:
 
     def place(self) -> tuple[np.ndarray, np.ndarray]:
         """Points of the readings and their offsets from the middles of their bars (r, 2) [m]."""
-        way = self._graph.along + (self._cosine * self.unknown[self._graph.bar, 3:]).sum(axis=1)
-        ahead = point_along(self.unknown[:, 2], self._graph, way)
+        ahead = point_along(self.unknown[:, 2], self._graph, self._graph.along + self.measure_errors())
         return self.unknown[self._graph.bar, :2] + ahead, ahead
+
+    def measure_errors(self) -> np.ndarray:
+        """What the readings' distances lack (r,) [m]."""
+        return (self._cosine * self.unknown[self._graph.bar, 3:]).sum(axis=1)
 
     def derive(self) -> np.ndarray:
         """How each reading moves with its bar's unknowns (r, 2, 3 + COSINES)."""
@@ -129,9 +148,7 @@ class UnevenBars:
         self.noise = max(float((self.usual[:, None] * squared).mean()) / self.noise, NOISE_LEAST)
 
 
-def relax_unevenly(
-    places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator
-) -> tuple[np.ndarray, float]:
+def relax_unevenly(places: np.ndarray, segments: Segments, closures: LoopClosures, rng: np.random.Generator) -> Relaxed:
     """Move all segments, and their readings along them, to where they fit one another.
 
     Minimises the cost of ``pose_graph.relax`` plus ``sum (c_k / (w s_k))^2`` over the bars' middles, headings and
@@ -142,16 +159,16 @@ def relax_unevenly(
         segments: Weak constraints.
         closures: Loop closures, each pair in both orders.
         rng: Draws the samples.
-
-    Returns:
-        Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the noise w.
     """
-    graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
+    placed = np.asarray(np.isfinite(places).all(axis=1))
+    graph = build_pose_graph(segments, closures, placed)
     bars = UnevenBars(graph, places)
     for believed in graph.step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
         bars.estimate_noise(bars.move(believed, bars.noise), rng)
     for _ in range(SETTLED):
         bars.move(graph.step * BELIEVED_LAST, HELD * bars.noise)
-    found = np.array(places, float)
+    found, distance = np.array(places, float), segments.distance.clone()
     found[graph.observation] = bars.place()[0]
-    return found, bars.noise
+    on_graph = segments.valid & torch.from_numpy(placed)[segments.index]
+    distance[on_graph] += torch.from_numpy(bars.measure_errors()).to(distance.dtype)
+    return Relaxed(found, replace(segments, distance=distance), bars.noise)

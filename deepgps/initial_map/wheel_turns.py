@@ -14,7 +14,7 @@ from deepgps.data.segments import Segments, find_runs
 from deepgps.initial_map.dense import NEIGHBOURS
 from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.pose_graph import relax
-from deepgps.initial_map.uneven_bars import relax_unevenly
+from deepgps.initial_map.uneven_bars import Relaxed, relax_unevenly
 from sim.recording.format import Recording
 
 
@@ -41,8 +41,8 @@ def read_turns(recording: Recording) -> WheelTurns:
     return WheelTurns(path, np.diff(heading))
 
 
-def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rng: np.random.Generator) -> np.ndarray:
-    """Positions (N, 2) [m] of the observations: the path, relaxed until segments and loop closures fit.
+def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rng: np.random.Generator) -> Relaxed:
+    """The path, relaxed until segments and loop closures fit.
 
     Args:
         turns: The wheels' path.
@@ -51,7 +51,7 @@ def straighten(turns: WheelTurns, features: torch.Tensor, segments: Segments, rn
         rng: Draws samples for the noise of the encoders.
     """
     closures = find_loop_closures(features, segments, NEIGHBOURS[:1])[0]
-    return relax_unevenly(relax(turns.path, segments, closures)[0], segments, closures, rng)[0]
+    return relax_unevenly(relax(turns.path, segments, closures)[0], segments, closures, rng)
 
 
 def find_chirality(positions: np.ndarray, segments: Segments, angle: np.ndarray) -> int:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from deepgps.data.encoder_noise import keep_inliers
+from deepgps.data.encoder_noise import find_inliers
 from deepgps.data.segments import Segments, subsample
 from deepgps.initial_map.dense import find_initial_map
 from deepgps.initial_map.end_points import find_end_point_map
@@ -35,20 +35,26 @@ from sim.recording.format import Recording
 from sim.rng import derive_seed
 
 INITIAL_MAPS = {"paths": find_initial_map, "ends": find_end_point_map}
+"""Functions (features, segments, generator) -> positions, and the segments with corrected distances."""
 SLACK_M = {"paths": 0.03, "ends": 1.0}
 """Distance from the initial map that is not penalised [m]: about the map's error, which is large for end points."""
 
 
-def make_initial_map(features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int) -> torch.Tensor:
-    """Positions (N, 2) [m] without a network: from refined shortest paths, or from the segments' end points.
+def make_initial_map(
+    features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
+) -> tuple[torch.Tensor, Segments]:
+    """Positions without a network: by straightness or shortest paths, refined, or from the segments' end points.
 
-    NaN where they are unknown, as for what a long recording has beyond the sample that is mapped.
+    Returns:
+        (N, 2) [m]; NaN where they are unknown, as for what a long recording has beyond the sample that is mapped. And
+        the segments, with distances corrected by the map, unless it is of a sample or of end points.
     """
     generator = make_generator(seed, "start", number)
     sample, chosen = subsample(segments, len(features))
     places = torch.full((len(features), 2), torch.nan, dtype=torch.float64)
-    places[chosen] = torch.from_numpy(INITIAL_MAPS[start](features[chosen], sample, generator))
-    return places
+    found, corrected = INITIAL_MAPS[start](features[chosen], sample, generator)
+    places[chosen] = torch.from_numpy(found)
+    return places, corrected if sample is segments else segments
 
 
 @dataclass(frozen=True)
@@ -66,7 +72,9 @@ class Variant:
     """
 
     weigh: Callable[[Batch], losses.Weights] = losses.weigh_equally
-    make_initial_map: Callable[[torch.Tensor, Segments, Start, int, int], torch.Tensor] = make_initial_map
+    make_initial_map: Callable[[torch.Tensor, Segments, Start, int, int], tuple[torch.Tensor, Segments]] = (
+        make_initial_map
+    )
     orient: Callable[[torch.Tensor], int] | None = None
     curvature: float = 0.0
     held: float | None = None
@@ -102,7 +110,7 @@ def fit_data(
         "attempts": len(attempts),
         "fold": {"found": best.score.folded, **asdict(best.score)},
         "segments_skipped": data.segments.skipped,
-        "segments_down_weighted": len(data.segments.count) - len(keep_inliers(data.segments).count),
+        "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
     }
     return Fitted(best.positioner, training)
 
@@ -118,24 +126,27 @@ def train_attempt(
 ) -> Attempt:
     """Train once: the method from its input to its map. Arguments as in ``fit_data``; ``number`` counts from 0."""
     # 1. The input: segments of known length, and features that change slowly along them (ours).
-    segments = keep_inliers(data.segments)
-    draw = sample_from(data.segments.learned.to(data.device), settings.train)
+    inliers = find_inliers(data.segments)
+    segments = data.segments.take(inliers)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
     start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
     loss = segment_loss(settings, variant.weigh, variant.curvature if start in INITIAL_MAPS else 0.0)
-    # 4. An unfolded start (ours).
+    # 4. An unfolded start, which also corrects the distances of noisy encoders (ours).
     if start in INITIAL_MAPS:
         progress(f"{label}: initial map", 0, 1)
-        known = variant.make_initial_map(data.features, segments, start, seed, number).float()
+        places, corrected = variant.make_initial_map(data.features, segments, start, seed, number)
+        known, learned = places.float(), data.segments.replace_distances(inliers, corrected.distance).learned
         progress(f"{label}: initial map", 1, 1)
         near = (0.0, variant.held) if variant.held and number == 0 else (SLACK_M[start], 1.0)
         loss = imitate_first(loss, known.to(data.device), *near)
-        mapped = segments.learned.through(known.isfinite().all(dim=1))
-        draw = sample_mapped_first(draw, sample_from(mapped.to(data.device), settings.train))
-    elif start == "lifting":
-        loss = flatten_later(loss, settings.lift)
+        mapped = corrected.learned.through(known.isfinite().all(dim=1))
+        draw = sample_mapped_first(*(sample_from(some.to(data.device), settings.train) for some in (learned, mapped)))
+    else:
+        draw = sample_from(data.segments.learned.to(data.device), settings.train)
+        if start == "lifting":
+            loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
     shuffling = derive_seed(seed, "shuffling", number)
     seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)

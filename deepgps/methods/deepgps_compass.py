@@ -55,10 +55,10 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     def start_from_compass(
         features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
-    ) -> torch.Tensor:
+    ) -> tuple[torch.Tensor, Segments]:
         if number > 0:
             return make_initial_map(features, segments, start, seed, number)
-        return torch.from_numpy(found.places)
+        return torch.from_numpy(found.places), segments
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)

@@ -23,10 +23,11 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
 
     def start_from_path(
         features: torch.Tensor, segments: Segments, start: Start, seed: int, number: int
-    ) -> torch.Tensor:
+    ) -> tuple[torch.Tensor, Segments]:
         if start != "paths" or number > 0:
             return make_initial_map(features, segments, start, seed, number)
-        return torch.from_numpy(straighten(turns, features, segments, stream(seed, "start")))
+        relaxed = straighten(turns, features, segments, stream(seed, "start"))
+        return torch.from_numpy(relaxed.places), relaxed.segments
 
     def orient(positions: torch.Tensor) -> int:
         return find_chirality(positions.double().numpy(), data.segments, turns.angle)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from deepgps.data.encoder_noise import (
     DISAGREEMENT,
     expect_errors,
+    find_inliers,
     find_wrong,
-    keep_inliers,
     predict_rms,
     weigh_pairs,
     weigh_places,
@@ -84,7 +84,7 @@ def test_a_perfect_encoder_leaves_nothing_to_expect():
     segments = expect_errors(recording, read_segments(recording))
     assert predict_rms(segments, EncoderSettings()) < 1e-5
     assert segments.variance is not None and segments.weight is not None
-    assert segments.weight.eq(1.0).all() and keep_inliers(segments).count.equal(segments.count)
+    assert segments.weight.eq(1.0).all() and find_inliers(segments).equal(torch.arange(len(segments.count)))
     assert weigh_pairs(segments.variance, segments.rounding_m2).min() > 0.9999
     assert not find_wrong(segments, measure(recording, way)).any()
 
@@ -100,7 +100,7 @@ def test_a_wheel_that_sticks_is_found_without_the_truth(stuck_fraction: float):
     doubted = segments.weight.numpy() < 0.5
     assert wrong.sum() == pytest.approx(stuck_fraction * SEGMENTS, abs=2)
     assert doubted[wrong].all() and (doubted & ~wrong).sum() <= 3
-    assert len(keep_inliers(segments).count) == SEGMENTS - doubted.sum()
+    assert len(find_inliers(segments)) == SEGMENTS - doubted.sum()
 
 
 def replace_stuck(encoder: EncoderSettings) -> EncoderSettings:

@@ -59,7 +59,7 @@ def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
     recording, place = slip(toy, 0.004), open_truth(toy.folder).pose[:, :2]
     turns, segments = read_turns(recording), read_segments(recording)
     features = normalise(recording.observation)[1]
-    found = straighten(turns, features, segments, np.random.default_rng(0))
+    found = straighten(turns, features, segments, np.random.default_rng(0)).places
     drift = error(turns.path, place, "SE2")
     assert drift > 0.25
     assert error(found, place, "SE2") < drift / 4
