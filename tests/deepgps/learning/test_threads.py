@@ -34,9 +34,9 @@ def stop(label, done, total, tables=None):
 find = deepgps.INITIAL_MAPS["paths"]
 
 def find_and_keep(*given):
-    places = find(*given)
+    places, segments = find(*given)
     places.tofile(folder / "first_map")
-    return places
+    return places, segments
 
 # The weights of so short a training would hide the last digits of the initial map, in which the trouble starts.
 deepgps.INITIAL_MAPS["paths"] = find_and_keep
