@@ -3,8 +3,9 @@
 ``train_attempt`` is the method, step by step. The paper's loss (Eq. 2, 3, 5) has many minima in which the map is folded
 onto itself. So training needs an unfolded start: an initial map, which the network imitates at first, or, where
 segments have only two readings, more than two output dimensions, which are flattened later. If a map is folded all the
-same, training is repeated with lifting. The network's task and the loss are the paper's; the starts and the fold
-detector are ours.
+same, training is repeated with lifting. The initial map also shows how noisy the encoders are, and the network learns
+from distances that it corrects as far. The network's task and the loss are the paper's; the starts, the correction and
+the fold detector are ours.
 """
 
 from collections.abc import Callable
