@@ -151,9 +151,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     if not has_truth(folder / "recording"):
         return evaluate_without_truth(scenario, folder, progress)
     with timed(folder, "evaluate"):
-        progress("evaluate", 0, 1)
-        measured = measure(folder, scenario)
-        progress("evaluate", 1, 1)
+        measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
     head = {"scenario": scenario.title, "seed": scenario.seed}
     tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
@@ -169,9 +167,7 @@ def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -
     if judged and set(scenario.methods) <= set(judged["methods"]):
         return judged
     with timed(folder, "evaluate"):
-        progress("evaluate", 0, 1)
-        judged = judge(folder, scenario)
-        progress("evaluate", 1, 1)
+        judged = judge(folder, scenario, progress)
     remove_recording_of_run(folder)
     write_json(folder / FILE, judged)
     return judged

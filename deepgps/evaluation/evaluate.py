@@ -28,6 +28,7 @@ from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, load_positioner, read_training
+from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
 from sim.recording.format import (
@@ -60,28 +61,30 @@ class Predictions(NamedTuple):
     lean: dict[str, float]
 
 
-def evaluate(run: Path, scenario: Scenario) -> dict[str, Any]:
+def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:
     """Measure all methods of a run; write its ``error_field.npz`` and the alignment of each method.
 
     Args:
         run: Run folder with a recording and the trained methods.
         scenario: The scenario of the run.
+        progress: Called with the number of methods measured and their number.
 
     Returns:
         The measured part of ``metrics.json``: counts, coverage, trajectory, distances, methods.
     """
     with use_threads(scenario.learn.train.threads):
-        return _measure(run, scenario)
+        return _measure(run, scenario, progress)
 
 
-def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
+def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     recording = keep_plausible(open_recording(run / "recording"))
     truth = open_truth(run / "recording")
     _check_tests(recording, truth)
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     in_use = open_drive_in_use(recording)
     fields, use_fields, label_fields, methods = {}, {}, {}, {}
-    for method in scenario.methods:
+    for number, method in enumerate(scenario.methods):
+        progress("evaluate", number, len(scenario.methods))
         maps = predict(folder_of(run, method), recording, in_use)
         field, alignment = measure_field(maps, method, truth)
         fields[method] = add_yaws(field, maps.poses, alignment)
@@ -110,6 +113,7 @@ def _measure(run: Path, scenario: Scenario) -> dict[str, Any]:
     for name, measured in (("error_field", fields), ("use_field", use_fields), ("label_field", label_fields)):
         if measured:
             write_fields(run / f"{name}.npz", measured)
+    progress("evaluate", len(scenario.methods), len(scenario.methods))
     some = fields[scenario.methods[0]]
     return {
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),

@@ -24,6 +24,7 @@ from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, headings_of, load_positioner, read_training
+from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import read_json
@@ -37,12 +38,13 @@ FEWEST = 3
 """Fewest images of a segment that can be off a straight line."""
 
 
-def judge(run: Path, scenario: Scenario) -> dict[str, Any]:
+def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str, Any]:
     """Judge all methods of a run on a recording without truth.
 
     Args:
         run: Run folder with a recording and the trained methods.
         scenario: The scenario of the run.
+        progress: Called with the number of methods judged and their number.
 
     Returns:
         Contents of ``without_truth.json``: what was driven, and for each method what is known of it.
@@ -50,8 +52,12 @@ def judge(run: Path, scenario: Scenario) -> dict[str, Any]:
     opened = open_recording(run / "recording")
     recording = keep_plausible(opened)
     held_out = open_drive_in_use(recording)
+    methods = {}
     with use_threads(scenario.learn.train.threads):
-        methods = {name: _judge_method(folder_of(run, name), recording, held_out) for name in scenario.methods}
+        for number, name in enumerate(scenario.methods):
+            progress("evaluate", number, len(scenario.methods))
+            methods[name] = _judge_method(folder_of(run, name), recording, held_out)
+    progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         "samples": len(recording.observation),
         "segments": recording.manifest.segments,

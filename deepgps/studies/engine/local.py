@@ -90,7 +90,7 @@ def _do(plan: Plan, folder: Path, plugins: Sequence[Path], pipe: Connection) -> 
     steps: dict[str, int] = {}
 
     def tell(label: str, done: int, total: int, look: Look | None = None) -> None:
-        if total > 1:  # a training
+        if look is not None:  # a training
             steps[label] = done
             pipe.send(Update(sum(steps.values())))
 
