@@ -1,9 +1,8 @@
 """Tag poses from many views of the tags, then the pose of each view: the paper's ground truth (Sec. IV-C).
 
-A view of one tag gives its pose up to two candidates (Collins and Bartoli 2014). The relative pose of two tags seen
-together is given by one of four pairs of candidates; over many views only the right pair is consistent. A tree of such
-pairs places all tags roughly, and bundle adjustment of tags and views together refines them, as in MASFM (Feng et al.
-2016). Each view is then solved separately from all tags in it (perspective-n-point). Nothing here uses true poses.
+A tree of steps from tag to tag places all tags roughly (``tag_tree``), and bundle adjustment of tags and views together
+refines them, as in MASFM (Feng et al. 2016). Each view is then solved separately from all tags in it
+(perspective-n-point). Nothing here uses true poses.
 
 Poses are matrices (..., 4, 4), ``T_a_b`` the pose of b in the frame of a.
 """
@@ -12,24 +11,15 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from scipy.sparse import csc_array, csr_array, diags_array
-from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+from scipy.sparse import csc_array, diags_array
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
-from sim.apriltag.detector import CORNERS, SIDE_M, Detections
-from sim.errors import WorkError
+from sim.apriltag.detector import CORNERS, SIDE_M, Detections, measure_size
+from sim.apriltag.tag_tree import chain_tags, make_pose, place_corners
 
 SMALLEST_PX = 12.0
 """Detections of tags smaller than this, by the root of the area, are not used: their corners blur together."""
-PAIR_VIEWS = 24
-"""Views in which two tags are compared, at most: those where the tags are largest."""
-UNLIKE_M = 0.3
-"""Pairs of candidates farther apart than this [m] all count as equally wrong."""
-AGREE_M = 0.1
-"""A path between two tags over a third agrees with the direct step if the two differ by less than this [m]."""
-LEAST_VIEWS = 3
-"""Views that must show two tags together, at least."""
 MOST_VIEWS = 400
 """Views used in bundle adjustment, at most; all views are solved afterwards."""
 LEAST_TAGS = 2
@@ -67,45 +57,12 @@ def reconstruct(detections: Detections, camera: np.ndarray) -> TagMap:
         WorkError: No two tags are seen together often enough.
     """
     detections = _large(detections)
-    rough = chain_tags(detections, camera)
+    rough = TagMap(*chain_tags(detections, camera))
     known = detections.of(np.isin(detections.tag, rough.tag))
     view, pose = solve_views(known, rough, camera, WRONG_PX * 20)  # the rough map has errors of centimetres
     counts = np.array([np.count_nonzero(known.view == number) for number in view])
     chosen = np.sort(np.argsort(-counts, kind="stable")[:MOST_VIEWS])
     return adjust(known, rough, view[chosen], pose[chosen], camera)
-
-
-def chain_tags(detections: Detections, camera: np.ndarray) -> TagMap:
-    """Place tags one from another along a tree of the most consistent pairs; raise WorkError without any pair."""
-    candidate = np.array([_candidates(corner, camera) for corner in detections.corner]).reshape(-1, 2, 4, 4)
-    size = _size(detections)
-    numbers, tag = np.unique(detections.tag, return_inverse=True)
-    first, second = _together(detections.view)
-    swap = tag[first] > tag[second]
-    first, second = np.where(swap, second, first), np.where(swap, first, second)
-    key = tag[first] * len(numbers) + tag[second]
-    order = np.lexsort((-np.minimum(size[first], size[second]), key))
-    edges = []
-    for group in np.split(order, np.flatnonzero(np.diff(key[order])) + 1):
-        if len(group) >= LEAST_VIEWS:
-            a, b = first[group[:PAIR_VIEWS]], second[group[:PAIR_VIEWS]]
-            edges.append((tag[a[0]], tag[b[0]], *_agree(candidate[a], candidate[b])))
-    if not edges:
-        raise WorkError(f"labels: no two tags are seen together in {LEAST_VIEWS} views, so none can be placed")
-    i, j, cost, step = (np.array(part) for part in zip(*edges, strict=True))
-    cost = cost + UNLIKE_M * (find_doubt(i, j, step, len(numbers)) > 0.5)  # doubtful pairs only if needed
-    graph = csr_array((cost + 1e-6, (i, j)), shape=(len(numbers), len(numbers)))
-    tree = minimum_spanning_tree(graph)
-    part = connected_components(tree, directed=False)[1]
-    inside = np.flatnonzero(part == np.bincount(part).argmax())
-    reached, before = breadth_first_order(tree, inside[0], directed=False)
-    steps = {(a, b): pose for a, b, pose in zip(i, j, step, strict=True)}
-    pose = {int(reached[0]): np.eye(4)}
-    for node in reached[1:]:
-        last = int(before[node])
-        forth = steps.get((last, node))
-        pose[int(node)] = pose[last] @ (np.linalg.inv(steps[node, last]) if forth is None else forth)
-    return TagMap(numbers[inside], np.array([pose[int(node)] for node in inside]))
 
 
 def solve_views(
@@ -118,7 +75,7 @@ def solve_views(
     """
     detections = _large(detections)
     detections = detections.of(np.isin(detections.tag, tags.tag))
-    corners = _corners(tags.pose)[np.searchsorted(tags.tag, detections.tag)]
+    corners = place_corners(tags.pose)[np.searchsorted(tags.tag, detections.tag)]
     found: dict[int, np.ndarray] = {}
     for view in np.unique(detections.view):
         seen = detections.view == view
@@ -137,7 +94,7 @@ def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np
     used = detections.of(np.isin(detections.view, view) & np.isin(detections.tag, tags.tag))
     t, v = np.searchsorted(tags.tag, used.tag), np.searchsorted(view, used.view)
     tag_pose, camera_map, damping = tags.pose, np.linalg.inv(view_pose), 1e-3
-    error = _project(_corners(tag_pose)[t], camera_map[v], camera) - used.corner
+    error = _project(place_corners(tag_pose)[t], camera_map[v], camera) - used.corner
     for _ in range(STEPS):
         slope = _slope(tag_pose, camera_map, t, v, camera)
         weight = 1.0 / np.sqrt(1.0 + (error**2).sum(axis=2) / SCALE_PX**2)
@@ -147,7 +104,7 @@ def adjust(detections: Detections, tags: TagMap, view: np.ndarray, view_pose: np
         motion = _moves(step.reshape(-1, 6))
         new_pose = np.concatenate([tag_pose[:1], tag_pose[1:] @ motion[: len(tag_pose) - 1]])
         new_map = motion[len(tag_pose) - 1 :] @ camera_map
-        new_error = _project(_corners(new_pose)[t], new_map[v], camera) - used.corner
+        new_error = _project(place_corners(new_pose)[t], new_map[v], camera) - used.corner
         gain = _cost(error) - _cost(new_error)
         damping = damping / 5.0 if gain > 0 else damping * 5.0
         if gain > 0:
@@ -168,7 +125,7 @@ def _slope(tag_pose: np.ndarray, camera_map: np.ndarray, t: np.ndarray, v: np.nd
     It is with respect to small motions (rotation vector, shift) of all tags but the first, and of the views, each in
     its own frame.
     """
-    point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], _corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
+    point = np.einsum("nij,nkj->nki", camera_map[v, :3, :3], place_corners(tag_pose)[t]) + camera_map[v, None, :3, 3]
     depth = np.maximum(point[..., 2], 0.1 * SIDE_M)
     pixel = np.zeros((*point.shape[:2], 2, 3))
     pixel[..., 0, 0], pixel[..., 1, 1] = camera[0, 0] / depth, camera[1, 1] / depth
@@ -195,55 +152,7 @@ def _cross(point: np.ndarray) -> np.ndarray:
 
 
 def _large(detections: Detections) -> Detections:
-    return detections.of(_size(detections) >= SMALLEST_PX)
-
-
-def _size(detections: Detections) -> np.ndarray:
-    """Return the root of each tag's area (S,) [px]."""
-    across = detections.corner[:, 2] - detections.corner[:, 0]
-    down = detections.corner[:, 3] - detections.corner[:, 1]
-    return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / 2)
-
-
-def _candidates(corner: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    """Return the two poses ``T_camera_tag`` (2, 4, 4) that one tag's corners (4, 2) allow, the likelier first."""
-    count, turn, place, _ = cv2.solvePnPGeneric(CORNERS, corner, camera, None, flags=cv2.SOLVEPNP_IPPE_SQUARE)
-    poses = [_pose(turn[k], place[k]) for k in range(count)]
-    return np.array((poses * 2)[:2])
-
-
-def _together(view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all pairs of detections in the same view: first (p,) and second (p,)."""
-    order = np.argsort(view, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(view[order])) + 1)
-    pairs = [np.array(np.triu_indices(len(group), 1)) for group in groups]
-    joined = [group[pair] for group, pair in zip(groups, pairs, strict=True)]
-    return tuple(np.concatenate(joined, axis=1)) if joined else (np.empty(0, int), np.empty(0, int))
-
-
-def _agree(first: np.ndarray, second: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the mean disagreement and the relative pose of two tags on which candidates (n, 2, 4, 4) agree best."""
-    steps = (np.linalg.inv(first)[:, :, None] @ second[:, None]).reshape(len(first), 4, 4, 4)
-    corners = np.nan_to_num(_corners(steps), nan=1e3).reshape(len(first), 4, 12)  # NaN for a tag seen exactly upright
-    apart = np.linalg.norm(corners.reshape(-1, 1, 1, 12) - corners, axis=-1).min(axis=2)
-    cost = np.minimum(apart, UNLIKE_M).mean(axis=1)
-    best = int(cost.argmin())
-    return float(cost[best]), steps.reshape(-1, 4, 4)[best]
-
-
-def find_doubt(i: np.ndarray, j: np.ndarray, step: np.ndarray, tags: int) -> np.ndarray:
-    """Return the fraction of third tags that contradict each pair (p,): the path from i to j over them disagrees.
-
-    A pair of candidates can agree over many views and still be wrong, if all of them look from nearly the same side.
-    """
-    steps = np.full((tags, tags, 4, 4), np.nan)
-    steps[i, j], steps[j, i] = step, np.linalg.inv(step)
-    doubts = []
-    for a, b, own in zip(i, j, step, strict=True):
-        apart = np.linalg.norm(_corners(steps[a] @ steps[:, b]) - _corners(own), axis=2).mean(axis=1)
-        known = np.isfinite(apart)
-        doubts.append((apart[known] > AGREE_M).mean() if known.any() else 0.5)
-    return np.array(doubts)
+    return detections.of(measure_size(detections) >= SMALLEST_PX)
 
 
 def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong_px: float) -> np.ndarray | None:
@@ -254,7 +163,7 @@ def _solve_view(corners: np.ndarray, seen: np.ndarray, camera: np.ndarray, wrong
         if not good:
             return None
         turn, place = cv2.solvePnPRefineLM(places, pixels, camera, None, turn, place)
-        pose = _pose(turn, place)
+        pose = make_pose(turn, place)
         error = _project(corners, np.broadcast_to(pose, (len(corners), 4, 4)), camera) - seen
         off = np.sqrt((error**2).sum(axis=2).mean(axis=1))
         if off.max() <= wrong_px:
@@ -274,22 +183,11 @@ def _unsure(corners: np.ndarray, pose: np.ndarray, camera: np.ndarray) -> float:
     return float(np.sqrt(np.trace(covariance[3:, 3:])))
 
 
-def _corners(pose: np.ndarray) -> np.ndarray:
-    """Return corners (..., 4, 3) of tags at poses (..., 4, 4)."""
-    return np.einsum("...ij,kj->...ki", pose[..., :3, :3], CORNERS) + pose[..., None, :3, 3]
-
-
 def _project(corners: np.ndarray, camera_map: np.ndarray, camera: np.ndarray) -> np.ndarray:
     """Return pixels (n, 4, 2) of corners (n, 4, 3) in cameras ``T_camera_map`` (n, 4, 4)."""
     points = np.einsum("nij,nkj->nki", camera_map[:, :3, :3], corners) + camera_map[:, None, :3, 3]
     pixels = points @ camera.T
     return pixels[..., :2] / np.maximum(pixels[..., 2:], 0.1 * SIDE_M)
-
-
-def _pose(turn: np.ndarray, place: np.ndarray) -> np.ndarray:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], np.ravel(place)
-    return pose
 
 
 def _moves(small: np.ndarray) -> np.ndarray:

@@ -46,6 +46,13 @@ class Detections:
         return Detections(self.view[chosen], self.tag[chosen], self.corner[chosen])
 
 
+def measure_size(detections: Detections) -> np.ndarray:
+    """Return the root of each tag's area (S,) [px]."""
+    across = detections.corner[:, 2] - detections.corner[:, 0]
+    down = detections.corner[:, 3] - detections.corner[:, 1]
+    return np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]) / 2)
+
+
 def draw_tag(number: int) -> np.ndarray:
     """Return an image of a complete plate (160, 160, 3) uint8, with a power of two of pixels per module."""
     family = cv2.aruco.getPredefinedDictionary(_FAMILY)
