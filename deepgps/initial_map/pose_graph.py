@@ -69,10 +69,8 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
         ahead = point_along(heading, graph, graph.along)
         apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
         jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, believed), 2)
-        normal, size = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc(), 3 * len(heading)
-        # Damped, because the map may move and turn freely; a bar that no link reaches stays, even if there is no link.
-        damped = normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(size, format="csc")
-        move = -factorise(damped).solve(jacobian.T @ (trust * apart.T.ravel())).reshape(-1, 3)
+        pull = jacobian.T @ (trust * apart.T.ravel())
+        move = -factorise(make_normal(jacobian, trust)).solve(pull).reshape(-1, 3)
         middle += move[:, :2]
         heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
     point = middle[graph.bar] + point_along(heading, graph, graph.along)
@@ -143,6 +141,15 @@ def derive_apart(graph: PoseGraph, moves: np.ndarray) -> csc_array:
     derived = csc_array((values.ravel(), (rows, columns.ravel())), shape=(2 * pairs, unknowns * bars))
     derived.eliminate_zeros()
     return derived
+
+
+def make_normal(jacobian: csc_array, trust: np.ndarray) -> csc_array:
+    """Normal equations of residuals with weights (n,), damped, because the map may move and turn freely.
+
+    So a bar that no link reaches stays, even if there is no link.
+    """
+    normal = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc()
+    return normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(normal.shape[0], format="csc")
 
 
 def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:

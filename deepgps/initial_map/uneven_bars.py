@@ -18,12 +18,12 @@ from deepgps.data.segments import Segments
 from deepgps.initial_map.isomap import LoopClosures
 from deepgps.initial_map.least_squares import factorise
 from deepgps.initial_map.pose_graph import (
-    DAMPING,
     LARGEST_TURN,
     PoseGraph,
     build_pose_graph,
     derive_apart,
     lay_bars,
+    make_normal,
     move_rigidly,
     point_along,
     weigh,
@@ -105,9 +105,8 @@ class UnevenBars:
         """What the readings' distances lack (r,) [m]."""
         return (self._cosine * self.unknown[self._graph.bar, 3:]).sum(axis=1)
 
-    def derive(self) -> np.ndarray:
-        """How each reading moves with its bar's unknowns (r, 2, 3 + COSINES)."""
-        _, ahead = self.place()
+    def derive(self, ahead: np.ndarray) -> np.ndarray:
+        """How readings at offsets (r, 2) from their bars' middles move with the unknowns (r, 2, 3 + COSINES)."""
         along = point_along(self.unknown[:, 2], self._graph, np.ones(len(ahead)))
         return np.concatenate([move_rigidly(ahead), along[:, :, None] * self._cosine[:, None]], axis=2)
 
@@ -118,14 +117,12 @@ class UnevenBars:
             believed: Scale of the robust weights [m].
             noise: Standard deviation of a gap, relative to it.
         """
-        graph, (point, _) = self._graph, self.place()
-        jacobian, apart = derive_apart(graph, self.derive()), point[graph.a] - point[graph.b]
+        graph, (point, ahead) = self._graph, self.place()
+        jacobian, apart = derive_apart(graph, self.derive(ahead)), point[graph.a] - point[graph.b]
         trust = np.tile(weigh(graph, apart, believed), 2)
         prior = np.zeros_like(self.unknown)
         prior[:, 3:] = self.usual[:, None] / (noise * self._std) ** 2
-        normal = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc()
-        free = DAMPING * (normal.diagonal().max() or 1.0)
-        factors = factorise((normal + diags_array(prior.ravel() + free)).tocsc())
+        factors = factorise((make_normal(jacobian, trust) + diags_array(prior.ravel())).tocsc())
         pull = jacobian.T @ (trust * apart.T.ravel()) + (prior * self.unknown).ravel()
         longer = self.usual[:, None] * self._longer
         step, scaled = (factors.solve(right).reshape(prior.shape) for right in (-pull, longer.ravel()))

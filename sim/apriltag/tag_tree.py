@@ -24,8 +24,8 @@ LEAST_VIEWS = 3
 """Views that must show two tags together, at least."""
 AGREE_M = 0.3
 """A step agrees with a map if either tag is less than this [m] from where the step from the other puts it."""
-CONTESTED, STANDING = 0.7, 50
-"""A step of the tree is voted on if fewer of the steps across agree with it, and stands against so many at most."""
+CONTESTED, TRIED = 0.7, 50
+"""Share of the steps across a cut below which the step of the tree is voted on, and how many others are tried."""
 
 
 class Steps(NamedTuple):
@@ -59,8 +59,7 @@ def chain_tags(detections: Detections, camera: np.ndarray) -> tuple[np.ndarray, 
     """
     numbers, tag = np.unique(detections.tag, return_inverse=True)
     steps = _measure_steps(detections, tag, camera)
-    tree = minimum_spanning_tree(_join(steps, np.arange(len(steps.cost)), len(numbers)))
-    part = connected_components(tree, directed=False)[1]
+    part = connected_components(_join(steps, np.arange(len(steps.cost)), len(numbers)), directed=False)[1]
     inside = part == np.bincount(part).argmax()
     steps = Steps(*(values[inside[steps.first]] for values in steps))
     renumber = np.cumsum(inside) - 1
@@ -73,22 +72,23 @@ def vote(steps: Steps, tree: np.ndarray) -> np.ndarray:
 
     Each exchange lets more steps agree with the map, so this ends.
     """
-    settled = False
+    pose, settled = _place(steps, tree), False
     while not settled:
         settled = True
         for own in tree:
-            rest, pose = tree[tree != own], _place(steps, tree)
+            rest = tree[tree != own]
             number, across = _cut(steps, rest, len(pose))
             agreeing = _agree_with(pose[across.first], pose[across.second], across.step).sum()
             if agreeing >= CONTESTED * len(number):
                 continue
-            standing = np.argsort(across.cost, kind="stable")[:STANDING]
-            first, second, step, _ = (values[standing] for values in across)
+            tried = np.argsort(across.cost, kind="stable")[:TRIED]
+            first, second, step, _ = (values[tried] for values in across)
             motion = pose[first] @ step @ np.linalg.inv(pose[second])
             moved = motion[:, None] @ pose[across.second]
             votes = _agree_with(pose[across.first], moved, across.step).sum(axis=1)
             if votes.max() > agreeing:
-                tree, settled = np.append(rest, number[standing[votes.argmax()]]), False
+                tree, settled = np.append(rest, number[tried[votes.argmax()]]), False
+                pose = _place(steps, tree)
     return tree
 
 
