@@ -65,8 +65,8 @@ def describe_device(name: str = "auto") -> str:
 def has_fast_bfloat16(device: torch.device) -> bool:
     """Whether matrix products are faster in bfloat16 than in float32.
 
-    On AMD's processors AVX-512 makes a training step 1.4 times as fast; on Intel's it needs AMX, and without it a step
-    in bfloat16 takes 1.6 times as long as in float32.
+    On AMD's processors with AVX-512 they made a training step 1.4 times as fast, and on Intel's without AMX 1.4 times
+    as slow. Intel's with AMX were not measured.
     """
     if device.type == "cuda":
         return torch.cuda.is_bf16_supported()
