@@ -15,9 +15,12 @@ NAMED = ("mujoco", "torch", "numpy")
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
 
 
-def describe_environment(folder: Path) -> dict[str, Any]:
-    """The renderer, packages, commit and machine that a run's figures were made with."""
-    return {"gl_renderer": read_manifest(folder / "recording").gl_renderer, **_describe_process()}
+def describe_environment(folder: Path, device: str = "cpu") -> dict[str, Any]:
+    """The renderer, packages, commit, machine and training device that a run's figures were made with."""
+    from deepgps.learning.trainer import describe_device  # a study's report needs no torch
+
+    made = {"gl_renderer": read_manifest(folder / "recording").gl_renderer, "trained_on": describe_device(device)}
+    return {**made, **_describe_process()}
 
 
 def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
@@ -26,9 +29,11 @@ def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
     commits, machines, pythons = (
         _join(one.get(name, "-") for one in environments) for name in ("git", "cpu", "python")
     )
+    devices = _join(one["trained_on"] for one in environments if not one.get("trained_on", "CPU").startswith("CPU"))
+    trained = f" trained on {devices}," if devices else ""
     versions = [one.get("packages", {}) for one in environments]
     packages = _join(", ".join(f"{name} {one.get(name, '-')}" for name in NAMED) for one in versions)
-    return f"Made at {commits} on {machines}, with Python {pythons}, {packages}."
+    return f"Made at {commits} on {machines},{trained} with Python {pythons}, {packages}."
 
 
 def _join(values: Iterable[str]) -> str:

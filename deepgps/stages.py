@@ -154,7 +154,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
     head = {"scenario": scenario.title, "seed": scenario.seed}
-    tail = {"timing_s": stage_times(folder), "environment": describe_environment(folder)}
+    made_with = describe_environment(folder, scenario.learn.train.device)
+    tail = {"timing_s": stage_times(folder), "environment": made_with}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from deepgps.alignment import Alignment, fit_alignment, fit_robust_alignment
 from deepgps.data.dead_reckoning import dead_reckon
@@ -24,10 +25,10 @@ from deepgps.evaluation.segment_errors import judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
-from deepgps.learning.trainer import use_threads
+from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import Positioner, load_positioner, read_training
+from deepgps.methods.positioner import CPU, Positioner, load_positioner, read_training
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
@@ -83,9 +84,10 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
     in_use = open_drive_in_use(recording)
     fields, use_fields, label_fields, methods = {}, {}, {}, {}
+    device = find_device(scenario.learn.train.device)
     for number, method in enumerate(scenario.methods):
         progress("evaluate", number, len(scenario.methods))
-        maps = predict(folder_of(run, method), recording, in_use)
+        maps = predict(folder_of(run, method), recording, in_use, device)
         field, alignment = measure_field(maps, method, truth)
         fields[method] = add_yaws(field, maps.poses, alignment)
         write_alignment(folder_of(run, method), alignment, METHODS[method].alignment)
@@ -144,9 +146,11 @@ def align_methods(run: Path, scenario: Scenario) -> None:
             write_alignment(folder, alignment, METHODS[method].alignment)
 
 
-def predict(folder: Path, recording: Recording, in_use: Recording | None = None) -> Predictions:
+def predict(
+    folder: Path, recording: Recording, in_use: Recording | None = None, device: torch.device = CPU
+) -> Predictions:
     """What the method trained in a folder predicts; a drive in use shows how the camera leans that took the tests."""
-    positioner = load_positioner(folder)
+    positioner = load_positioner(folder, device)
     positioner_in_use, lean = adapt(positioner, in_use)
     cells, headings = recording.test_observation.shape[:2]
     images = recording.test_observation.reshape(cells * headings, *recording.test_observation.shape[2:])

@@ -53,6 +53,14 @@ def choose_device(name: str) -> torch.device:
     return device
 
 
+def find_device(name: str) -> torch.device:
+    """The device of this name, or the CPU where this machine has no such device: trained networks run on both."""
+    try:
+        return choose_device(name)
+    except InputError:
+        return torch.device("cpu")
+
+
 def describe_device(name: str = "auto") -> str:
     """Describe in one line the device that training would use."""
     device = choose_device(name)

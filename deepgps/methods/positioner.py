@@ -34,6 +34,7 @@ from sim.sensors.upright import Upright
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 CHUNK = 500
+CPU = torch.device("cpu")
 HEADINGS, CONFIDENCE = "headings.", "confidence."
 """Prefixes of the arrays of these tables among the weights."""
 LARGEST_TABLE = 16_000_000
@@ -48,7 +49,7 @@ class NetworkPositioner:
         shape: Shape of one observation.
         features: The map from observations to the network's input; none: the network takes images.
         settings: Settings of the network.
-        network: The trained network, in evaluation mode, on the CPU.
+        network: The trained network, in evaluation mode, on any device; all else is on the CPU.
         centre: Origin of the plane in the network's output space (D,) [m].
         axes: Axes of the plane (D, 2).
         upright: Sets images of a leaning camera upright before all else; None: images are taken as they are.
@@ -97,7 +98,7 @@ class NetworkPositioner:
 
     def _locate(self, features: torch.Tensor) -> np.ndarray:
         with torch.inference_mode():
-            found = [(self.network(part) - self.centre).numpy() for part in features.split(CHUNK)]
+            found = [self._run(part).numpy() for part in features.split(CHUNK)]
         return np.concatenate([np.empty((0, len(self.centre))), *found]) @ self.axes.double().numpy()
 
     def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
@@ -129,7 +130,11 @@ class NetworkPositioner:
     def _embed(self, observations: np.ndarray) -> torch.Tensor:
         observations = self._set_upright(observations)
         table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
-        return self.network(Inputs(table).take(slice(None))) - self.centre
+        return self._run(table)
+
+    def _run(self, table: torch.Tensor) -> torch.Tensor:
+        device = next(self.network.parameters()).device
+        return self.network(Inputs(table.to(device)).take(slice(None))).cpu() - self.centre
 
 
 @dataclass(frozen=True)
@@ -265,8 +270,8 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
     write_json(folder / INDEX, {"schema": SCHEMA, **description, "sha256": hashlib.sha256(weights).hexdigest()})
 
 
-def load_positioner(folder: Path) -> Positioner:
-    """Load what ``save_positioner`` wrote; raises InputError if it is missing or damaged."""
+def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
+    """Load what ``save_positioner`` wrote, its network to ``device``; raises InputError if it is missing or damaged."""
     path = folder / INDEX
     if not path.is_file():
         raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
@@ -275,7 +280,7 @@ def load_positioner(folder: Path) -> Positioner:
         if description["schema"] != SCHEMA:
             raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
         tensors = load_file(folder / WEIGHTS)
-        positioner = _put_together(description, tensors)
+        positioner = _put_together(description, tensors, device)
         # earlier versions have none of these tables, nor have all methods
         if description.get("yaw") is not None:
             positioner = add_headings(positioner, unpack(_take(tensors, HEADINGS), description["yaw"]))
@@ -347,7 +352,9 @@ def _take_apart(positioner: Positioner) -> tuple[dict[str, torch.Tensor], dict[s
     return tensors, {**kind, "frequencies": frequencies, **values}
 
 
-def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor]) -> Positioner:
+def _put_together(
+    description: Mapping[str, Any], tensors: Mapping[str, torch.Tensor], device: torch.device
+) -> Positioner:
     if description.get("kind") == "landmarks":
         reach_m = description["reach_m"]
         return LandmarkPositioner(tensors["landmark"].numpy(), np.inf if reach_m is None else float(reach_m))
@@ -378,7 +385,7 @@ def _put_together(description: Mapping[str, Any], tensors: Mapping[str, torch.Te
         likeness = Features(shape, stored["frequencies"], mean, basis, values=stored["values"])
     mount = (float(ahead), float(left))
     return NetworkPositioner(
-        shape, features, settings, network.eval(), centre, axes, upright, mount=mount, likeness=likeness
+        shape, features, settings, network.to(device).eval(), centre, axes, upright, mount=mount, likeness=likeness
     )
 
 
@@ -392,7 +399,8 @@ def _read_upright(stored: Mapping[str, Any] | None) -> Upright | None:
 def as_positioner(
     data: TrainingData, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
 ) -> NetworkPositioner:
-    """The trained network as a positioner on the CPU."""
+    """The trained network as a positioner, on the device where it was trained."""
     features = data.projection if settings.network.architecture == "spectral" else None
-    network = network.cpu().eval()
-    return NetworkPositioner(data.shape, features, settings.network, network, centre.cpu(), axes.cpu(), data.upright)
+    return NetworkPositioner(
+        data.shape, features, settings.network, network.eval(), centre.cpu(), axes.cpu(), data.upright
+    )
