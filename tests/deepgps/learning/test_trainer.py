@@ -11,6 +11,7 @@ from deepgps.learning.trainer import (
     Loss,
     choose_device,
     describe_device,
+    find_device,
     has_fast_bfloat16,
     make_generator,
     predict,
@@ -146,6 +147,7 @@ def test_an_absent_device_is_refused():
     with pytest.raises(InputError, match=r"learn\.train\.device 'cuda': this machine has no CUDA device"):
         choose_device("cuda")
     assert describe_device().startswith("CPU, ")
+    assert find_device("cuda").type == "cpu"
 
 
 @pytest.mark.parametrize(

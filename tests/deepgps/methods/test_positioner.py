@@ -142,6 +142,14 @@ def test_a_positioner_of_an_earlier_version_takes_pixels(tmp_path: Path):
         load_positioner(tmp_path)
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("make", [spectral, resnet])
+def test_a_gpu_gives_the_same_positions(tmp_path: Path, make):
+    save_positioner(tmp_path, make(), {})
+    cpu, gpu = (load_positioner(tmp_path, torch.device(name))(images(9)) for name in ("cpu", "cuda"))
+    np.testing.assert_allclose(gpu, cpu, atol=1e-4)
+
+
 def test_same_positioner_same_bytes(tmp_path: Path):
     for name in ("a", "b"):
         save_positioner(tmp_path / name, spectral(), {})
