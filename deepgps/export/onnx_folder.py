@@ -79,7 +79,9 @@ def build_model(positioner: NetworkPositioner, alignment: Alignment | None) -> t
     try:
         import onnxscript  # noqa: F401  torch imports it too, with a longer message
     except ModuleNotFoundError:
-        raise InputError("--onnx needs the extra deepgps[onnx]: pip install 'deepgps[onnx]'") from None
+        raise InputError(
+            "--onnx needs pip install onnx onnxscript onnxruntime (in a checkout: make setup-dev)"
+        ) from None
     module = Deployed(positioner, alignment).eval()
     some = torch.zeros((2, *positioner.shape), dtype=torch.uint8)
     with _quiet(), torch.inference_mode():

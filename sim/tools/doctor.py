@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
@@ -73,11 +74,7 @@ def check_packages(distribution: str = "deepgps") -> list[Finding]:
     except PackageNotFoundError:
         return [Finding("packages", False, f"{distribution} itself is not installed", "make setup")]
     found = [f"{one.name} {version(one.name)}" for one in wanted if _is_installed(one)]
-    faults = [
-        Finding("packages", False, fault, f'pip install "{one.name}{one.specifier}"')
-        for one in wanted
-        if (fault := _find_fault(one))
-    ]
+    faults = [Finding("packages", False, fault, _install([one])) for one in wanted if (fault := _find_fault(one))]
     return [Finding("packages", True, ", ".join(found)), *faults]
 
 
@@ -89,11 +86,15 @@ def check_extras(distribution: str = "deepgps") -> list[Finding]:
         return []
     findings = []
     for extra in extras:
-        faults = [fault for one in _list_requirements(distribution, extra) if (fault := _find_fault(one))]
-        cure = f"if you need it: pip install '{distribution}[{extra}]' (in a checkout: make setup-dev)"
+        faults = {fault: one for one in _list_requirements(distribution, extra) if (fault := _find_fault(one))}
+        cure = f"if you need it: {_install(faults.values())} (in a checkout: make setup-dev)"
         text = f"{', '.join(faults)}; {cure}" if faults else "installed"
         findings.append(Finding("extras", True, f"{extra}: {text}"))
     return findings
+
+
+def _install(wanted: Iterable[Requirement]) -> str:
+    return " ".join(["pip install", *(f'"{one.name}{one.specifier}"' for one in wanted)])
 
 
 def _list_requirements(distribution: str, extra: str = "") -> list[Requirement]:

@@ -45,8 +45,7 @@ def open_cluster(address: str | None) -> Iterator[Callable[[Sequence[Plan], Path
         InputError: Ray is not installed, or no cluster answers.
     """
     if find_spec("ray") is None:
-        cure = "pip install 'deepgps[ray]' (in a checkout: make setup-dev)"
-        raise InputError(f"--engine ray needs the package ray, which is not installed: {cure}")
+        raise InputError("--engine ray needs Ray: pip install ray (in a checkout: make setup-dev)")
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
     own = {}

@@ -99,7 +99,7 @@ def test_extras_that_are_not_installed_name_their_cure_and_are_no_lack(site):
     assert [finding.text for finding in findings] == [
         "full: installed",
         "paint: oldpart 1.9 does not fit, nopaint is missing; "
-        "if you need it: pip install 'wheelbarrow[paint]' (in a checkout: make setup-dev)",
+        'if you need it: pip install "oldpart>=2" "nopaint" (in a checkout: make setup-dev)',
     ]
 
 

@@ -115,8 +115,7 @@ def test_a_cluster_that_cannot_be_started_here_is_no_wrong_address(monkeypatch: 
 
 def test_without_ray_the_cure_is_said(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "ray", None)  # as if it were not installed
-    cure = r"^--engine ray needs .*: pip install 'deepgps\[ray\]' "
-    with pytest.raises(InputError, match=cure), open_engine("ray", None):
+    with pytest.raises(InputError, match=r"^--engine ray needs Ray: pip install ray "), open_engine("ray", None):
         pass
 
 
