@@ -15,11 +15,10 @@ NAMED = ("mujoco", "torch", "numpy")
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
 
 
-def describe_environment(folder: Path, device: str = "cpu") -> dict[str, Any]:
-    """The renderer, packages, commit, machine and training device that a run's figures were made with."""
-    from deepgps.learning.trainer import describe_device  # a study's report needs no torch
-
-    made = {"gl_renderer": read_manifest(folder / "recording").gl_renderer, "trained_on": describe_device(device)}
+def describe_environment(folder: Path, methods: Iterable[Mapping[str, Any]] = ()) -> dict[str, Any]:
+    """The renderer, packages, commit and machine that a run's figures were made with, and where its methods trained."""
+    trained = _join(method["trained_on"] for method in methods if "trained_on" in method)
+    made = {"gl_renderer": read_manifest(folder / "recording").gl_renderer, "trained_on": trained or None}
     return {**made, **_describe_process()}
 
 
@@ -29,7 +28,7 @@ def describe_origin(environments: Sequence[Mapping[str, Any]]) -> str:
     commits, machines, pythons = (
         _join(one.get(name, "-") for one in environments) for name in ("git", "cpu", "python")
     )
-    devices = _join(one["trained_on"] for one in environments if not one.get("trained_on", "CPU").startswith("CPU"))
+    devices = _join(device for one in environments if not (device := one.get("trained_on") or "CPU").startswith("CPU"))
     trained = f" trained on {devices}," if devices else ""
     versions = [one.get("packages", {}) for one in environments]
     packages = _join(", ".join(f"{name} {one.get(name, '-')}" for name in NAMED) for one in versions)

@@ -154,7 +154,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
     head = {"scenario": scenario.title, "seed": scenario.seed}
-    made_with = describe_environment(folder, scenario.learn.train.device)
+    made_with = describe_environment(folder, measured["methods"].values())
     tail = {"timing_s": stage_times(folder), "environment": made_with}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")

@@ -12,7 +12,7 @@ from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.lean import compare_images
 from deepgps.data.segments import find_runs
 from sim.recording.format import Recording
-from sim.recording.turns import KINDS
+from sim.recording.turns import KINDS, Turns
 from sim.sensors.compass import disambiguate
 from sim.sensors.upright import Upright
 
@@ -58,7 +58,7 @@ def measure_turns(recording: Recording) -> CompassTurns:
     assert turns is not None
     yaw = dead_reckon(recording)[:, 2]
     wheels = yaw[turns.after] - yaw[turns.after - 1]
-    spread = np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
+    spread = trust_wheels(turns)
     found = disambiguate(seen, wheels, spread)
     known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
     angle = np.where(known, found.angle[:, 0], wheels)
@@ -66,6 +66,11 @@ def measure_turns(recording: Recording) -> CompassTurns:
     apart = np.nansum(likely * (found.angle - found.angle[:, :1]) ** 2, axis=1)  # where several peaks are likely
     variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2 + apart, spread**2)
     return replace(_join(recording, angle, variance), upright=upright)
+
+
+def trust_wheels(turns: Turns) -> np.ndarray:
+    """Standard deviation of each turn (T,) by the wheels, to choose between peaks of the compass [rad]."""
+    return np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
 
 
 def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:

@@ -76,6 +76,8 @@ def compare_images(recording: Recording, turns: Turns | None = None, trained: Up
         upright = Upright(lens, _pair(upright.lean + step), _pair(parallax))
         if np.linalg.norm(step) <= LEAST_RAD:
             break
+    else:  # the lean has changed since
+        seen = find_turns(upright(before), upright(after), lens)
     return SeenTurns(seen, upright)
 
 

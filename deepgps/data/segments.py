@@ -18,6 +18,8 @@ distances alone is made, which was not tried with more. The map by compass is of
 GOLDEN = (5.0**0.5 - 1.0) / 2.0
 HELD_OUT, LEAST_SEGMENTS = 0.04, 50
 """Share of the segments that no network learns from, since they show its errors; of few segments it learns from all."""
+SHORTEST_M = 0.001
+"""Shortest spacing or length that is believed [m]; coarse encoders, or those that stick, may count nothing."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,8 @@ class Segments:
 
     Attributes:
         index: Observations in the order driven (L, longest) int64.
-        distance: Distance of each from the segment's first reading, by encoder (L, longest) [m].
+        distance: Distance of each from the segment's first reading, by encoder (L, longest) [m]. Those that an initial
+            map has corrected begin elsewhere: only their differences have a meaning.
         count: Readings of each segment (L,) int64, at least 2.
         skipped: Segments left out because fewer than two readings arrived.
         weight: Robust weight of each segment (L,), from 0 to 1; None: all are equal.
@@ -180,6 +183,12 @@ def renumber(segments: Segments) -> tuple[Segments, torch.Tensor]:
     """The segments with their observations numbered from zero, and the original numbers of these (n,) int64."""
     chosen = segments.index[segments.valid].unique()
     return replace(segments, index=torch.searchsorted(chosen, segments.index) * segments.valid), chosen
+
+
+def measure_spacing(gap: np.ndarray) -> float:
+    """Median of the gaps (n,) between consecutive readings [m], without those in which encoders count nothing."""
+    moved = gap[gap > 0.0]
+    return float(np.median(moved)) if len(moved) else SHORTEST_M
 
 
 def find_owners(segments: Segments, observations: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import turns_with_images
-from deepgps.diagnosis.gaps import Gaps, measure_loss, measure_stuck, read_gaps
+from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.turning import FEWEST, measure_curvature, measure_turn_scale
 from deepgps.diagnosis.walk import fit_slip, fit_step_noise
@@ -17,7 +17,6 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry
 
-Z95 = 1.96
 LEARNED_WITH = ("step_noise", "slip_per_m", "track_m")
 """Quantities that methods take in place of what the odometry says."""
 SCALE_STD, CURVE_STD, DRIFT_STD = 1.5e-4, 3e-4, 3e-5
@@ -108,7 +107,7 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     """Diagnose the wheels of a recording.
 
     Args:
-        recording: The recording as it was opened. Noise in its odometry's data sheet is not used.
+        recording: The recording. Noise in its odometry's data sheet is not used.
         sight: Angles that a recording of the same images has found already.
 
     Raises:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepgps.data.dead_reckoning import travel
+from deepgps.data.plausible_readings import FAULTS
 from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick
 
@@ -117,14 +118,13 @@ def measure_stuck(gaps: Gaps) -> tuple[float, float, float]:
 def measure_loss(recording: Recording) -> tuple[float, float, float]:
     """Part of the readings that never arrived, with its interval by Wilson's score (95 %).
 
-    Every observation has a reading, and the place of a turn in place, of which there is a turn image, has two.
-
-    Args:
-        recording: The recording as it is on disk; readings that are left out later did arrive.
+    Every observation has a reading, and the place of a turn in place, of which there is a turn image, has two. Readings
+    that were left out because they cannot be did arrive.
     """
     assert recording.turn_observation is not None
-    total = max(len(recording.observation) + len(recording.turn_observation), len(recording.reading))
-    lost = 1.0 - len(recording.reading) / total
+    arrived = len(recording.reading) + sum((recording.readings or {}).get(fault, 0) for fault in FAULTS)
+    total = max(len(recording.observation) + len(recording.turn_observation), arrived)
+    lost = 1.0 - arrived / total
     shrunk = 1.0 + Z95**2 / total
     middle = (lost + Z95**2 / (2 * total)) / shrunk
     half = Z95 / shrunk * np.sqrt(lost * (1.0 - lost) / total + Z95**2 / (4 * total**2))

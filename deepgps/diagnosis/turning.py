@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepgps.data.compass_turns import trust_wheels
 from deepgps.diagnosis.gaps import Gaps
 from deepgps.diagnosis.sight import Sight, see_pairs, see_turns
 from sim.geometry import wrap
@@ -11,10 +12,10 @@ from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.compass import disambiguate
 
-WHEELS_RAD = 0.3
-"""Standard deviation of a turn by the wheels, to choose between peaks of the compass [rad]."""
 HUBER = 2.5
 """Standard deviations beyond which a residual counts as one of this size."""
+MEDIAN_TO_STD = 1.4826
+"""Standard deviation of a normal distribution over the median of its absolute values."""
 TURN_RAD = np.radians(0.05)
 """Error of a turn by the camera, beside the one that its images tell [rad]."""
 PLACE_RAD = np.radians(0.5)
@@ -38,16 +39,16 @@ class Slope:
 def fit_slope(x: np.ndarray, y: np.ndarray, std: np.ndarray) -> Slope:
     """Slope of y over x (n,) through the origin, by iteratively reweighted least squares with Huber's weights.
 
-    The standard deviation grows by the residuals' robust scale where that exceeds 1: what ``std`` does not know.
+    The standard deviation grows by the residuals' scale where that exceeds 1: what ``std`` does not know. The scale is
+    that of their median, which a few wrong angles do not move.
     """
     weight = 1.0 / std**2
-    slope, scale = float(np.median(y / np.where(np.abs(x) > 1e-9, x, np.inf)) or 0.0), 1.0
-    robust = np.ones(len(x))
+    slope, scale, robust = float(np.median(y / np.where(np.abs(x) > 1e-9, x, np.inf))), 1.0, np.ones(len(x))
     for _ in range(20):
-        slope = float((robust * weight * x * y).sum() / max((robust * weight * x**2).sum(), 1e-300))
         z = np.abs(y - slope * x) / std
-        scale = max(1.0, float(np.sqrt((robust * z**2).sum() / max(robust.sum() - 1.0, 1.0))))
+        scale = max(1.0, MEDIAN_TO_STD * float(np.median(z)))
         robust = np.minimum(1.0, HUBER * scale / np.maximum(z, 1e-12))
+        slope = float((robust * weight * x * y).sum() / max((robust * weight * x**2).sum(), 1e-300))
     return Slope(slope, scale / float(np.sqrt(max((robust * weight * x**2).sum(), 1e-300))))
 
 
@@ -68,7 +69,7 @@ def measure_turn_scale(
     clean &= (reading[gap, 1] == turns.before) & (reading[turns.after, 1] == turns.before)
     slope = Slope(1.0, UNKNOWN)
     for _ in range(3):  # the choice of peaks needs the scale
-        found = disambiguate(seen, wheels / slope.value, np.full(len(wheels), WHEELS_RAD))
+        found = disambiguate(seen, wheels / slope.value, trust_wheels(turns))
         angle, std = found.angle[:, 0], found.std[:, 0]
         used = clean & np.isfinite(angle) & (np.abs(angle) > 0.1)
         if used.sum() < FEWEST:
@@ -98,7 +99,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     turns, reading = recording.turns, recording.reading
     assert turns is not None
     wheels = (gaps.way[turns.after - 1, 1] - gaps.way[turns.after - 1, 0]) / recording.manifest.odometry["track_m"]
-    found = disambiguate(see_turns(recording, sight), wheels / scale, np.full(len(wheels), WHEELS_RAD))
+    found = disambiguate(see_turns(recording, sight), wheels / scale, trust_wheels(turns))
     step, square, broken = (np.zeros(len(reading)) for _ in range(3))
     broken[1:] = ~gaps.good | ~gaps.inside  # a turn that no image shows; those that one shows follow
     known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))

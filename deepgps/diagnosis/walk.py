@@ -54,13 +54,12 @@ class Runs:
 
 @dataclass(frozen=True)
 class Fit:
-    """A maximum of the likelihood: the value, its 95 % interval, its evidence and the drift.
+    """A maximum of the likelihood: the value, its 95 % interval and the drift.
 
     Attributes:
         value: The standard deviation that was looked for.
         low: Lower bound of its interval.
         high: Upper bound.
-        evidence: Twice the log-likelihood ratio against zero.
         drift: Level per drift quantity.
         drift_std: Its standard deviation.
     """
@@ -68,7 +67,6 @@ class Fit:
     value: float
     low: float
     high: float
-    evidence: float
     drift: float
     drift_std: float
 
@@ -101,12 +99,13 @@ def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
 
 def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
     """Beginning and end of the runs of good gaps, without the first and last gaps of each segment."""
-    used = gaps.inside.copy()
+    used = gaps.inside
     begins = np.flatnonzero(used & ~np.append(False, used[:-1]))
     ends = np.flatnonzero(used & ~np.append(used[1:], False)) + 1
     runs = []
     for begin, end in zip((begins + first).tolist(), (ends - last).tolist(), strict=True):
-        inner = np.flatnonzero(gaps.good[begin:end]) + begin
+        inner = np.arange(begin, end)
+        inner = inner[gaps.good[inner]]
         for part in np.split(inner, np.flatnonzero(np.diff(inner) > 1) + 1):
             if len(part):
                 runs.append((int(part[0]), int(part[-1]) + 1))
@@ -140,7 +139,7 @@ def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, wi
             error of the drift [m].
     """
     if runs.valid.sum() - len(runs.valid) < 10:
-        return Fit(0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
+        return Fit(0.0, 0.0, 1.0, 0.0, 1.0)
     shares = ROUNDINGS if rounding_m2 > FINE_M**2 / 24.0 else (1.0,)
 
     def try_all(value: float) -> tuple[float, float, float]:
@@ -173,8 +172,8 @@ def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, wi
     drift, drift_std = try_all(value)[1:]
     if value > 0.0 and _is_within(runs, drift, width_m):
         drift, drift_std = try_all(0.0)[1:]
-        return Fit(0.0, 0.0, upper, 0.0, drift, drift_std)
-    return Fit(value, lower, upper, none - least, drift, drift_std)
+        return Fit(0.0, 0.0, upper, drift, drift_std)
+    return Fit(value, lower, upper, drift, drift_std)
 
 
 def _is_within(runs: Runs, drift: float, width_m: float) -> bool:

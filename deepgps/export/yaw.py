@@ -18,10 +18,11 @@ from deepgps.methods.headings import (
     FLOOR_RAD,
     LEAST_WEIGHT,
     NEAREST,
+    RINGS,
     SCALE_RAD,
     TOGETHER_RAD,
     HeadingTable,
-    choose_rings,
+    choose_parts,
     filter_frequencies,
 )
 from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
@@ -158,7 +159,7 @@ class YawModule(nn.Module):
 
 def _pool(rings: int) -> np.ndarray:
     """Matrix (P, rings) that takes the means of neighbouring rings."""
-    edge = np.append(choose_rings(rings), rings)
+    edge = np.append(choose_parts(rings, RINGS), rings)
     ring = np.arange(rings)
     inside = (ring >= edge[:-1, None]) & (ring < edge[1:, None])
     return inside / np.diff(edge)[:, None]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deepgps.data.compass_turns import CompassTurns
-from deepgps.data.segments import Segments
+from deepgps.data.segments import SHORTEST_M, Segments
 
 SHARED = 3
 """Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]."""
@@ -22,7 +22,6 @@ CONTINUED_M, CONTINUED_RAD = 1e-4, 1e-4
 RIGID, WRONG = 1e-3, 0.7
 """Smallest and largest standard deviation of the logarithm of a bar's length. Where the wheels disagree, it is the
 largest: a wheel that sticks halves the length."""
-SHORTEST_M = 0.001
 OF_AXLE, OF_CAMERA = slice(0, 4), slice(0, 6)
 """Unknowns, in the order of ``derive``, on which the places of the axle and of the camera depend."""
 
@@ -78,11 +77,6 @@ class Bars:
     def heading(self) -> np.ndarray:
         """Heading of the robot at each reading (r,) [rad]."""
         return self.locate(slice(None)).heading
-
-    @property
-    def axle(self) -> np.ndarray:
-        """Position of the axle's centre at each reading (r, 2) [m]."""
-        return self.locate(slice(None)).axle
 
     @property
     def camera(self) -> np.ndarray:

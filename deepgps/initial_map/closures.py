@@ -7,6 +7,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
+from deepgps.data.segments import measure_spacing
 from deepgps.initial_map.bars import Bars
 from sim.geometry import wrap
 
@@ -25,8 +26,6 @@ WIDTH = 3.0
 TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
 """Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends. A closure
 whose heading differs from the map's by more than ``ASIDE_RAD`` is false."""
-SHORTEST_M = 0.001
-"""Shortest step between readings, where most encoders stick [m]."""
 FEW, HALF = 4, 0.5
 """A segment is doubted if it has at least ``FEW`` loop closures and less than ``HALF`` of these are believed."""
 CROSSING, CONTRADICTED = 10, 0.1
@@ -93,7 +92,7 @@ def link(bars: Bars, closures: Closures, observations: int) -> Links:
     reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
     one, other = reading[closures.first], reading[closures.second]
     number = np.flatnonzero((one >= 0) & (other >= 0))
-    step = max(float(np.median(np.diff(bars.along)[np.diff(bars.row) == 0])), SHORTEST_M)
+    step = measure_spacing(np.diff(bars.along)[np.diff(bars.row) == 0])
     length = closures.length[number]
     return Links(
         number,

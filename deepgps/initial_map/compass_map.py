@@ -172,7 +172,8 @@ class _Fit:
 
     def keep(self, bars: Bars) -> None:
         """Keep the round for the history of the map's making."""
-        self.rounds.append((bars.camera.astype(np.float32), bars.heading.astype(np.float32), self.belief.believed))
+        _, heading, _, camera = bars.locate(slice(None))
+        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.belief.believed))
 
 
 def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:

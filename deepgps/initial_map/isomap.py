@@ -12,7 +12,7 @@ import torch
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from deepgps.data.segments import Segments, find_owners
+from deepgps.data.segments import Segments, find_owners, measure_spacing
 from sim.errors import InputError
 
 LANDMARKS = 300
@@ -143,7 +143,7 @@ def _rate_of_change(features: torch.Tensor, segments: Segments) -> tuple[torch.T
     for end in (first, second):
         total.index_add_(0, end, change)
         length.index_add_(0, end, way.float())
-    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), float(way.median())
+    return (total / length.clamp_min(1e-6)).clamp_min(1e-6), measure_spacing(way.numpy())
 
 
 def _join(first: np.ndarray, second: np.ndarray, length: np.ndarray, count: int) -> csr_array:

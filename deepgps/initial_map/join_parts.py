@@ -70,8 +70,8 @@ def _vote(bars: Bars, part: np.ndarray, links: Links, of: np.ndarray) -> tuple[n
     swapped = part[bars.row[links.one[of]]] == moves
     there = np.where(swapped, links.other[of], links.one[of])
     here = np.where(swapped, links.one[of], links.other[of])
-    angle = bars.heading[there] - bars.heading[here] + np.where(swapped, -links.turn[of], links.turn[of])
-    camera = bars.camera
+    _, heading, _, camera = bars.locate(slice(None))
+    angle = heading[there] - heading[here] + np.where(swapped, -links.turn[of], links.turn[of])
     middle = camera[here].mean(axis=0)
     target = camera[there] - turn(angle, camera[here] - middle)  # where each puts the middle
     tried = np.linspace(0, len(of) - 1, min(MOST, len(of))).astype(int)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array, eye_array
 
-from deepgps.data.segments import Segments
+from deepgps.data.segments import Segments, measure_spacing
 from deepgps.initial_map.isomap import LoopClosures
 from deepgps.initial_map.least_squares import factorise
 
@@ -52,7 +52,8 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
     """Move all segments, as rigid bars, to where they fit one another.
 
     Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
-    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale.
+    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale. Two bars always
+    meet in an observation that they share: there ``w_l = s_l^-2``.
 
     Args:
         places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
@@ -61,7 +62,7 @@ def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tup
 
     Returns:
         Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
-        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b.
+        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b, without the divisor where two bars meet.
     """
     graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
     middle, heading = lay_bars(places[graph.observation], graph)
@@ -87,7 +88,7 @@ def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndar
     row, column = np.nonzero(segments.valid.numpy() & placed[index])
     observation, along = index[row, column], _from_middle(segments)[row, column]
     bar = np.unique(row, return_inverse=True)[1]
-    step = float(np.median(np.diff(along)[np.diff(bar) == 0]))
+    step = measure_spacing(np.diff(along)[np.diff(bar) == 0])
     reading = np.full(len(placed), -1)
     reading[observation[::-1]] = np.arange(len(bar))[::-1]
     meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))

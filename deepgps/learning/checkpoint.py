@@ -57,7 +57,7 @@ def load_checkpoint(
     if not path.is_file():
         return 0, 0.0
     try:
-        state = _read(path, next(network.parameters()).device)
+        state = _read(path)
     except DamagedError as error:
         log.warning("%s; training starts from its first step", error)
         path.unlink()
@@ -65,24 +65,26 @@ def load_checkpoint(
     try:
         network.load_state_dict(state["network"])
         optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["generator"].cpu())
+        generator.set_state(state["generator"])
     except (RuntimeError, KeyError, ValueError):
         raise InputError(
             f"{path} belongs to another training, or to one on another kind of device; without it this one starts from "
             "its first step"
         ) from None
     for name, values in state["history"].items():
-        history[name][:] = [value.cpu() if isinstance(value, torch.Tensor) else value for value in values]
+        history[name][:] = values
     return int(state["step"]), float(state["seconds"])
 
 
-def _read(path: Path, device: torch.device) -> dict[str, Any]:
-    """Contents of a checkpoint; raises DamagedError. A checkpoint is a zip file, whose CRC-32 torch does not check."""
+def _read(path: Path) -> dict[str, Any]:
+    """Contents of a checkpoint, on the CPU; raises DamagedError. It is a zip file, whose CRC torch does not check."""
     data = path.read_bytes()
     try:
         with ZipFile(BytesIO(data)) as archive:
             wrong = archive.testzip()
-        state = torch.load(BytesIO(data), map_location=device, weights_only=True)
+        state = torch.load(BytesIO(data), map_location="cpu", weights_only=True)
+    except MemoryError:
+        raise
     except Exception as error:  # zipfile, pickle and torch raise a dozen types
         raise damaged(path, one_line(error)) from None
     if wrong is not None:

@@ -1,11 +1,12 @@
 """One plain training loop for every method that trains a network; it can be interrupted anywhere and continues exactly.
 
-On one machine the same seed gives the same weights to the byte, on any number of cores: each random draw comes from a
-generator whose state is in the checkpoint, the schedule counts steps, and the number of threads, which determines the
-order of sums, is fixed (``use_threads``). Another machine may give other weights: BLAS and oneDNN choose their kernels
-by the processor, which changes the order of sums and so their rounding, and bfloat16, which only some processors have,
-changes more than that. Training amplifies such differences: in the demo, initial maps that differed by 1e-10 m ended in
-an RMS of 3.4 and of 4.3 cm. Half a centimetre between two methods, or nearly one between two machines, is noise.
+On the CPU of one machine the same seed gives the same weights to the byte, on any number of cores: each random draw
+comes from a generator whose state is in the checkpoint, the schedule counts steps, and the number of threads, which
+determines the order of sums, is fixed (``use_threads``). A GPU may add in another order each time. Another machine may
+give other weights: BLAS and oneDNN choose their kernels by the processor, which changes the order of sums and so their
+rounding, and bfloat16, which only some processors have, changes more than that. Training amplifies such differences: in
+the demo, initial maps that differed by 1e-10 m ended in an RMS of 3.4 and of 4.3 cm. Half a centimetre between two
+methods, or nearly one between two machines, is noise.
 """
 
 import time

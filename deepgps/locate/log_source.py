@@ -40,7 +40,7 @@ class LogSource:
 
     def read(self) -> Iterator[Picture]:
         """Its images; one that cannot be decoded says why when the next one is read."""
-        wanted, number, damaged = range(len(self.listed.log_ns)), 0, dict[int, str]()
+        wanted, damaged = range(len(self.listed.log_ns)), dict[int, str]()
         for number, image in take_images(self.polar.log, self.polar.topic, wanted, damaged):
             yield from self._tell(damaged)
             yield Picture(str(number), image, time_s=self._time_s(number))

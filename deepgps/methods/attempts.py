@@ -20,11 +20,13 @@ class Attempt:
     """One training and its map.
 
     Attributes:
+        number: Its number, counted from 0.
         positioner: The trained network.
         score: How far its map is folded.
         seconds: Duration of the training.
     """
 
+    number: int
     positioner: NetworkPositioner
     score: FoldScore
     seconds: float

@@ -68,9 +68,15 @@ METHODS: dict[str, Method] = {
         observes="vector",
         in_steps=False,
     ),
-    "knn": Method("Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.knn:fit", in_steps=False),
+    "knn": Method("Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.knn:fit", in_steps=False, reads_ticks=False),
     "pca_knn": Method(
-        "PCA + nearest neighbour", "#6b8e23", "SE2", "deepgps.methods.pca_knn:fit", observes="scan", in_steps=False
+        "PCA + nearest neighbour",
+        "#6b8e23",
+        "SE2",
+        "deepgps.methods.pca_knn:fit",
+        observes="scan",
+        in_steps=False,
+        reads_ticks=False,
     ),
     "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
 }

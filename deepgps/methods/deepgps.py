@@ -68,6 +68,7 @@ class Variant:
         orient: Positions (N, 2) of all training observations -> -1 if the map is mirrored, else 1. Distances alone
             leave a mirror ambiguity, so by default the map is taken as it is.
         curvature: Of what the robot drives for straight, to the left [1 / m].
+        any_length: Whether its initial map of the first attempt can be made of segments with two readings each.
         held: Weight with which the network of the first attempt is held to its initial map to the end, for a map that
             is better than the network; None: it is only kept within ``SLACK_M``.
     """
@@ -78,6 +79,7 @@ class Variant:
     )
     orient: Callable[[torch.Tensor], int] | None = None
     curvature: float = 0.0
+    any_length: bool = False
     held: float | None = None
 
 
@@ -109,6 +111,7 @@ def fit_data(
         "train_s": round(sum(attempt.seconds for attempt in attempts), 1),
         "parameters": count_parameters(best.positioner.network),
         "attempts": len(attempts),
+        "attempt": best.number,
         "fold": {"found": best.score.folded, **asdict(best.score)},
         "segments_skipped": data.segments.skipped,
         "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
@@ -130,10 +133,11 @@ def train_attempt(
     inliers = find_inliers(data.segments)
     segments = data.segments.take(inliers)
     # 2. The network from an image to a position (Sec. III), with more outputs where lifting unfolds the map (ours).
-    start, label = choose_start(settings, data.segments, number), label_attempt(folder, number)
+    start, label = choose_start(settings, data.segments, number, variant.any_length), label_attempt(folder, number)
     network = new_network(data, settings, settings.lift.dimensions if start == "lifting" else 2, seed, number)
     # 3. The loss: distances on the map equal those driven (Eq. 2, 3, 5), and segments are straight (ours).
-    loss = segment_loss(settings, variant.weigh, variant.curvature if start in INITIAL_MAPS else 0.0)
+    follows = start in INITIAL_MAPS and number == 0  # a map from any other start may be mirrored
+    loss = segment_loss(settings, variant.weigh, variant.curvature if follows else 0.0)
     # 4. An unfolded start, which also corrects the distances of noisy encoders (ours).
     if start in INITIAL_MAPS:
         progress(f"{label}: initial map", 0, 1)
@@ -158,14 +162,16 @@ def train_attempt(
     score = score_folding(places.double().numpy(), data.features, segments, make_generator(seed, "fold", number))
     if variant.orient:
         axes = axes * torch.tensor([1.0, variant.orient(places)])
-    return Attempt(as_positioner(data, settings, network, centre, axes), score, seconds)
+    return Attempt(number, as_positioner(data, settings, network, centre, axes), score, seconds)
 
 
-def choose_start(settings: LearnSettings, segments: Segments, number: int = 0) -> Start:
-    """Choose the start of attempt ``number``: ``auto`` is paths at first, if segments are long enough, else lifting."""
+def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, any_length: bool = False) -> Start:
+    """Choose the start of attempt ``number``: ``auto`` is paths at first, if the segments are long enough for a map
+    (or, at ``any_length``, need not be), else lifting."""
+    enough = has_lines(segments) or (any_length and number == 0)
     if settings.start == "auto":
-        return "paths" if number == 0 and has_lines(segments) else "lifting"
-    if settings.start == "paths" and not has_lines(segments):
+        return "paths" if number == 0 and enough else "lifting"
+    if settings.start == "paths" and not enough:
         raise InputError(
             "learn.start 'paths': most segments have only two readings; auto and lifting can learn from those"
         )

@@ -68,11 +68,13 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
         make_initial_map=start_from_compass,
         orient=orient,
         curvature=float(found.shared[0]),
+        any_length=True,
         held=HELD,
     )
     fitted = fit_data(data, variant, settings, seed, folder, progress)
     assert isinstance(fitted.positioner, NetworkPositioner)
-    fitted = fitted._replace(positioner=replace(fitted.positioner, mount=find_mount(found)))
+    if fitted.training["attempt"] == 0:  # others did not begin with this map, and may be mirrored
+        fitted = fitted._replace(positioner=replace(fitted.positioner, mount=find_mount(found)))
     return fitted.note({**describe_lean(turns.upright.lean), "map": describe_map(found), **record})
 
 

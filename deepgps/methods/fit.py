@@ -13,13 +13,11 @@ import torch
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.data.segments import read_segments
-from deepgps.initial_map.stored_map import read_map
-from deepgps.learning.trainer import use_threads
-from deepgps.learning.training_data import prepare
+from deepgps.initial_map.stored_map import StoredMap, read_map
+from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.methods.attempts import remove_leftovers
 from deepgps.methods.catalog import METHODS
 from deepgps.methods.confidence_fit import make_confidence
-from deepgps.methods.confidence_table import COMPONENTS
 from deepgps.methods.heading_fit import make_headings
 from deepgps.methods.positioner import (
     ArrayPositioner,
@@ -68,8 +66,10 @@ def fit_method(
                 took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}
                 positioner, training = ArrayPositioner(name, positioner), {**took, **training}
             positioner = learn_headings(positioner, recording, folder)
-            positioner = learn_confidence(positioner, recording, settings, seed, folder, method.reads_ticks)
-            save_positioner(folder, positioner, {**training, **count_readings(recording)})
+            mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
+            positioner = learn_confidence(positioner, recording, mapped, method.reads_ticks)
+            device = {"trained_on": describe_device(settings.train.device)} if method.in_steps else {}
+            save_positioner(folder, positioner, {**training, **device, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)
 
@@ -85,21 +85,20 @@ def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     return positioner if headings is None else add_headings(positioner, headings)
 
 
-def learn_confidence(
-    positioner: Any, recording: Recording, settings: LearnSettings, seed: int, folder: Path, reads_ticks: bool
-) -> Any:
-    """The positioner with a table of confidence from its own map, if there are features of its observations."""
+def learn_confidence(positioner: Any, recording: Recording, mapped: StoredMap | None, reads_ticks: bool) -> Any:
+    """The positioner with a table of confidence from its own map, if there are features of its observations.
+
+    Args:
+        positioner: Any method's.
+        recording: What it learned from.
+        mapped: The map from which its training started, if that is known with its errors.
+        reads_ticks: Whether it learned from the encoders.
+    """
     if not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
         return positioner
-    able = positioner
-    if isinstance(positioner, NetworkPositioner) and positioner.features is None:
-        projection = prepare(recording, settings, seed, folder.parent, positioner.upright).projection
-        slowest = projection.basis[:, :COMPONENTS].contiguous()
-        able = replace(positioner, likeness=replace(projection, basis=slowest))
-    segments, (camera, features) = read_segments(recording), able.locate_with_features(recording.observation)
+    segments, (camera, features) = read_segments(recording), positioner.locate_with_features(recording.observation)
     if not reads_ticks:  # images are evenly spaced
         segments = replace(segments, distance=torch.arange(segments.index.shape[1]).expand(segments.index.shape))
-    stored = read_map(folder)
-    map_std = None if stored is None else stored.expected / np.sqrt(2.0)
+    map_std = None if mapped is None else mapped.expected / np.sqrt(2.0)
     table = make_confidence(segments, features, camera, map_std)
-    return positioner if table is None else add_confidence(able, table)
+    return positioner if table is None else add_confidence(positioner, table)

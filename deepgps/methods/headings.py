@@ -182,11 +182,6 @@ def pool(values: np.ndarray, count: int, axis: int) -> np.ndarray:
     return pooled
 
 
-def choose_rings(rings: int) -> np.ndarray:
-    """First ring of an image of each ring that the table keeps."""
-    return choose_parts(rings, RINGS)
-
-
 def choose_parts(size: int, count: int) -> np.ndarray:
     """First of the values of each of ``count`` parts, as equal as can be, or of as many as there are values."""
     return np.arange(min(count, size)) * size // min(count, size)

@@ -21,6 +21,7 @@ from deepgps.learning.training_data import TrainingData
 from deepgps.methods import confidence
 from deepgps.methods.catalog import find_method
 from deepgps.methods.confidence import Confidence
+from deepgps.methods.confidence_table import COMPONENTS
 from deepgps.methods.headings import HeadingTable, Yaws, unpack
 from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.trilateration import LandmarkPositioner
@@ -400,7 +401,18 @@ def as_positioner(
     data: TrainingData, settings: LearnSettings, network: nn.Module, centre: torch.Tensor, axes: torch.Tensor
 ) -> NetworkPositioner:
     """The trained network as a positioner, on the device where it was trained."""
-    features = data.projection if settings.network.architecture == "spectral" else None
+    projection, features, likeness = data.projection, None, None
+    if settings.network.architecture == "spectral":
+        features = projection
+    else:
+        likeness = replace(projection, basis=projection.basis[:, :COMPONENTS].contiguous())
     return NetworkPositioner(
-        data.shape, features, settings.network, network.eval(), centre.cpu(), axes.cpu(), data.upright
+        data.shape,
+        features,
+        settings.network,
+        network.eval(),
+        centre.cpu(),
+        axes.cpu(),
+        data.upright,
+        likeness=likeness,
     )

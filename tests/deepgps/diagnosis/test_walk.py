@@ -1,5 +1,7 @@
 """Noise of wheels: the likelihood finds the random walk under the rounding, and its intervals hold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,20 @@ def test_a_wheel_is_stuck_where_it_counts_nothing_while_the_other_one_travels():
     stuck, low, high = measure_stuck(Gaps(**{**vars(gaps), "way": way, "stuck": tuple(stretches)}))
     assert low <= 60 / len(way) <= high
     assert stuck == pytest.approx(60 / len(way))
+
+
+@pytest.mark.parametrize("gaps_a_segment", [1, 2])
+def test_segments_too_short_for_a_steady_speed_tell_no_noise_of_gaps(gaps_a_segment: int):
+    rng, count = np.random.default_rng(0), 100 * (gaps_a_segment + 1)
+    inside = np.arange(count) % (gaps_a_segment + 1) < gaps_a_segment
+    way = rng.uniform(0.1, 3.0, count)[:, None] * (1.0 + 0.1 * rng.standard_normal((count, 2)))
+    gaps = Gaps(way, way.mean(axis=1) / SPEED, np.ones(count, int), inside, (), np.ones(count, bool), 5e-5)
+    fit = fit_step_noise(gaps, 0.0)
+    assert (fit.low, fit.high) == (0.0, 1.0)
+
+
+def test_a_first_segment_of_two_readings_changes_nothing():
+    gaps = drive(np.random.default_rng(2))
+    short = np.arange(len(gaps.inside)) > 19  # of the first segment, its last gap alone is left
+    cut = replace(gaps, inside=gaps.inside & (short | (np.arange(len(short)) == 0)))
+    assert fit_step_noise(cut, 0.0).value == 0.0

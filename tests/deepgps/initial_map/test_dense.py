@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -68,3 +70,11 @@ def test_same_generator_same_map(toy):
     features, segments, _ = toy
     first, second = (find_initial_map(features, segments, torch.Generator().manual_seed(3))[0] for _ in range(2))
     assert np.array_equal(first, second)
+
+
+def test_encoders_that_count_nothing_in_most_gaps_have_a_map_too(toy):
+    features, segments, place = toy
+    tick_m = 3.3 * float(segments.distance[0, 1])
+    coarse = replace(segments, distance=(segments.distance / tick_m).floor() * tick_m)
+    found, _ = find_initial_map(features, coarse, torch.Generator().manual_seed(0))
+    assert np.sqrt(np.nanmean(error(found, place) ** 2)) < 2.0 * tick_m

@@ -93,3 +93,15 @@ def test_a_checkpoint_of_another_kind_of_device_is_refused(tmp_path: Path):
     torch.save({**state, "generator": torch.zeros(16, dtype=torch.uint8)}, tmp_path / NAME)  # as CUDA's is
     with pytest.raises(InputError, match="another kind of device; without it this one starts from its first step"):
         load_checkpoint(tmp_path, *make(0), {})
+
+
+def test_a_machine_out_of_memory_keeps_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    save_checkpoint(tmp_path, 1, *make(0), {}, 0.0)
+
+    def run_out(*_: object, **__: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(torch, "load", run_out)
+    with pytest.raises(MemoryError):
+        load_checkpoint(tmp_path, *make(0), {})
+    assert (tmp_path / NAME).is_file()

@@ -103,7 +103,9 @@ def test_cut_off_it_continues_to_the_same_bytes(toy: Recording, trained: Path, t
 
 def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
     recording = make_toy(tmp_path / "toy", samples=1500, endpoint=True)
-    assert choose_start(SETTINGS, read_segments(recording)) == "lifting"
+    segments = read_segments(recording)
+    assert choose_start(SETTINGS, segments) == "lifting"
+    assert [choose_start(SETTINGS, segments, number, any_length=True) for number in (0, 1)] == ["paths", "lifting"]
     train = SETTINGS.train.model_copy(update={"steps": 600, "segments": 128, "samples": 2})
     positioner = fit_method(
         "deepgps", recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps"
