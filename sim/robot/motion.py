@@ -90,6 +90,8 @@ def turn(
 def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature: float) -> bool:
     """Drive an arc from rest to rest; it ends early before an obstacle, at a contact, and when the wheels are held.
 
+    After a contact the robot rolls back, also from one that there was before.
+
     Args:
         robot: The robot, at rest.
         settings: How fast to drive.
@@ -97,7 +99,7 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
         curvature: Inverse of its radius, positive to the left [1/m].
 
     Returns:
-        Whether there was room to drive at all.
+        Whether the robot moved.
     """
     period, start, speed = CONTROL_PERIOD_S, robot.wheel_angle(), 0.0
     deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
@@ -108,11 +110,11 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
             break
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
         robot.step(wheel_speeds(speed, speed * curvature, robot.body))
-    touched, moved = robot.bumped(), speed > 0.0
+    touched = robot.bumped()
     halt(robot, settings)
     if touched:
         back_off(robot, settings)
-    return moved
+    return touched or speed > 0.0
 
 
 def back_off(robot: Robot, settings: DriveSettings) -> None:

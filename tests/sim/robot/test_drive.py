@@ -12,6 +12,7 @@ from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import DriveMode
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.motion import drive_arc
 from sim.robot.range_finder import ANGLE
 from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
@@ -215,6 +216,14 @@ def test_toy_without_fault_stops_before_the_wall():
     segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "range"
     assert distances(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
+
+
+@pytest.mark.parametrize(("bumps", "wall_m"), [(True, 2.0), (True, 0.1), (False, 2.0), (False, 0.1)])
+def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned(bumps, wall_m, monkeypatch):
+    toy = Toy("none", np.inf)
+    monkeypatch.setattr(toy, "bumped", lambda: bumps)
+    monkeypatch.setattr(toy, "ranges", lambda reach_m, turned_rad=0.0: np.full(len(ANGLE), min(wall_m, reach_m)))
+    assert drive_arc(toy, DriveSettings(), 0.5, 1.0) == toy.wheel_angle().any() == (bumps or wall_m > 1.0)
 
 
 def test_robot_walled_in_is_stuck():
