@@ -131,7 +131,7 @@ def next_segment(
             mode = mode._replace(continues=False)
             wedged += 1
             if wedged <= WEDGED:
-                _back_off(robot, settings, visits)
+                _back_off(robot, visits)
             elif not relocated:
                 robot.carry(rng)
                 visits.forget()
@@ -145,7 +145,7 @@ def next_segment(
         segment = _go_straight(robot, settings, rng, stop_m, mode, visits)
         visits.pass_over(robot.wheel_angle())
         if segment.ended in TOUCHED:
-            _back_off(robot, settings, visits)
+            _back_off(robot, visits)
         if len(segment.time) >= 2:
             return replace(segment, relocated=relocated, after_arc=after_arc)
         mode = segment.mode._replace(continues=False)
@@ -160,8 +160,8 @@ def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     return drive_arc(robot, settings, length_m, side / radius_m)
 
 
-def _back_off(robot: Robot, settings: DriveSettings, visits: Visits) -> None:
-    back_off(robot, settings)
+def _back_off(robot: Robot, visits: Visits) -> None:
+    back_off(robot)
     visits.move(robot.wheel_angle())
 
 
@@ -210,7 +210,7 @@ def _go_straight(
         held_s = held_s + period if travelled_m - before_m < speed * period / 2 else 0.0
         if settings.strategy == "dense" and travelled_m >= len(samples) * spacing:
             samples.append(_sample(robot, travelled_m))
-    halt(robot, settings)
+    halt(robot)
     taken = len(samples)
     if ended in TOUCHED:
         samples = [sample for sample in samples if sample.travelled_m <= travelled_m - UNCERTAIN_M]

@@ -83,7 +83,7 @@ def turn(
             break
         rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle), robot.body))
-    halt(robot, settings)
+    halt(robot)
     return goal < np.inf
 
 
@@ -111,21 +111,21 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
         robot.step(wheel_speeds(speed, speed * curvature, robot.body))
     touched = robot.bumped()
-    halt(robot, settings)
+    halt(robot)
     if touched:
-        back_off(robot, settings)
+        back_off(robot)
     return touched or speed > 0.0
 
 
-def back_off(robot: Robot, settings: DriveSettings) -> None:
+def back_off(robot: Robot) -> None:
     """Roll back a little from the contact."""
     start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
     while travelled(robot, start) > -BACK_M and robot.time() < deadline:
         robot.step(wheel_speeds(-BACK_MPS, 0.0, robot.body))
-    halt(robot, settings)
+    halt(robot)
 
 
-def halt(robot: Robot, settings: DriveSettings) -> None:
+def halt(robot: Robot) -> None:
     for _ in range(max(1, round(REST_S / CONTROL_PERIOD_S))):
         robot.step(wheel_speeds(0.0, 0.0))
 
