@@ -2,12 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES
-from sim.recording.format import check_recording, read_manifest
+from sim.recording.format import check_recording, open_recording, read_manifest
 from sim.recording.training_drive import has_same_training_drive
 from sim.settings import SimSettings
 
@@ -66,6 +67,16 @@ def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, t
     pose = "truth/pose.npy"
     assert (tmp_path / "shared" / pose).stat().st_ino == (base / pose).stat().st_ino
     assert (read_manifest(tmp_path / "shared").model_extra or {})["derived_from"] == base.parent.name
+
+
+def test_only_what_is_drawn_needs_space_and_renderers(plain, base, tmp_path, monkeypatch):
+    spaces, images = [], []
+    monkeypatch.setattr(collecting, "check_space", lambda _, needed: spaces.append(needed))
+    monkeypatch.setattr(collecting, "count_renderers", lambda count: images.append(count) or 1)
+    collect(change(plain, deployment={"light": 0.3}), 0, tmp_path / "shared", quiet, base=base)
+    tests = open_recording(tmp_path / "shared").test_observation
+    assert images == [np.prod(tests.shape[:2])]
+    assert spaces == [2 * tests.nbytes]  # in a part, and in the recording
 
 
 @pytest.mark.parametrize(
