@@ -60,12 +60,12 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
         part.unlink(missing_ok=True)
         raise
     except Exception as error:
-        needed = max(size, part.stat().st_size if part.is_file() else 0)
-        lack = _find_lack(part, error, max(size, PROBE))
+        there = part.stat().st_size if part.is_file() else 0
+        lack = _find_lack(part, error, max(size - there, PROBE))
         with suppress(OSError):
             part.unlink()
         if lack:
-            raise WorkError(describe_lack(path, needed, lack)) from None
+            raise WorkError(describe_lack(path, max(size, there), lack)) from None
         if isinstance(error, OSError) and error.errno and error.filename is None:
             raise WorkError(f"{path} cannot be written: {error.strerror}") from None
         raise

@@ -198,6 +198,22 @@ def test_a_file_for_which_there_is_no_space_is_one_clear_line(write, tmp_path):
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"x.npy": b"old"}
 
 
+@pytest.mark.parametrize("written_mb", [0, 2, 3])
+def test_an_error_is_no_full_disk_where_the_rest_has_space(written_mb, tmp_path):
+    def fail(part: Path) -> None:
+        part.write_bytes(bytes(written_mb << 20))
+        raise RuntimeError("writer failed")
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4 << 20, before[1]))
+    try:
+        with pytest.raises(RuntimeError, match="writer failed"):
+            write_atomic(tmp_path / "x", fail, 4 << 20)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not any(tmp_path.iterdir())
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts a small disk")
 def test_a_full_disk_ends_no_process(tmp_path):
     disk, array = tmp_path / "disk", np.zeros((100, 1000), np.uint8)
