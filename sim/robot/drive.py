@@ -78,7 +78,7 @@ class Segment:
         time: Time of each sample (m,) [s].
         continues: Whether the first sample is where the last segment ended, before the turn: the same observation.
         ended: What ended the segment.
-        dropped: Number of samples dropped as doubtful.
+        dropped: Number of samples dropped as doubtful, since the last segment.
         mode: How to continue.
         relocated: How often the robot was relocated before this segment.
         after_arc: Whether it drove an arc before this segment.
@@ -124,7 +124,7 @@ def next_segment(
     Raises:
         WorkError: the robot is stuck.
     """
-    wedged = relocated = 0
+    wedged = relocated = dropped = 0
     after_arc = False
     for _ in range(TRIES):
         while (stop_m := turn_to_clear(robot, settings, rng, mode, visits)) is None:
@@ -146,8 +146,9 @@ def next_segment(
         visits.pass_over(robot.wheel_angle())
         if segment.ended in TOUCHED:
             _back_off(robot, visits)
+        dropped += segment.dropped
         if len(segment.time) >= 2:
-            return replace(segment, relocated=relocated, after_arc=after_arc)
+            return replace(segment, dropped=dropped, relocated=relocated, after_arc=after_arc)
         mode = segment.mode._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
@@ -227,7 +228,7 @@ def _go_straight(
         time=np.array([sample.time for sample in samples]),
         continues=mode.continues,
         ended="gap" if ended == "length" and gap else ended,
-        dropped=max(taken - len(samples), 0),
+        dropped=taken - len(samples) if ended in TOUCHED else 0,
         mode=_go_on(settings, rng, mode, ended, gap),
     )
 

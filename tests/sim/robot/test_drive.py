@@ -212,6 +212,33 @@ def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
     assert distances(segment)[-1] > 0.7 - 2 * UNCERTAIN_M
 
 
+class TouchedOnce(Toy):
+    """It touches something after some distance, until it rolls back."""
+
+    def __init__(self, touch_m: float) -> None:
+        super().__init__("none", np.inf)
+        self.touch_m, self.taken, self.rolled_back, self.period = touch_m, 0, False, CONTROL_PERIOD_S
+
+    def step(self, wheel_speed):
+        super().step(wheel_speed)
+        self.rolled_back |= np.mean(wheel_speed) < -0.1
+
+    def bumped(self):
+        return self.travelled_m >= self.touch_m and not self.rolled_back
+
+    def snapshot(self):
+        self.taken += not self.rolled_back
+        return super().snapshot()
+
+
+@pytest.mark.parametrize("touch_m", [0.02, 0.05, 0.1])
+def test_samples_of_a_segment_too_short_to_keep_are_counted_as_dropped(touch_m):
+    toy = TouchedOnce(touch_m)
+    segment = next_segment(toy, DriveSettings(spacing_m=0.01), np.random.default_rng(0), DriveMode())
+    assert segment.ended == "range"
+    assert segment.dropped == toy.taken > touch_m / 0.01
+
+
 def test_toy_without_fault_stops_before_the_wall():
     segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "range"
