@@ -56,16 +56,13 @@ def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> 
             os.fsync(file.fileno())
         part.replace(path)
         _sync_folder(path.parent)
-    except (InputError, WorkError):
-        part.unlink(missing_ok=True)
-        raise
-    except Exception as error:
-        needed = max(size, part.stat().st_size if part.is_file() else 0)
-        lack = _find_lack(part, error, max(size, PROBE))
+    except BaseException as error:  # Ctrl-C too
+        there = part.stat().st_size if part.is_file() else 0
+        lack = _find_lack(part, error, max(size - there, PROBE))
         with suppress(OSError):
             part.unlink()
         if lack:
-            raise WorkError(describe_lack(path, needed, lack)) from None
+            raise WorkError(describe_lack(path, max(size, there), lack)) from None
         if isinstance(error, OSError) and error.errno and error.filename is None:
             raise WorkError(f"{path} cannot be written: {error.strerror}") from None
         raise
@@ -242,7 +239,8 @@ def check_lines(path: Path) -> None:
 
 def write_sum(path: Path) -> None:
     """Write the checksum of a file next to it, in the format of sha256sum."""
-    write_text(path.with_name(path.name + SUM), f"{sha256(path)}  {path.name}\n")
+    # A name need not be text.
+    write_bytes(path.with_name(path.name + SUM), sha256(path).encode() + b"  " + os.fsencode(path.name) + b"\n")
 
 
 def drop_sum(path: Path) -> None:
@@ -360,8 +358,10 @@ def _reserve(file: IO[bytes], size: int) -> None:
             raise
 
 
-def _find_lack(part: Path, error: Exception, size: int) -> OSError | None:
+def _find_lack(part: Path, error: BaseException, size: int) -> OSError | None:
     """The error of a full disk, if that is why writing failed: many libraries raise their own error instead."""
+    if isinstance(error, InputError | WorkError) or not isinstance(error, Exception):
+        return None
     if isinstance(error, OSError) and error.errno:
         return error if error.errno in NO_SPACE else None
     try:

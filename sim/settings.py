@@ -1,5 +1,6 @@
 """Settings of world, robot, sensors and driving: frozen groups, each checked once when it is created."""
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, ClassVar, Literal, get_args
 
@@ -26,6 +27,8 @@ SMALLEST_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
 """Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
 LARGEST_MJCF = 64 * 1024 * 1024
 """Largest size of each XML file of a user's own room, in bytes."""
+LARGEST_GRID = 250_000_000
+"""Most distances that a test grid in a plane holds: 1 GB."""
 FEWEST_SAMPLES = 16
 """Fewest images of a drive."""
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
@@ -493,6 +496,24 @@ class SimSettings(Group):
             raise ValueError(
                 f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
                 f"{self.world} world, {longest:g} m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_test_grid_fits_into_memory(self) -> "SimSettings":
+        if self.world == "room":
+            return self
+        side_m, values = (
+            (self.landmarks.side_m, self.landmarks.count)
+            if self.world == "landmarks"
+            else (self.obstacles.side_m, self.lidar.rays * self.lidar.headings)
+        )
+        least_m = side_m / (math.sqrt(LARGEST_GRID / (values * self.grid.headings)) - 1.0)
+        if self.grid.spacing_m < least_m:
+            raise ValueError(
+                f"grid.spacing_m {self.grid.spacing_m:g} m must be at least {math.ceil(1000 * least_m) / 1000:g} m in "
+                f"a square of {side_m:g} m with grid.headings {self.grid.headings} and {values} distances in an "
+                f"observation: a test grid holds at most {LARGEST_GRID:,} distances"
             )
         return self
 

@@ -140,10 +140,11 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
         Distances (p, m) [m].
     """
     direction = np.stack([np.cos(angle), np.sin(angle)])
-    # A ray parallel to a slab never leaves it, or never enters it.
-    per_metre = 1.0 / np.where(np.abs(direction) < 1e-12, 1e-12, direction)
+    # A ray parallel to a slab never leaves it, or never enters it; it never meets the walls along it.
+    parallel = np.abs(direction) < 1e-12
+    per_metre = 1.0 / np.where(parallel, 1e-12, direction)
     wall = np.where(direction > 0, bounds[1, :, None, None], bounds[0, :, None, None])
-    nearest = ((wall - place.T[..., None]) * per_metre).min(axis=0).clip(0.0)
+    nearest = np.where(parallel, np.inf, (wall - place.T[..., None]) * per_metre).min(axis=0).clip(0.0)
     for low, high in box:
         one, other = (low[:, None] - place.T)[..., None] * per_metre, (high[:, None] - place.T)[..., None] * per_metre
         enter = np.minimum(one, other).max(axis=0)

@@ -80,12 +80,18 @@ class _Job:
     base: Path | None = None
 
     def estimate_bytes(self) -> int:
-        """Bytes that the recording needs at least."""
-        return estimate_bytes(self.settings, self.world.model.nq, self.count_tests(), self.work)
+        """Bytes that the recording needs at least, in addition to its existing parts."""
+        seen = sum(SENSORS[name].size(self.settings) for name in list_kept(self.settings))
+        there = sum(path.stat().st_size for path in list_files(self.work, PART))
+        states = 0 if self.base else 8 * self.world.model.nq * self.settings.drive.samples
+        # Each image is first in a part and then in the recording, and so is the state of each sample.
+        parts = self.count_images() * seen + states
+        return parts + max(parts - there, 0)
 
-    def count_tests(self) -> int:
-        """Number of test images."""
-        return math.prod(self.test_pose.shape[:2])
+    def count_images(self) -> int:
+        """Number of images to draw, apart from those after turns."""
+        driven = 0 if self.base else self.settings.drive.samples + self.settings.grid.held_out
+        return driven + math.prod(self.test_pose.shape[:2])
 
 
 def collect(
@@ -152,7 +158,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
     from sim.recording.scene_mesh import write_scene  # the worker processes, which import this file too, do not need it
 
     deaths = 0
-    count = workers or count_renderers(job.settings.drive.samples + job.count_tests())
+    count = workers or count_renderers(job.count_images())
     for tries in range(TRIES):
         with Renderers(sense_part, count, build_s) as renderers:
             parts = _make_parts(renderers, job, progress)
@@ -178,19 +184,6 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
     }
     finish_recording(job.folder, manifest)
     _remove_parts(job.work)
-
-
-def estimate_bytes(settings: SimSettings, nq: int, tests: int, work: Path) -> int:
-    """Bytes that a recording needs at least, in addition to its existing parts.
-
-    ``tests`` is the number of test images, unless these are held out.
-    """
-    images = settings.drive.samples + settings.grid.held_out + tests
-    seen = sum(SENSORS[name].size(settings) for name in list_kept(settings))
-    there = sum(path.stat().st_size for path in list_files(work, PART))
-    # Each image is first in a part and then in the recording, and so is the state of each sample.
-    parts = images * seen + 8 * nq * settings.drive.samples
-    return parts + max(parts - there, 0)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:

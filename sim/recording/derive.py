@@ -30,7 +30,7 @@ from sim.recording.format import (
 )
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import choose_drive_in_use, seed_in_use
-from sim.recording.manifest import SCHEMA, Manifest
+from sim.recording.manifest import SCHEMA, Manifest, read_settings
 from sim.recording.training_drive import OF_TESTS
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
@@ -178,7 +178,7 @@ def _explain_misfit_of_drive(
     """The same for a recording without its drive in use, whose length is called ``title``."""
     if manifest.number != SCHEMA:
         return f"has schema {manifest.number}, of a version with other random numbers: nothing can be derived from it"
-    samples, other = settings.drive.samples, SimSettings.model_validate(manifest.settings)
+    samples, other = settings.drive.samples, read_settings(manifest)
     length = other.drive.samples
     reasons = {
         "is a recording of another drive: more than encoder, image and drive.samples differ": (

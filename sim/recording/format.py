@@ -29,7 +29,7 @@ from sim.files import (
 )
 from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.in_use import FOLDER as IN_USE
-from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind
+from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind, describe_problem
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, check_turns, from_array
 
@@ -259,9 +259,7 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         manifest = Manifest.model_validate(values)
     except ValidationError as error:
-        problem = error.errors(include_url=False)[0]
-        where = ".".join(map(str, problem["loc"]))
-        raise InputError(f"{path}: {where} cannot be used: {one_line(problem['msg'])}") from None
+        raise InputError(f"{path}: {describe_problem(error)}") from None
     if not all(RECORDING.fullmatch(name) for name in manifest.sha256):
         raise InputError(f"{path}: sha256 must be a mapping from names of a recording's files")
     return manifest

@@ -3,9 +3,10 @@
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sim import renamed
+from sim.errors import InputError, one_line
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import SimSettings
 
@@ -77,6 +78,20 @@ class Manifest(BaseModel):
     def kind(self) -> ObservationKind | None:
         """Kind of the observations that methods learn from; None if the manifest names no sensor."""
         return next(iter(self.sensors.values()), None)
+
+
+def read_settings(manifest: Manifest) -> SimSettings:
+    """The settings of a simulation by its manifest; raises InputError if they cannot be used."""
+    try:
+        return SimSettings.model_validate(manifest.settings)
+    except ValidationError as error:
+        raise InputError(f"manifest: {describe_problem(error, 'settings')}") from None
+
+
+def describe_problem(error: ValidationError, *outer: str) -> str:
+    """The first value that cannot be used, by its name after those of what it is in, and why."""
+    problem = error.errors(include_url=False)[0]
+    return f"{'.'.join(map(str, (*outer, *problem['loc'])))} cannot be used: {one_line(problem['msg'])}"
 
 
 def name_sensors(settings: SimSettings) -> dict[str, ObservationKind]:

@@ -133,8 +133,10 @@ def _box(model: mujoco.MjModel, geom: int) -> Shape:
 
 def _plane(model: mujoco.MjModel, geom: int) -> Shape:
     half = model.geom_size[geom, :2].copy()
-    reach = np.linalg.norm(model.geom_pos, axis=1) + model.geom_rbound  # an infinite plane extends beyond the rest
-    half[half == 0] = reach.max() + 1.0
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    away = np.linalg.norm(data.geom_xpos - data.geom_xpos[geom], axis=1)
+    half[half == 0] = (away + model.geom_rbound).max() + 1.0  # an infinite plane extends beyond the rest
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1.0]])
     points = np.column_stack([corners * half, np.zeros(4)])
     return _join(points, np.arange(4)[None]), _coordinates(model, geom, corners)

@@ -5,7 +5,7 @@ from typing import Any
 
 from sim.files import link_file
 from sim.recording.format import OF_USE, name_source, read_manifest
-from sim.recording.manifest import SCHEMA
+from sim.recording.manifest import SCHEMA, read_settings
 from sim.settings import DeploymentSettings, GridSettings, SimSettings
 
 OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
@@ -39,7 +39,7 @@ def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> boo
     manifest = read_manifest(base)
     if manifest.number != SCHEMA or manifest.seed != seed:
         return False
-    other = SimSettings.model_validate(manifest.settings)
+    other = read_settings(manifest)
     joined = any(one.grid.held_out or one.tag_camera.mounted for one in (other, settings))
     return settings.world == "room" and not joined and keep_training_settings(other) == keep_training_settings(settings)
 

@@ -78,7 +78,7 @@ class Segment:
         time: Time of each sample (m,) [s].
         continues: Whether the first sample is where the last segment ended, before the turn: the same observation.
         ended: What ended the segment.
-        dropped: Number of samples dropped as doubtful.
+        dropped: Number of samples dropped as doubtful, since the last segment.
         mode: How to continue.
         relocated: How often the robot was relocated before this segment.
         after_arc: Whether it drove an arc before this segment.
@@ -124,14 +124,14 @@ def next_segment(
     Raises:
         WorkError: the robot is stuck.
     """
-    wedged = relocated = 0
+    wedged = relocated = dropped = 0
     after_arc = False
     for _ in range(TRIES):
         while (stop_m := turn_to_clear(robot, settings, rng, mode, visits)) is None:
             mode = mode._replace(continues=False)
             wedged += 1
             if wedged <= WEDGED:
-                _back_off(robot, settings, visits)
+                _back_off(robot, visits)
             elif not relocated:
                 robot.carry(rng)
                 visits.forget()
@@ -145,9 +145,10 @@ def next_segment(
         segment = _go_straight(robot, settings, rng, stop_m, mode, visits)
         visits.pass_over(robot.wheel_angle())
         if segment.ended in TOUCHED:
-            _back_off(robot, settings, visits)
+            _back_off(robot, visits)
+        dropped += segment.dropped
         if len(segment.time) >= 2:
-            return replace(segment, relocated=relocated, after_arc=after_arc)
+            return replace(segment, dropped=dropped, relocated=relocated, after_arc=after_arc)
         mode = segment.mode._replace(continues=False)
     raise WorkError(f"the robot is stuck at {robot.time():.1f} s: {TRIES} attempts to drive straight failed")
 
@@ -160,8 +161,8 @@ def _may_drive_arc(robot: Robot, settings: DriveSettings, rng: np.random.Generat
     return drive_arc(robot, settings, length_m, side / radius_m)
 
 
-def _back_off(robot: Robot, settings: DriveSettings, visits: Visits) -> None:
-    back_off(robot, settings)
+def _back_off(robot: Robot, visits: Visits) -> None:
+    back_off(robot)
     visits.move(robot.wheel_angle())
 
 
@@ -210,7 +211,7 @@ def _go_straight(
         held_s = held_s + period if travelled_m - before_m < speed * period / 2 else 0.0
         if settings.strategy == "dense" and travelled_m >= len(samples) * spacing:
             samples.append(_sample(robot, travelled_m))
-    halt(robot, settings)
+    halt(robot)
     taken = len(samples)
     if ended in TOUCHED:
         samples = [sample for sample in samples if sample.travelled_m <= travelled_m - UNCERTAIN_M]
@@ -227,7 +228,7 @@ def _go_straight(
         time=np.array([sample.time for sample in samples]),
         continues=mode.continues,
         ended="gap" if ended == "length" and gap else ended,
-        dropped=max(taken - len(samples), 0),
+        dropped=taken - len(samples) if ended in TOUCHED else 0,
         mode=_go_on(settings, rng, mode, ended, gap),
     )
 

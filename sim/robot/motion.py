@@ -83,12 +83,14 @@ def turn(
             break
         rate = ramp(rate, highest, TURN_ACCELERATION_RPS2, goal - turned, period)
         robot.step(wheel_speeds(0.0, np.copysign(rate, angle), robot.body))
-    halt(robot, settings)
+    halt(robot)
     return goal < np.inf
 
 
 def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature: float) -> bool:
     """Drive an arc from rest to rest; it ends early before an obstacle, at a contact, and when the wheels are held.
+
+    After a contact the robot rolls back, also from one that there was before.
 
     Args:
         robot: The robot, at rest.
@@ -97,7 +99,7 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
         curvature: Inverse of its radius, positive to the left [1/m].
 
     Returns:
-        Whether there was room to drive at all.
+        Whether the robot moved.
     """
     period, start, speed = CONTROL_PERIOD_S, robot.wheel_angle(), 0.0
     deadline = robot.time() + 2 * (length_m / settings.speed_mps + settings.speed_mps / ACCELERATION_MPS2)
@@ -108,22 +110,22 @@ def drive_arc(robot: Robot, settings: DriveSettings, length_m: float, curvature:
             break
         speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, min(rest_m, clear_m), period)
         robot.step(wheel_speeds(speed, speed * curvature, robot.body))
-    touched, moved = robot.bumped(), speed > 0.0
-    halt(robot, settings)
+    touched = robot.bumped()
+    halt(robot)
     if touched:
-        back_off(robot, settings)
-    return moved
+        back_off(robot)
+    return touched or speed > 0.0
 
 
-def back_off(robot: Robot, settings: DriveSettings) -> None:
+def back_off(robot: Robot) -> None:
     """Roll back a little from the contact."""
     start, deadline = robot.wheel_angle(), robot.time() + 3 * BACK_M / BACK_MPS
     while travelled(robot, start) > -BACK_M and robot.time() < deadline:
         robot.step(wheel_speeds(-BACK_MPS, 0.0, robot.body))
-    halt(robot, settings)
+    halt(robot)
 
 
-def halt(robot: Robot, settings: DriveSettings) -> None:
+def halt(robot: Robot) -> None:
     for _ in range(max(1, round(REST_S / CONTROL_PERIOD_S))):
         robot.step(wheel_speeds(0.0, 0.0))
 

@@ -65,7 +65,7 @@ def write_log(
     work = path.with_name(f"{path.name}.parts")
     if holds(path, key):
         log.warning("%s is complete already", path)
-        _remove_parts(work)
+        remove_files(work, PARTS)
         return
     for orphan in path.parent.glob(f"{escape(path.name)}.*{PART}"):  # of a process that was stopped while it wrote
         orphan.unlink()
@@ -74,14 +74,15 @@ def write_log(
     world = TracedWorld(settings)
     build_s = time.perf_counter() - start
     seen = _drive(world, seed, recording, progress)
-    check_space(path, 2 * PICTURE_BYTES * len(seen.picture_time))
+    pictures = PICTURE_BYTES * len(seen.picture_time)  # each is first in a part and then in the log
+    check_space(path, pictures + max(pictures - sum(part.stat().st_size for part in list_files(work, PARTS)), 0))
     parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
     with Renderers(draw_part, workers or count_renderers(len(seen.picture_time)), build_s) as renderers:
         _draw(renderers, parts, progress)
     topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
     write_robot(path, settings)
     write_mcap(path, topics, key, lambda *done: progress("log write", *done))
-    _remove_parts(work)
+    remove_files(work, PARTS)
 
 
 def _claim(work: Path, key: str) -> None:
@@ -146,8 +147,3 @@ def _is_intact(path: Path) -> bool:
     with suppress(DamagedError):
         return bool(read_part(path))
     return False
-
-
-def _remove_parts(work: Path) -> None:
-    if work.is_dir():
-        remove_files(work, PARTS)

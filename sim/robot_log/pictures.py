@@ -58,7 +58,6 @@ def open_camera(settings: SimSettings) -> Sense:
     return sense
 
 
-@lru_cache(maxsize=1)
 def read_pictures(path: Path) -> list[np.ndarray]:
     """The JPEG files of a part, each (n,) uint8; raises DamagedError."""
     stored = read_arrays(path)

@@ -45,6 +45,17 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["movie.1.deepgps-part", "value.json"]
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, InputError, WorkError, RuntimeError])
+def test_whatever_ends_a_write_no_part_stays(error, tmp_path):
+    def fail(part: Path) -> None:
+        part.write_text("half")
+        raise error
+
+    with pytest.raises(error):
+        write_atomic(tmp_path / "x", fail)
+    assert not any(tmp_path.iterdir())
+
+
 def test_equal_arrays_give_equal_bytes(tmp_path):
     for name in ("one", "two"):
         write_arrays(tmp_path / f"{name}.npz", {"x": np.arange(5), "y": np.eye(2)})
@@ -100,14 +111,16 @@ def test_json_of_an_earlier_version_has_no_checksum_and_is_read(tmp_path: Path):
     assert read_json(tmp_path / "old.json") == VALUE
 
 
-def test_a_sum_beside_a_file_tells_whether_it_changed(tmp_path: Path):
-    path = tmp_path / "table.parquet"
+@pytest.mark.parametrize("name", [b"table.parquet", "Möbel.csv".encode(), b"M\xf6bel.csv"])
+def test_a_sum_beside_a_file_tells_whether_it_changed(name: bytes, tmp_path: Path):
+    path = tmp_path / os.fsdecode(name)
     path.write_bytes(b"figures")
     check_sum(path)  # an earlier version wrote none
     write_sum(path)
     check_sum(path)
+    assert path.with_name(f"{path.name}.sha256").read_bytes()[64:] == b"  " + name + b"\n"
     flip(path, 3)
-    with pytest.raises(DamagedError, match=r"table\.parquet"):
+    with pytest.raises(DamagedError, match=re.escape(path.name)):
         check_sum(path)
 
 
@@ -196,6 +209,22 @@ def test_a_file_for_which_there_is_no_space_is_one_clear_line(write, tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == {"x.npy": b"old"}
+
+
+@pytest.mark.parametrize("written_mb", [0, 2, 3])
+def test_an_error_is_no_full_disk_where_the_rest_has_space(written_mb, tmp_path):
+    def fail(part: Path) -> None:
+        part.write_bytes(bytes(written_mb << 20))
+        raise RuntimeError("writer failed")
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4 << 20, before[1]))
+    try:
+        with pytest.raises(RuntimeError, match="writer failed"):
+            write_atomic(tmp_path / "x", fail, 4 << 20)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts a small disk")

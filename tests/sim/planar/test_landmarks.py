@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from deepgps.alignment import fit_alignment
 from deepgps.data.dead_reckoning import dead_reckon
@@ -15,7 +16,15 @@ from sim.planar.drive import choose_heading, count_drive, drive_segments
 from sim.planar.landmarks import LandmarkWorld, collect, lay_free_space, lay_grid
 from sim.recording.format import Recording, Truth, check_recording, open_recording, open_truth
 from sim.rng import stream
-from sim.settings import DriveSettings, EncoderSettings, GridSettings, LandmarksSettings, SimSettings
+from sim.settings import (
+    LARGEST_GRID,
+    DriveSettings,
+    EncoderSettings,
+    GridSettings,
+    LandmarksSettings,
+    ObstaclesSettings,
+    SimSettings,
+)
 
 SETTINGS = SimSettings(
     world="landmarks",
@@ -166,3 +175,21 @@ def test_the_papers_grid_has_128_positions_a_side_and_reaches_the_walls():
     grid = lay_grid(LandmarkWorld(settings, 0), settings)
     assert grid.shape == (128 * 128, 1, 3)
     assert (grid[..., :2].min(), grid[..., :2].max()) == (-1.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("world", "groups"),
+    [
+        ("landmarks", {"landmarks": LandmarksSettings(side_m=100.0)}),
+        ("landmarks", {"landmarks": LandmarksSettings(count=4096)}),
+        ("obstacles", {"obstacles": ObstaclesSettings(side_m=20.0)}),
+    ],
+)
+def test_a_test_grid_beyond_the_memory_is_refused_with_the_spacing_that_is_allowed(world, groups):
+    with pytest.raises(ValidationError, match=r"grid.spacing_m 0.005 m must be at least .* m in a square") as refused:
+        SimSettings(world=world, grid=GridSettings(spacing_m=0.005), **groups)
+    least_m = float(str(refused.value).partition("at least ")[2].split()[0])
+    allowed = SimSettings(world=world, grid=GridSettings(spacing_m=least_m), **groups)
+    if world == "landmarks":
+        positions = lay_grid(LandmarkWorld(allowed, 0), allowed).size / 3
+        assert 0.9 < positions * allowed.landmarks.count / LARGEST_GRID <= 1.0

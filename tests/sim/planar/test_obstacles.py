@@ -73,6 +73,14 @@ def test_scans_are_the_distances_to_the_nearest_edges():
             assert scan[heading, ray] == pytest.approx(meet_edges(edges, pose[:2], angle), abs=1e-6)
 
 
+@given(quarter=st.integers(0, 3), seed=st.integers(0, 50))
+@settings(max_examples=25, deadline=None)
+def test_rays_along_the_walls_are_like_their_neighbours(quarter: int, seed: int):
+    pose = free_poses(1, seed)[0]
+    pose[2] = quarter * np.pi / 2
+    np.testing.assert_allclose(WORLD.observe(pose), WORLD.observe(pose + [0, 0, 1e-7]), atol=1e-5)
+
+
 @given(turn=st.integers(-300, 300), seed=st.integers(0, 50))
 @settings(max_examples=25, deadline=None)
 def test_turning_shifts_the_rays_in_a_circle(turn: int, seed: int):

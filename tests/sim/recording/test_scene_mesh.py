@@ -115,6 +115,19 @@ def test_an_endless_floor_ends_beyond_the_room(shapes: dict[str, trimesh.Trimesh
     assert 4 < extent.min() == extent.max() < 40
 
 
+@pytest.mark.parametrize("floor", ["", 'pos="-30 0 0"'])
+def test_an_endless_floor_reaches_what_stands_in_bodies(floor: str, tmp_path: Path) -> None:
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1" {floor}/>
+        <body pos="20 0 0"><body pos="0 30 0"><geom name="box" type="box" size="1 1 1"/></body></body>
+        </worldbody></mujoco>"""
+    )
+    write_scene(model, tmp_path / "scene.glb")
+    scene = trimesh.load_scene(tmp_path / "scene.glb")
+    low, high = scene.geometry["floor"].copy().apply_transform(scene.graph["floor"][0]).bounds
+    assert (low[:2] < (19, 29)).all() and (high[:2] > (21, 31)).all()
+
+
 def material(shape: trimesh.Trimesh) -> Any:
     return cast(TextureVisuals, shape.visual).material
 

@@ -2,12 +2,16 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from sim.errors import InputError
+from sim.files import write_json
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.derive import OF_IMAGES
-from sim.recording.format import check_recording, read_manifest
+from sim.recording.derive import OF_IMAGES, explain_misfit
+from sim.recording.format import check_recording, open_recording, read_manifest
+from sim.recording.manifest import SCHEMA
 from sim.recording.training_drive import has_same_training_drive
 from sim.settings import SimSettings
 
@@ -68,6 +72,16 @@ def test_the_shared_drive_has_the_bytes_of_one_of_its_own(groups, plain, base, t
     assert (read_manifest(tmp_path / "shared").model_extra or {})["derived_from"] == base.parent.name
 
 
+def test_only_what_is_drawn_needs_space_and_renderers(plain, base, tmp_path, monkeypatch):
+    spaces, images = [], []
+    monkeypatch.setattr(collecting, "check_space", lambda _, needed: spaces.append(needed))
+    monkeypatch.setattr(collecting, "count_renderers", lambda count: images.append(count) or 1)
+    collect(change(plain, deployment={"light": 0.3}), 0, tmp_path / "shared", quiet, base=base)
+    tests = open_recording(tmp_path / "shared").test_observation
+    assert images == [np.prod(tests.shape[:2])]
+    assert spaces == [2 * tests.nbytes]  # in a part, and in the recording
+
+
 @pytest.mark.parametrize(
     "groups",
     [
@@ -87,6 +101,20 @@ def test_another_seed_or_world_is_not_shared(plain, base):
     assert has_same_training_drive(base, plain, 0)
     assert not has_same_training_drive(base, plain, 1)
     assert not has_same_training_drive(base, plain.model_copy(update={"world": "landmarks"}), 0)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"drive": {"samples": "many"}}, "manifest: settings.drive.samples cannot be used"),
+        ({"world": "landmarks", "grid": {"held_out": 5}}, "manifest: settings cannot be used: .* needs world room"),
+    ],
+)
+def test_settings_that_cannot_be_used_are_one_clear_line(settings, message, plain, tmp_path):
+    write_json(tmp_path / "manifest.json", {"schema": SCHEMA, "seed": 0, "settings": settings})
+    for compare in (has_same_training_drive, explain_misfit):
+        with pytest.raises(InputError, match=message):
+            compare(tmp_path, plain, 0)
 
 
 def test_cut_off_it_continues_to_the_same_bytes(plain, base, tmp_path, monkeypatch):

@@ -12,6 +12,7 @@ from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
 from sim.robot.headings import DriveMode
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
+from sim.robot.motion import drive_arc
 from sim.robot.range_finder import ANGLE
 from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
@@ -211,10 +212,45 @@ def test_stall_ends_a_segment_and_drops_its_last_samples(fault):
     assert distances(segment)[-1] > 0.7 - 2 * UNCERTAIN_M
 
 
+class TouchedOnce(Toy):
+    """It touches something after some distance, until it rolls back."""
+
+    def __init__(self, touch_m: float) -> None:
+        super().__init__("none", np.inf)
+        self.touch_m, self.taken, self.rolled_back, self.period = touch_m, 0, False, CONTROL_PERIOD_S
+
+    def step(self, wheel_speed):
+        super().step(wheel_speed)
+        self.rolled_back |= np.mean(wheel_speed) < -0.1
+
+    def bumped(self):
+        return self.travelled_m >= self.touch_m and not self.rolled_back
+
+    def snapshot(self):
+        self.taken += not self.rolled_back
+        return super().snapshot()
+
+
+@pytest.mark.parametrize("touch_m", [0.02, 0.05, 0.1])
+def test_samples_of_a_segment_too_short_to_keep_are_counted_as_dropped(touch_m):
+    toy = TouchedOnce(touch_m)
+    segment = next_segment(toy, DriveSettings(spacing_m=0.01), np.random.default_rng(0), DriveMode())
+    assert segment.ended == "range"
+    assert segment.dropped == toy.taken > touch_m / 0.01
+
+
 def test_toy_without_fault_stops_before_the_wall():
     segment = next_segment(Toy("none", np.inf), DriveSettings(), np.random.default_rng(0), DriveMode(True))
     assert segment.ended == "range"
     assert distances(segment)[-1] == pytest.approx(1.0 - RADIUS_M - 0.04, abs=0.004)
+
+
+@pytest.mark.parametrize(("bumps", "wall_m"), [(True, 2.0), (True, 0.1), (False, 2.0), (False, 0.1)])
+def test_an_arc_says_that_the_robot_moved_if_its_wheels_turned(bumps, wall_m, monkeypatch):
+    toy = Toy("none", np.inf)
+    monkeypatch.setattr(toy, "bumped", lambda: bumps)
+    monkeypatch.setattr(toy, "ranges", lambda reach_m, turned_rad=0.0: np.full(len(ANGLE), min(wall_m, reach_m)))
+    assert drive_arc(toy, DriveSettings(), 0.5, 1.0) == toy.wheel_angle().any() == (bumps or wall_m > 1.0)
 
 
 def test_robot_walled_in_is_stuck():

@@ -14,11 +14,12 @@ from sim.files import write_arrays, write_json
 from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
 from sim.robot.model import WHEEL_RADIUS_M
+from sim.robot_log import log as writing
 from sim.robot_log.check import check_log, robot_file
 from sim.robot_log.clocks import EPOCH_NS, make_base_clock
 from sim.robot_log.log import write_log
 from sim.robot_log.robot_yaml import write_robot
-from sim.settings import DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
+from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 20
 IMAGE = "/camera/image_raw/compressed"
@@ -158,7 +159,7 @@ def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording,
     assert {one.name for one in tmp_path.iterdir()} == {"again.mcap", "again.robot.yaml"}
 
 
-def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tmp_path, caplog):
+def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tmp_path, caplog, monkeypatch, log):
     def stop(stage: str, *_: int) -> None:
         if stage == "log write":
             raise KeyboardInterrupt
@@ -168,7 +169,11 @@ def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tm
     assert not (tmp_path / "a.mcap").exists()
     part = tmp_path / "a.mcap.parts" / "picture-000000.npz"
     part.write_bytes(part.read_bytes()[:-100])
+    asked, there = [], sum(file.stat().st_size for file in part.parent.iterdir())
+    monkeypatch.setattr(writing, "check_space", lambda _, needed: asked.append(needed))
     write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", quiet, workers=1)
+    pictures = writing.PICTURE_BYTES * len(log[IMAGE])
+    assert asked == [2 * pictures - there]
     assert "a.mcap.parts holds the beginning of this log: it is continued" in caplog.text
     assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
     assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
@@ -194,6 +199,15 @@ def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(path, settin
     write_log(here, settings, SEED, recording, "another key", quiet, workers=1)
     assert here.read_bytes() != path.read_bytes()
     assert len(read(here)[IMAGE]) == len(read(path)[IMAGE])
+
+
+def test_a_log_in_the_place_of_another_has_pictures_of_its_own(settings, recording, tmp_path):
+    pictures = []
+    for roll_deg in (0.0, 10.0):
+        leaning = settings.model_copy(update={"camera_mount": CameraMountSettings(roll_deg=roll_deg)})
+        write_log(tmp_path / "a.mcap", leaning, SEED, recording, f"{roll_deg}", quiet, workers=1)
+        pictures.append([message.content.data.tobytes() for message in read(tmp_path / "a.mcap")[IMAGE]])
+    assert not set(pictures[0]) & set(pictures[1])
 
 
 def test_the_description_of_the_robot_names_topics_of_the_log(path, log):
