@@ -10,6 +10,7 @@ from deepgps.adopted_recording import choose_folder
 from deepgps.viewer.run.recording import find_recording
 from sim.recording.format import check_recording, has_truth, open_recording, open_truth
 from sim.recording.manifest import ObservationKind
+from tests.helpers.command import deepgps_here
 from tests.helpers.toy import make_toy
 
 QUICK = {"learn.train.steps": 20, "learn.network.width": 16, "learn.fold.restarts": 0, "learn.train.segments": 4}
@@ -92,6 +93,20 @@ def test_with_the_truth_it_is_also_evaluated(drive: dict, tmp_path: Path):
     assert "flipped" not in run.metrics["methods"]["knn"], "test positions of one's own need not form a grid"
     assert find_recording(run.folder).stat().st_size > 10_000
     assert (run.folder / "recording").resolve() == folder.resolve()
+
+
+def test_with_the_truth_but_no_test_images_it_is_trained_and_nothing_is_measured(drive: dict, tmp_path: Path):
+    arrays = {**drive["arrays"], "test_observations": None}
+    folder = deepgps.write_recording(tmp_path / "mine", **arrays, pose=drive["truth"]["pose"])
+    for command in ("run", "evaluate"):
+        done = deepgps_here(command, "mine", "--methods", "knn", "--out", command, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        (line,) = done.stdout.splitlines()
+        assert line.startswith(f"{command}: all methods are trained; errors cannot be measured, since the recording")
+        assert (tmp_path / command / "knn" / "positioner.json").is_file()
+        assert not (tmp_path / command / "metrics.json").exists()
+    run = deepgps.train(folder, ["knn"], tmp_path / "run", progress=False)
+    assert run.methods == ("knn",)
 
 
 @pytest.mark.slow
