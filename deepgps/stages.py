@@ -143,6 +143,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     """
     from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
+    from deepgps.learning.trainer import describe_device
 
     metrics = read_measured(folder)
     if metrics and set(scenario.methods) <= set(name_methods(metrics["methods"])):
@@ -157,7 +158,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
     head = {"scenario": scenario.title, "seed": scenario.seed}
-    made_with = describe_environment(folder, scenario.learn.train.device)
+    made_with = describe_environment(folder, describe_device(scenario.learn.train.device))
     tail = {"timing_s": stage_times(folder), "environment": made_with}
     write_json(folder / "metrics.json", {**head, **measured, **tail})
     return read_json(folder / "metrics.json")

@@ -17,6 +17,7 @@ from deepgps.bench.paper import measure_paper
 from deepgps.bench.rows import KEPT, Row, write_bench
 from deepgps.bench.speed import measure_speed, measure_spread
 from deepgps.evaluation.evaluate import evaluate
+from deepgps.learning.trainer import describe_device
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
 from deepgps.progress import Report, ignore
 from deepgps.provenance import describe_environment
@@ -143,7 +144,7 @@ def measure(
         progress("bench", number, len(parts))
         rows += part()
     progress("bench", len(parts), len(parts))
-    return rows, describe_environment(demo)
+    return rows, describe_environment(demo, describe_device(scenario.learn.train.device))
 
 
 def measure_demo(size: Size, folder: Path) -> list[Row]:

@@ -157,6 +157,7 @@ def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_p
         "test_pose: .* test positions need their poses": {"pose": truth["pose"]},
         "pose: test_pose and free_space need": {"test_pose": truth["test_pose"]},
         "pose and test_pose: must be finite": {**truth, "pose": np.full((count, 3), np.nan)},
+        "pose: covers .* x .* m, more than the 10000 m2 .*; give free_space": {**truth, "pose": truth["pose"] * 1000.0},
         "most of them|most|impossible|cannot be": {"time": arrays["time"][::-1]},
     }.items():
         with pytest.raises(deepgps.InputError, match=message) as caught:
@@ -170,6 +171,17 @@ def test_a_folder_that_holds_something_is_left_alone(drive: dict, tmp_path: Path
     with pytest.raises(deepgps.InputError, match="is not empty; a recording is written to a folder of its own"):
         deepgps.write_recording(tmp_path, **drive["arrays"])
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_recording_that_was_interrupted_is_written_by_the_same_call(
+    drive: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with monkeypatch.context() as broken:
+        broken.setattr("deepgps.api.record.check_recording", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"])
+    assert list(tmp_path.iterdir()) == []
+    check_recording(deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"]))
 
 
 def test_another_recording_in_the_same_run_folder_is_refused(tmp_path: Path):
