@@ -12,7 +12,7 @@ from deepgps.adopted_recording import find_adopted
 from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
-from deepgps.run_folder import RUN, find_place
+from deepgps.run_folder import RUN, WITHOUT_TRUTH, find_place
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
@@ -166,7 +166,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
 
 def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
     """Write what can be said of all methods without the truth: ``without_truth.json``."""
-    from deepgps.evaluation.without_truth import FILE, judge, read_judged
+    from deepgps.evaluation.without_truth import judge, read_judged
 
     judged = read_judged(folder)
     if judged and set(scenario.methods) <= set(judged["methods"]):
@@ -174,7 +174,7 @@ def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -
     with timed(folder, "evaluate"):
         judged = judge(folder, scenario, progress)
     remove_recording_of_run(folder)
-    write_json(folder / FILE, judged)
+    write_json(folder / WITHOUT_TRUTH, judged)
     return judged
 
 

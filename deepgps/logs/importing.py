@@ -135,7 +135,7 @@ def _write(
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
-            described = {**about, **describe(config, source, drive, choice.train, len(choice.test.observation))}
+            described = {**about, **describe(config, source, drive, choice.train, choice.test)}
             described["notes"] = [*notes, *([damage] if damage else [])]
             _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
         return described

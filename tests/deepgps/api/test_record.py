@@ -184,6 +184,16 @@ def test_a_recording_that_was_interrupted_is_written_by_the_same_call(
     check_recording(deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"]))
 
 
+def test_a_drive_whose_length_is_not_recorded_is_measured_by_the_wheels(tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=300)
+    assert toy.manifest.distance_driven_m is None and toy.manifest.segments is None
+    run = deepgps.train(toy.folder, ["knn"], tmp_path / "run", progress=False)
+    pose, (segment, image) = open_truth(toy.folder).pose, toy.reading[:, :2].T
+    way = np.linalg.norm(np.diff(pose[image, :2], axis=0), axis=1)[np.diff(segment) == 0].sum()
+    said = run.report().replace("\n", " ")
+    assert f"{len(pose)} observations on {len(np.unique(segment))} straight segments, {way:.0f} m driven" in said
+
+
 def test_another_recording_in_the_same_run_folder_is_refused(tmp_path: Path):
     toys = [make_toy(tmp_path / f"toy{seed}", samples=60, seed=seed).folder for seed in (0, 1)]
     deepgps.train(toys[0], out=tmp_path / "run", settings={**QUICK, "name": "toy"}, progress=False)
