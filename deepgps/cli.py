@@ -59,7 +59,7 @@ def run_command(words: Sequence[str]) -> None:
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
     from deepgps.run_folder import find_place
-    from deepgps.stages import check_log, choose_renderer_for, list_undriven, write_log
+    from deepgps.stages import NO_TESTS, check_log, choose_renderer_for, list_undriven, write_log
 
     arguments, source = parse_scenario("run", words, run_command.__doc__)
     scenario, folder = source.scenario, source.folder
@@ -73,9 +73,12 @@ def run_command(words: Sequence[str]) -> None:
         show_progress(errors) as progress,
         _watch(arguments, scenario, place, progress) as report,
     ):
-        run(scenario, folder, arguments.fresh, report, source.recording)
+        metrics = run(scenario, folder, arguments.fresh, report, source.recording)
         if arguments.log is not None:
             write_log(scenario, folder, arguments.log, report)
+    if metrics is None:
+        say(f"{folder}: {NO_TESTS}")
+        return
     print_report(folder, console, time.monotonic() - BEGUN)
     say(f"\nlook at it: deepgps view {quote_path(folder)}")
 
@@ -86,7 +89,15 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
     def command(words: Sequence[str]) -> None:
         from deepgps.adopted_recording import link_recording
         from deepgps.run_folder import claim, find_place
-        from deepgps.stages import STAGES, ask_for_device, check_log, choose_renderer_for, list_undriven, write_log
+        from deepgps.stages import (
+            NO_TESTS,
+            STAGES,
+            ask_for_device,
+            check_log,
+            choose_renderer_for,
+            list_undriven,
+            write_log,
+        )
 
         arguments, source = parse_scenario(stage, words, f"{SUMMARIES[stage].capitalize()}.")
         scenario, folder = source.scenario, source.folder
@@ -94,7 +105,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             check_log(arguments.log, scenario)
         elif source.recording is None:
             choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
-        place, left_out = find_place(folder, arguments.fresh), None
+        place, left_out, done = find_place(folder, arguments.fresh), None, None
         with (
             working_in(folder),
             show_progress(errors) as progress,
@@ -106,7 +117,7 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
             if stage != "collect":  # after collecting alone, training may happen on another machine
                 ask_for_device(scenario, place)
             for name, work in STAGES.items():
-                work(scenario, place, report)
+                done = work(scenario, place, report)
                 if name == "collect" and arguments.log is not None:
                     write_log(scenario, place, arguments.log, report)
                 if name == stage:
@@ -117,7 +128,10 @@ def stage_command(stage: str) -> Callable[[Sequence[str]], None]:
                 left_out = describe_left_out(place, scenario.methods)
         if left_out:
             say(left_out)
-        say(f"{stage} is done: {folder}")
+        if stage == "evaluate" and done is None:
+            say(f"{folder}: {NO_TESTS}")
+        else:
+            say(f"{stage} is done: {folder}")
 
     return command
 

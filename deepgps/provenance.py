@@ -10,6 +10,8 @@ from typing import Any
 from sim.processes import usable_cores
 from sim.recording.format import read_manifest
 
+ROOT = Path(__file__).parents[1]
+"""Where the package lies: the root of a clone, or the packages of an installation."""
 NAMED = ("mujoco", "torch", "numpy")
 """Packages that a study's report names."""
 PACKAGES = ("deepgps", "mujoco", "torch", "numpy", "opencv-python-headless", "rerun-sdk")
@@ -43,13 +45,16 @@ def _describe_process() -> dict[str, Any]:
     return {
         "packages": {name: version(name) for name in PACKAGES},
         "python": platform.python_version(),
-        "git": _git_revision(),
+        "git": find_revision(ROOT),
         "cpu": f"{usable_cores()} x {_cpu_name()}",
     }
 
 
-def _git_revision() -> str:
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+def find_revision(root: Path) -> str:
+    """The commit of a repository's root; of an installed package it is not known, whatever repository is around it."""
+    if not (root / ".git").exists():
+        return "unknown"
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
     try:
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):

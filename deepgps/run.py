@@ -16,7 +16,7 @@ from sim.recording.format import has_truth, read_manifest
 
 def run(
     scenario: Scenario, folder: Path, fresh: bool, progress: Report, recording: Path | None = None
-) -> dict[str, Any]:
+) -> dict[str, Any] | None:
     """Run all stages of a scenario.
 
     Args:
@@ -27,7 +27,8 @@ def run(
         recording: A recording that exists already, to which the run links; None: the run drives.
 
     Returns:
-        The contents of ``metrics.json``.
+        The contents of ``metrics.json``, or, of a recording without truth, of ``without_truth.json``; None if the
+        recording holds the truth, but no test observations to measure errors at.
     """
     with claim(scenario, folder, fresh) as place:
         if recording is not None:
@@ -36,7 +37,7 @@ def run(
         collect(scenario, place, progress)
         train(scenario, place, progress)
         metrics = evaluate(scenario, place, progress)
-        if not is_older(folder, RUN):  # which is not changed
+        if metrics is not None and not is_older(folder, RUN):  # which is not changed
             show(scenario, place, progress)
     return metrics
 

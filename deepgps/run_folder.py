@@ -17,6 +17,8 @@ from sim.files import check_lines, remove_empty, remove_files, sweep, write_line
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
+WITHOUT_TRUTH = "without_truth.json"
+"""Figures of a run on a recording without truth, in place of ``metrics.json``."""
 FEATURE_FILES = r"features\.(safetensors|key)"
 
 
@@ -209,7 +211,9 @@ def describe_work(folder: Path) -> str:
         [
             "a recording" if is_whole(folder / "recording") else "no finished recording",
             f"trained {' and '.join(trained)}" if trained else "nothing trained",
-            "measured" if (folder / "metrics.json").is_file() else "not measured",
+            "measured"
+            if any((folder / name).is_file() for name in ("metrics.json", WITHOUT_TRUTH))
+            else "not measured",
         ]
     )
 

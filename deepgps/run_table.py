@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.methods.catalog import title_of
-from deepgps.run_folder import RUN, describe_no_run, list_runs, open_run
+from deepgps.run_folder import RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
 from deepgps.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.spelling import as_option
 from sim.errors import InputError
@@ -68,13 +68,15 @@ def _describe_errors(run: Path) -> str:
             return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
         except (LookupError, TypeError, ValueError, AttributeError):
             raise damaged(path, "it does not list the errors of methods") from None
+    if (run / WITHOUT_TRUTH).is_file():
+        return "no truth"
     return "not measured" if is_whole(run / "recording") else "no finished recording"
 
 
 def _find_time(run: Path) -> float:
     """When a run was measured, or else begun [s]."""
-    path = run / "metrics.json"
-    return (path if path.is_file() else run / RUN.first).stat().st_mtime
+    names = ("metrics.json", WITHOUT_TRUTH, RUN.first)
+    return next(run / name for name in names if (run / name).is_file()).stat().st_mtime
 
 
 @cache

@@ -12,19 +12,20 @@ from deepgps.adopted_recording import find_adopted
 from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
-from deepgps.run_folder import RUN, find_place
+from deepgps.run_folder import RUN, WITHOUT_TRUTH, find_place
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import drop_sum, read_arrays, read_json, write_json
 from sim.recording.derive import derive
-from sim.recording.format import check_recording, has_truth, is_whole
+from sim.recording.format import check_recording, has_truth, is_whole, open_recording
 from sim.renamed import name_methods
 from sim.sensors.catalog import SENSORS, list_carried
 from sim.settings import WorldName
 
 log = logging.getLogger(__name__)
+NO_TESTS = "all methods are trained; errors cannot be measured, since the recording holds no test observations"
 
 
 def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
@@ -120,7 +121,6 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     from deepgps.methods.catalog import folder_of
     from deepgps.methods.fit import fit_method
     from deepgps.methods.positioner import is_finished
-    from sim.recording.format import open_recording
 
     recording = open_recording(folder / "recording")
     seed = training_seed(scenario)
@@ -135,10 +135,11 @@ def training_seed(scenario: Scenario) -> int:
     return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
 
 
-def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
+def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any] | None:
     """Measure all methods; write ``metrics.json``, ``error_field.npz`` and each method's alignment.
 
-    On a recording without truth, ``without_truth.json`` is written in their place.
+    On a recording without truth, ``without_truth.json`` is written in their place. Returns the file's contents; None if
+    the recording holds the truth, but no test observations to measure errors at.
     """
     from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
@@ -150,6 +151,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
         return metrics
     if not has_truth(folder / "recording"):
         return evaluate_without_truth(scenario, folder, progress)
+    if not open_recording(folder / "recording").test_observation.size:
+        return None
     with timed(folder, "evaluate"):
         measured = measure(folder, scenario, progress)
     remove_recording_of_run(folder)
@@ -162,7 +165,7 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
 
 def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
     """Write what can be said of all methods without the truth: ``without_truth.json``."""
-    from deepgps.evaluation.without_truth import FILE, judge, read_judged
+    from deepgps.evaluation.without_truth import judge, read_judged
 
     judged = read_judged(folder)
     if judged and set(scenario.methods) <= set(judged["methods"]):
@@ -170,7 +173,7 @@ def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -
     with timed(folder, "evaluate"):
         judged = judge(folder, scenario, progress)
     remove_recording_of_run(folder)
-    write_json(folder / FILE, judged)
+    write_json(folder / WITHOUT_TRUTH, judged)
     return judged
 
 

@@ -1,8 +1,9 @@
 """A recording of one's own data, as of a real robot: written from arrays, checked, and ready for training."""
 
-from collections.abc import Mapping, Sequence
-from os import listdir
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import check_turns
 from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
-from sim.user_input import quote
+from sim.user_input import quote, shorten
 
 Values = np.ndarray | Sequence[Any]
 """An array, or nested sequences of numbers or arrays."""
@@ -41,6 +42,7 @@ SETTINGS: dict[ObservationKind, dict[str, Any]] = {
 }
 """Settings that give a scenario these observations."""
 CELL_M = 0.02
+MOST_CELLS = 25_000_000
 NEAR_M = 0.15
 """Without a map, the floor within this distance of a true pose counts as free [m]."""
 
@@ -70,7 +72,8 @@ def write_recording(
     are read at every observation.
 
     Args:
-        folder: Where to write it; must be empty or not exist.
+        folder: Where to write it; must be empty or not exist, and no link, mount point or working folder. If writing
+            is interrupted, it is not there.
         observations: In the order driven: polar images (N, rings, sectors, 3) uint8, which ``unwrap_fisheye`` makes;
             scans (N, headings, rays) [m]; or vectors such as distances to landmarks (N, M).
         readings: Readings of the encoders (R, 4), int: number of the segment, number of the observation, cumulative
@@ -102,7 +105,7 @@ def write_recording(
         InputError: The folder is not empty, an array has the wrong shape, or the readings are impossible.
     """
     folder = Path(folder)
-    _check_folder(folder)
+    check_place(folder)
     if kind not in SENSORS:
         raise InputError(f"kind {quote(kind)}: must be {', '.join(SENSORS)}")
     observation, sensor = _take(observations, DIMENSIONS[kind], "observations", kind), SENSORS[kind]
@@ -135,21 +138,47 @@ def write_recording(
         **(about or {}),
     }
     if known is not None:
-        save_free_space(folder / "truth" / "free_space.npz", known.free_space)
         arrays |= {"truth/pose.npy": known.pose, "truth/test_pose.npy": known.test_pose}
         arrays |= {"truth/reading.npy": known.reading, "truth/wheel_angle.npy": known.wheel_angle}
-    write_files(folder, arrays, manifest)
-    check_recording(folder)
+    with write_aside(folder) as place:
+        if known is not None:
+            save_free_space(place / "truth" / "free_space.npz", known.free_space)
+        write_files(place, arrays, manifest)
+        check_recording(place)
     return folder
 
 
-def _check_folder(folder: Path) -> None:
+def check_place(folder: Path) -> None:
+    """Raise InputError if a finished recording could not be moved to this place."""
     try:
-        names = listdir(folder) if folder.exists() else []
+        above = next(place for place in folder.absolute().parents if place.exists())
+        if not above.is_dir():
+            why = f"cannot be made: {shorten(str(above), 300)} is no folder"
+        elif folder.is_symlink():
+            why = "is a link"
+        elif folder.absolute().is_mount():
+            why = "is a mount point"
+        elif folder.exists() and folder.samefile("."):
+            why = "is the working folder"
+        elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            why = "is not empty"
+        else:
+            return
     except OSError as error:
-        raise InputError(f"folder {folder}: {error.strerror}") from None
-    if names:
-        raise InputError(f"folder {folder} is not empty; a recording is written to a folder of its own")
+        why = f"cannot be read: {error.strerror}"
+    raise InputError(f"{shorten(str(folder), 300)} {why}; a recording is written to a folder of its own")
+
+
+@contextmanager
+def write_aside(folder: Path) -> Iterator[Path]:
+    """Make a place beside a folder, to which what is written there moves at the end; a failure leaves nothing of it."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name[:60]}.") as aside:
+        place = Path(aside) / "recording"
+        yield place
+        if folder.exists():
+            folder.rmdir()
+        place.replace(folder)
 
 
 def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarray:
@@ -263,8 +292,18 @@ def _take_truth(
 
 
 def find_free_space(places: np.ndarray) -> FreeSpace:
-    """The floor within ``NEAR_M`` of places (N, 2) [m] where the robot has been, as a map."""
+    """The floor within ``NEAR_M`` of places (N, 2) [m] where the robot has been, as a map.
+
+    Raises:
+        InputError: The places are too far apart for a map.
+    """
     low, high = places.min(axis=0) - 2 * NEAR_M, places.max(axis=0) + 2 * NEAR_M
+    width_m, depth_m = high - low
+    if width_m * depth_m > MOST_CELLS * CELL_M**2:
+        raise InputError(
+            f"pose: covers {width_m:g} x {depth_m:g} m, more than the {MOST_CELLS * CELL_M**2:g} m2 of which a map can "
+            "be made; give free_space, or positions in metres"
+        )
     x, y = (np.arange(first, last, CELL_M) for first, last in zip(low, high, strict=True))
     cells = np.stack(np.meshgrid(x, y), axis=-1)
     distance, _ = KDTree(places).query(cells.reshape(-1, 2), distance_upper_bound=NEAR_M)

@@ -16,7 +16,6 @@ from deepgps.source import refuse_settings_of_drive
 from deepgps.spelling import as_key
 from deepgps.stages import choose_renderer_for, evaluate, list_undriven
 from deepgps.stages import train as train_methods
-from sim.recording.format import has_truth, open_recording
 
 
 def simulate(
@@ -90,8 +89,7 @@ def train(
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)
         train_methods(scenario, place, report)
-        if not has_truth(home) or len(open_recording(home).test_observation):
-            evaluate(scenario, place, report)
+        evaluate(scenario, place, report)
     return load(folder)
 
 

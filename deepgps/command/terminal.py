@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.text import Text
 
 LOGGERS = ("sim", "deepgps")
 LEAST_COLUMNS = 40
@@ -36,9 +37,8 @@ def quote_path(path: Path) -> str:
 
 def print_error(kind: str, text: Exception | str) -> None:
     """Print ``kind: text`` as one line on standard error, the kind in its colour; without a kind, the text alone."""
-    colour = "yellow" if kind == "warning" else "red"
-    head = f"[{colour}]{kind}:[/{colour}] " if kind else ""
-    errors.print(head + _escape(text), soft_wrap=True)
+    head = [(f"{kind}:", "yellow" if kind == "warning" else "red"), " "] if kind else []
+    errors.print(Text.assemble(*head, " ".join(str(text).split())), soft_wrap=True)
 
 
 class Warnings(logging.Handler):
@@ -79,8 +79,3 @@ def _silence_caches() -> None:
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
     if not os.path.isdir(os.environ.get("XDG_CACHE_HOME") or os.sep):
         os.environ.setdefault("MESA_SHADER_CACHE_DISABLE", "true")
-
-
-def _escape(text: Exception | str) -> str:
-    """The text as one line, escaped so that rich prints it literally."""
-    return " ".join(str(text).split()).replace("[", "\\[")

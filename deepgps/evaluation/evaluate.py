@@ -21,7 +21,7 @@ from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.flipped import measure_flipped
 from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import add_expected, find_true_camera, judge_map, place_map, read_known_map
-from deepgps.evaluation.segment_errors import judge_encoders
+from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
@@ -120,9 +120,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
     return {
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
         "shorter_side_m": side_m,
-        "samples": len(recording.observation),
-        "segments": recording.manifest.segments,
-        "distance_driven_m": recording.manifest.distance_driven_m,
+        **describe_drive(recording),
         **count_readings(recording),
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),

@@ -10,7 +10,7 @@ from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
 from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.segments import read_segments
 from deepgps.evaluation.error_field import find_rms
-from sim.recording.format import Recording, Truth
+from sim.recording.format import Recording, Truth, measure_driven
 from sim.settings import EncoderSettings
 
 HEADED_BY_M = 3.0
@@ -37,6 +37,19 @@ def judge_encoders(recording: Recording, truth: Truth) -> dict[str, Any]:
         "segments_wrong": int(wrong.sum()),
         "segments_down_weighted": int(doubted.sum()),
         "wrong_doubted": int((wrong & doubted).sum()),
+    }
+
+
+def describe_drive(recording: Recording) -> dict[str, Any]:
+    """Observations, straight segments and distance driven [m]; what the manifest does not say, by the readings."""
+    about, segment = recording.manifest, recording.reading[:, 0]
+    segments, driven_m = about.segments, about.distance_driven_m
+    if driven_m is None:
+        driven_m = measure_driven(segment, travel(recording.reading[:, 2:], about.odometry).mean(axis=1))
+    return {
+        "samples": len(recording.observation),
+        "segments": len(np.unique(segment)) if segments is None else segments,
+        "distance_driven_m": driven_m,
     }
 
 

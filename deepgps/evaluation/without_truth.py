@@ -20,11 +20,13 @@ from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
+from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, headings_of, load_positioner, read_training
 from deepgps.progress import Report, ignore
+from deepgps.run_folder import WITHOUT_TRUTH
 from deepgps.scenario import Scenario
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import read_json
@@ -32,8 +34,6 @@ from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import from_array
 
-FILE = "without_truth.json"
-"""Name of the file in a run's folder."""
 FEWEST = 3
 """Fewest images of a segment that can be off a straight line."""
 
@@ -59,11 +59,9 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
             methods[name] = _judge_method(folder_of(run, name), recording, held_out)
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
-        "samples": len(recording.observation),
-        "segments": recording.manifest.segments,
-        "distance_driven_m": recording.manifest.distance_driven_m,
+        **describe_drive(recording),
         **count_readings(recording),
-        **({} if held_out is None else {"held_out": _describe_drive(held_out)}),
+        **({} if held_out is None else {"held_out": describe_drive(held_out)}),
         "wheels": _diagnose_wheels(run, opened),
         "methods": methods,
     }
@@ -80,14 +78,9 @@ def _diagnose_wheels(run: Path, recording: Recording) -> list[str] | None:
 def read_judged(run: Path) -> dict[str, Any] | None:
     """The contents of a run's ``without_truth.json``; None if there is no such file or it is damaged."""
     try:
-        return read_json(run / FILE) if (run / FILE).is_file() else None
+        return read_json(run / WITHOUT_TRUTH) if (run / WITHOUT_TRUTH).is_file() else None
     except DamagedError:
         return None
-
-
-def _describe_drive(drive: Recording) -> dict[str, Any]:
-    about = drive.manifest
-    return {"samples": about.samples, "segments": about.segments, "distance_driven_m": about.distance_driven_m}
 
 
 def _judge_method(folder: Path, recording: Recording, held_out: Recording | None) -> dict[str, Any]:

@@ -190,7 +190,7 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
         # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
         table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
     for row in rows:
-        table.add_row(*row, style="bold" if row[0] == title_of("deepgps") else None)
+        table.add_row(*map(escape, row), style="bold" if row[0] == title_of("deepgps") else None)
     console.print(table)
     console.print()
     for sentence in describe(metrics, read_times(run, metrics)):
@@ -289,8 +289,9 @@ def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> li
     of_all = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
     rows = [(title_of(name), *of_all)]
     if values.get("accepted") is not None:
-        accepted = ((values.get(f"{key.removesuffix('_m')}_accepted_m"), form) for _, key, form in columns)
-        figures = ("" if value is None else form(value) for value, form in accepted)
+        keys = ("_accepted_".join(key.rpartition("_")[::2]) for _, key, _ in columns)  # of rms_m: rms_accepted_m
+        accepted = (values.get(key) for key in keys)
+        figures = ("" if value is None else form(value) for value, (*_, form) in zip(accepted, columns, strict=True))
         rows.append((f" {100 * values['accepted']:.3g} % accepted", *figures))
     return rows
 

@@ -43,6 +43,7 @@ def print_track(tracked: Tracked, console: Console) -> None:
     console.print(
         f"{title_of(tracked.method)}: {figures['tracked']} of {figures['images']} images tracked; "
         f"{accepted['causal']:.1%} accepted while driving, {accepted['smoothed']:.1%} afterwards.\n",
+        markup=False,
         highlight=False,
         soft_wrap=True,
     )

@@ -50,7 +50,7 @@ def print_without_truth(run: Path, console: Console) -> bool:
     for index, heading in enumerate(headings):
         table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     console.print(table)
     console.print()
     for sentence in describe(found):

@@ -7,12 +7,12 @@ for the images that the recording holds.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
 
-from deepgps.api.record import write_recording
+from deepgps.api.record import check_place, write_aside, write_recording
 from deepgps.logs.containers import Log, open_log
 from deepgps.logs.drive import Drive, find_drive
 from deepgps.logs.joints import WheelLog, open_wheels
@@ -30,7 +30,6 @@ from sim.files import check_space, read_json
 from sim.recording.format import finish_recording
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.settings import CameraSettings
-from sim.user_input import shorten
 
 MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
@@ -85,7 +84,7 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
     Raises:
         InputError: The log or its configuration cannot be used; one line says why, with topic and time.
     """
-    _check_out(out)
+    check_place(out)
     out.parent.mkdir(parents=True, exist_ok=True)
     with open_log(path) as log:
         drive = find_drive(config, *_read(log, config, progress))
@@ -96,24 +95,6 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
         notes = [*log.notes, *drive.notes, *_note_cover(source.topic, drive), *notes]
         return _write(config, source, drive, about, notes, out, progress)
-
-
-def _check_out(out: Path) -> None:
-    """Raise InputError if the finished recording could not be moved to this place."""
-    above = next(place for place in out.absolute().parents if place.exists())
-    if not above.is_dir():
-        why = f"cannot be made: {shorten(str(above), 300)} is no folder"
-    elif out.is_symlink():
-        why = "is a link"
-    elif out.absolute().is_mount():
-        why = "is a mount point"
-    elif out.exists() and out.samefile("."):
-        why = "is the working folder"
-    elif out.exists() and (not out.is_dir() or any(out.iterdir())):
-        why = "is not empty"
-    else:
-        return
-    raise InputError(f"{shorten(str(out), 300)} {why}; a recording is written to a folder of its own")
 
 
 def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, ImageList, PoseLog | None]:
@@ -154,7 +135,7 @@ def _write(
                 raise InputError(damage)
             if len(source.damaged) > before:
                 continue
-            described = {**about, **describe(config, source, drive, choice.train, len(choice.test.observation))}
+            described = {**about, **describe(config, source, drive, choice.train, choice.test)}
             described["notes"] = [*notes, *([damage] if damage else [])]
             _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
         return described
@@ -232,22 +213,18 @@ def _store(
     out: Path,
     about: Mapping[str, Any],
 ) -> None:
-    """Write the recording aside and move it to its place."""
+    """Write the recording and, where it has no truth, what is held out as its drive in use."""
     observation, turn, test, test_turn = np.split(images, np.cumsum([len(part) for part in choice.parts[:-1]]))
     known = _take_poses(config, drive, choice)
     if "pose" in known and len(test):
         known["test_observations"] = test
-    with TemporaryDirectory(dir=out.parent, prefix=f".{out.name[:60]}.") as place:
-        folder = Path(place) / "recording"
+    with write_aside(out) as folder:
         entries = {"source": "log", "log": about}
         _write_plan(config, source, drive, choice.train, observation, turn, folder, entries, known)
         if "pose" not in known and len(choice.test.motions):
             _write_plan(config, source, drive, choice.test, test, test_turn, folder / IN_USE, {"source": "log"}, {})
             manifest = read_json(folder / "manifest.json")
             finish_recording(folder, {name: value for name, value in manifest.items() if name not in WRITTEN_LAST})
-        if out.exists():
-            out.rmdir()
-        folder.replace(out)
 
 
 def _write_plan(

@@ -17,7 +17,7 @@ LEFT_OUT = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown
 """Kinds of motion that hold neither segments nor turns, and their names in the plural."""
 
 
-def describe(config: RobotConfig, source: PolarSource, drive: Drive, train: Plan, held_out: int) -> dict[str, Any]:
+def describe(config: RobotConfig, source: PolarSource, drive: Drive, train: Plan, test: Plan) -> dict[str, Any]:
     """Entries of the manifest on what was imported.
 
     Args:
@@ -25,10 +25,12 @@ def describe(config: RobotConfig, source: PolarSource, drive: Drive, train: Plan
         source: Its images.
         drive: Its drive.
         train: What is learned from.
-        held_out: Number of images that are held out.
+        test: What is held out.
     """
     travelled_m = ticks_to_distance(train.reading[:, 2:], config.wheels.radius_m, config.wheels.ticks_per_rev)
     kind = train.turns[:, 3]
+    tested = config.pose is not None and config.pose.use == "truth"  # test images with a pose, and none after turns
+    used = (train.observation, train.turn_image, test.observation, *(() if tested else (test.turn_image,)))
     return {
         "wheels_topic": config.wheels.topic,
         "camera_topic": source.topic,
@@ -38,8 +40,8 @@ def describe(config: RobotConfig, source: PolarSource, drive: Drive, train: Plan
         "duration_s": round(float(np.ptp(drive.wheels.time_s)), 3),
         "camera": _describe_camera(config, source),
         "images": len(drive.image_s),
-        "images_used": len(train.observation) + len(train.turn_image) + held_out,
-        "held_out": held_out,
+        "images_used": sum(map(len, used)),
+        "held_out": len(test.observation),
         "segments": len(train.motions),
         "segments_m": measure_driven(train.reading[:, 0], travelled_m.mean(axis=1)),
         "turns": {name: int((kind == number).sum()) for number, name in enumerate(KINDS)},

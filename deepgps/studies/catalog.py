@@ -18,6 +18,7 @@ class Report:
             -> seeds and settings of the runs.
         varies: Settings that must vary in the study's cases or axes, by dotted name.
         sets: Settings that the study must set, or vary.
+        fixes: Settings that must be a number in the study's ``set``, and cannot vary.
         gather: (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained.
     """
 
@@ -30,6 +31,7 @@ class Report:
     gather: str | None = None
     varies: tuple[str, ...] = ()
     sets: tuple[str, ...] = ()
+    fixes: tuple[str, ...] = ()
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
@@ -165,7 +167,7 @@ REPORTS: dict[str, Report] = {
         ),
         draw_runs="deepgps.studies.diagnose_runs:draw_runs",
         gather="diagnose:gather_diagnoses",
-        sets=("drive.samples",),
+        fixes=("drive.samples",),
     ),
     "lidar": Report(
         "lidar:report",

@@ -20,8 +20,8 @@ LIMITS: dict[str, tuple[float, float]] = {
 }
 """Smallest and largest strength in the study ``encoder``; errors may have either sign."""
 ALIKE = ("encoder.radius_error_left", "encoder.radius_error_right")
-SHORTER = (1.0, 0.9, 0.8, 0.7, 0.6)
-"""Lengths of the recordings without faults, as parts of the drive."""
+SHORTER = (10, 9, 8, 7, 6)
+"""Lengths of the recordings without faults, in tenths of the drive."""
 ALONE, PAIRS = 11, 2
 """Recordings of each drive with one fault, and with two."""
 WHEEL = "robot.wheel_radius_error"
@@ -41,7 +41,7 @@ def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) ->
     single = 0
     for number, (seed, drive) in enumerate(drives):
         rng = stream(seed, "diagnose", number)
-        samples = int(common["drive.samples"])
+        samples: int = common["drive.samples"]
 
         def add(faults: Point, seed: int = seed, drive: Point = drive, add: Callable = runs.append) -> None:
             add((seed, {**drive, **faults}))
@@ -50,8 +50,8 @@ def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) ->
             add({})
             add(_draw(rng, _choose(rng, 1)))
             continue
-        for part in SHORTER:
-            add({"drive.samples": int(samples * part)})
+        for tenths in SHORTER:
+            add({"drive.samples": samples * tenths // 10})
         for _ in range(len(SHORTER)):
             add(dict.fromkeys(ALIKE, _draw(rng, ALIKE[:1])[ALIKE[0]]))
         for _ in range(ALONE):

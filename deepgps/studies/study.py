@@ -122,6 +122,11 @@ class Study(Variation):
         ):
             if missing := [name for name in names if name not in known]:
                 raise ValueError(f"report {self.report} needs {missing[0]} to {where}")
+        for name in report.fixes:
+            value = self.set.get(name)
+            if name in varied or type(value) is not int:
+                given = "in cases or axes" if name in varied else quote(value) if name in self.set else "missing"
+                raise ValueError(f"report {self.report} needs {name} to be a whole number in set, and it is {given}")
         return self
 
     @model_validator(mode="after")

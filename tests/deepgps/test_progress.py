@@ -95,6 +95,20 @@ def test_bars_are_for_terminals_alone() -> None:
         assert ("\x1b[" in file.getvalue()) == is_terminal
 
 
+def test_a_label_with_brackets_is_no_markup() -> None:
+    file = io.StringIO()
+    with show_progress(Console(file=file, force_terminal=True, width=80)) as report:
+        report("derive from [/x]", 1, 2)
+    assert "derive from [/x]" in file.getvalue()
+
+
+def test_errors_and_warnings_are_printed_as_they_are(capsys) -> None:
+    for text in ("pattern 'a\\[/x]' :smile: [red]", "ends in \\", "[/]"):
+        for kind in ("error", "warning", ""):
+            terminal.print_error(kind, text)
+            assert capsys.readouterr().err == f"{kind}: {text}\n".removeprefix(": ")
+
+
 def test_warnings_of_all_modules_are_one_line_each(capsys) -> None:
     with terminal.show_warnings():
         logging.getLogger("sim.recording.collect").warning("%s was damaged\nand is made again", "features")

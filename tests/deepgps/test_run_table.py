@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.run_folder import claim, default_folder
+from deepgps.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work
 from deepgps.run_table import list_differences, write_age
 from deepgps.scenario import Scenario, load_scenario
 from sim.files import write_json
@@ -41,6 +41,15 @@ def test_runs_are_listed_by_what_they_change(tmp_path: Path):
     assert errors == [f"{nearest} 4.1 (2.0)", f"{nearest} 40.0 (2.0)", "no finished recording"]
     changes = [line[heading.index("differs") :] for line in lines]
     assert changes == ["nothing", "--encoder.step-noise 0.1 --methods knn posenet", "--room.seed 3"]
+
+
+def test_a_run_without_truth_is_listed_as_such_with_the_time_of_its_figures(tmp_path: Path):
+    name = make_run(tmp_path, {}, age_s=90000)
+    write_json(tmp_path / "runs" / "tiny" / name / WITHOUT_TRUTH, {"methods": {}})
+    done = deepgps_here("runs", cwd=tmp_path)
+    line = done.stdout.splitlines()[1]
+    assert [cell for cell in line.split("  ") if cell][1:3] == ["0 s", "no truth"]
+    assert describe_work(tmp_path / "runs" / "tiny" / name).endswith(", measured")
 
 
 def test_what_cannot_be_read_is_said_and_the_others_are_listed(tmp_path: Path):

@@ -52,8 +52,11 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
-    """By what factor changes raise the median of DeepGPS with compass, trained in one light on features of ranks."""
-    ours = [row for row in rows if row["method"] == "deepgps_compass" and row.get(VALUES) == "ranks"]
+    """By what factor changes raise the median of DeepGPS with compass, trained in one light.
+
+    Where features of pixels and of ranks are compared, those of ranks count.
+    """
+    ours = [row for row in rows if row["method"] == "deepgps_compass" and row.get(VALUES, "ranks") == "ranks"]
     changes = group_changes([row for row in ours if not row.get(LIGHT)], [name for name in TITLES if name in rows[0]])
     usual = changes.get(NO_CHANGE, ())
     figures = {}
@@ -67,7 +70,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
-    """Draw median errors for each change, a panel for each light of training; ranks filled, pixels open."""
+    """Draw median errors for each change, a panel for each light of training; open: features of pixels."""
     lights, methods = split_by(rows, LIGHT), find_methods(rows)
     titles = list(group_changes(rows, varied))
     picture = Picture(figsize=(7.4, 1.6 + 0.3 * len(titles)), layout="constrained")
@@ -76,10 +79,10 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         for change, group in group_changes(some, varied).items():
             for number, method in enumerate(methods):
                 at = titles.index(change) + 0.6 * ((number + 0.5) / len(methods) - 0.5)
-                ours = split_by([row for row in group if row["method"] == method], VALUES)
+                ours = split_values([row for row in group if row["method"] == method])
                 for values, same in ours.items():
                     colour = colour_of(method)
-                    inside = colour if values == "ranks" else "white"
+                    inside = "white" if values == "pixels" else colour
                     axes.plot(100 * mean(same, "median_m"), at, "o", color=colour, mfc=inside, ms=5)
         axes.set_title(f"trained in {LIGHTS[light]}", fontsize=9)
         axes.set(xscale="log", ylim=(len(titles) - 0.5, -0.5), xlabel="median error [cm]")
@@ -89,8 +92,10 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
         axes.spines[["top", "right", "left"]].set_visible(False)
     panels[0].set_yticks(range(len(titles)), titles, fontsize=8)
     marks = [Line2D([], [], color=colour_of(name), marker="o", ls="") for name in methods]
-    words = [*map(title_of, methods), "filled: ranks, open: pixels"]
-    marks.append(Line2D([], [], color="grey", marker="o", ls=""))
+    words = list(map(title_of, methods))
+    if VALUES in rows[0]:
+        words.append("filled: ranks, open: pixels")
+        marks.append(Line2D([], [], color="grey", marker="o", ls=""))
     picture.legend(marks, words, loc="outside upper right", ncols=len(marks), frameon=False, fontsize=8)
     return picture
 
@@ -98,10 +103,15 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 def split_trainings(rows: Sequence[Row]) -> Groups:
     """Rows by what the methods learned from: the light of the training drive, and what features are made of."""
     return {
-        f"trained in {LIGHTS[light]}, features of {values}": same
+        f"trained in {LIGHTS[light]}" + (f", features of {values}" if values else ""): same
         for light, some in split_by(rows, LIGHT).items()
-        for values, same in split_by(some, VALUES).items()
+        for values, same in split_values(some).items()
     }
+
+
+def split_values(rows: Sequence[Row]) -> dict[str | None, list[Row]]:
+    """Rows by what features are made of; all under None where a study does not vary it."""
+    return split_by([{VALUES: None, **row} for row in rows], VALUES)
 
 
 def group_changes(rows: Sequence[Row], varied: Sequence[str]) -> Groups:

@@ -15,7 +15,7 @@ import numpy as np
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.figures.run_report import read_metrics
-from deepgps.methods.catalog import METHODS, folder_of
+from deepgps.methods.catalog import METHODS, folder_of, title_of
 from deepgps.methods.fit import fit_method
 from deepgps.methods.pose import locate_camera
 from deepgps.methods.positioner import load_positioner
@@ -26,6 +26,7 @@ from deepgps.stages import training_seed
 from deepgps.studies.reports.change import group_changes
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.table import LEVELS, Row
+from sim.errors import InputError
 from sim.files import read_arrays
 from sim.recording.format import Recording, open_recording
 
@@ -79,7 +80,12 @@ class Drive(NamedTuple):
 
 def add_drives(run: Path, row: Row) -> Row:
     """The drives in use of a run as JSON in one column: its own, and those derived from it if nothing has changed."""
-    use = read_metrics(run)["methods"][row["method"]]["in_use"]
+    use = read_metrics(run)["methods"][row["method"]].get("in_use", {})
+    if "causes" not in use:
+        raise InputError(
+            f"{run}: the report knowing needs a drive in use, and methods that refuse images and name causes, which "
+            f"{title_of(row['method'])} does not"
+        )
     expected = find_expected(row)
     own = Drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
     derived = derive_drives(run, row["method"]) if not expected else ()

@@ -18,12 +18,14 @@ NOISE, SLIP = "encoder.step_noise", "encoder.slip_per_m"
 NOTE = (
     "RMS errors of the initial map at the training images, after a rigid alignment, and the error that the map's own "
     "covariance expects. NEES / 2: squared error over that covariance; 1 if the covariance is right, larger if the map "
-    f"is too sure. Mirrored: maps with a connected patch of more than {MIRRORED_M2:g} m2 of reversed neighbourhoods."
+    f"is too sure. Mirrored: maps with a connected patch of more than {MIRRORED_M2:g} m2 of reversed neighbourhoods. "
+    "Methods without a map by compass are left out."
 )
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A line for each encoder over all rooms, a note, and a line for each map."""
+    rows = _take_maps(rows)
     headings = ["encoder", "maps", "RMS, median [cm]", "RMS, worst [cm]", "expected [cm]", "NEES / 2", "mirrored"]
     cells = []
     for name, group in _split(rows).items():
@@ -46,6 +48,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     """How many maps are mirrored in part; and for each encoder the median RMS and NEES / 2."""
+    rows = _take_maps(rows)
     mirrored = sum(map(is_mirrored, rows))
     figures = {"mirrored": Figure(f"maps mirrored in part, of {len(rows)}", mirrored, "count")}
     for name, group in _split(rows).items():
@@ -59,7 +62,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw each map's error against the error that it expects of itself, a colour for each encoder."""
     picture = Picture(figsize=(5.5, 5), layout="constrained")
     axes = picture.add_subplot()
-    for name, group in _split(rows).items():
+    for name, group in _split(_take_maps(rows)).items():
         errors = 100 * np.array([(row["map_expected_rms_m"], row["map_rms_m"]) for row in group])
         axes.plot(*errors.T, "o", alpha=0.7, label=name)
     limits = np.array([axes.get_xlim(), axes.get_ylim()])
@@ -76,6 +79,11 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 def is_mirrored(row: Row) -> bool:
     """Whether a connected patch of the map larger than ``MIRRORED_M2`` is turned over."""
     return row["map_flipped_m2"] > MIRRORED_M2
+
+
+def _take_maps(rows: Sequence[Row]) -> list[Row]:
+    """The rows of methods with a map by compass; others know no error of theirs."""
+    return [row for row in rows if row["map_rms_m"] is not None]
 
 
 def _split(rows: Sequence[Row]) -> dict[str, list[Row]]:

@@ -9,6 +9,7 @@ and that a distance function that is free to use more than two dimensions needs 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
     names, cells = choices(rows, varied), []
     for key, group in group_rows(rows, names).items():
-        figures = [f"{100 * mean(group, name):.3g}" for name in (*MAPS, "mds_own_m", *PAIRS)]
+        figures = [_write_mean(group, name) for name in (*MAPS, "mds_own_m", *PAIRS)]
         outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
         cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, count_folded(group)])
     return [tabulate(headings, cells), NOTE]
@@ -96,8 +97,10 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     if plane:
         same = [row["mds_own_m"] for row in plane]
         figures["apart"] = mean_of("distance of MDS from own, two outputs", same, "mm")
-        ratios = [row["unjoined_m"] / row["joined_m"] for row in plane]
-        figures["not_joined_ratio"] = mean_of("error of distances, not joined / joined", ratios, "")
+        both = [row for row in plane if row["joined_m"] and row["unjoined_m"] is not None]
+        if both:
+            ratios = [row["unjoined_m"] / row["joined_m"] for row in both]
+            figures["not_joined_ratio"] = mean_of("error of distances, not joined / joined", ratios, "")
     if space:
         figures["planar"] = mean_of("planar, more outputs", [row["planar"] for row in space], "%", at_least=True)
     if plane and space:
@@ -193,7 +196,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
 
 
 def _draw_spectrum(axes: Axes, found: Mapping[str, Distances]) -> None:
-    for (title, one), colour in zip(found.items(), COLOURS, strict=False):
+    for (title, one), colour in zip(found.items(), cycle(COLOURS), strict=False):
         share = (one.eigenvalues / one.eigenvalues[0]).clip(min=1e-8)
         axes.plot(np.arange(1, len(share) + 1), share, "o-", color=colour, label=title, markersize=4)
     axes.set(yscale="log", xlabel="eigenvalue", ylabel="relative to the largest", ylim=(0.5e-8, 2))
@@ -203,7 +206,7 @@ def _draw_spectrum(axes: Axes, found: Mapping[str, Distances]) -> None:
 
 
 def _draw_errors(axes: Axes, found: Mapping[str, Distances]) -> None:
-    for (_, one), colour in zip(found.items(), COLOURS, strict=False):
+    for one, colour in zip(found.values(), cycle(COLOURS), strict=False):
         error, edges = np.abs(one.predicted - one.true), np.arange(0.0, one.true.max() + 0.5, 0.5)
         for joined, line in ((True, "-"), (False, "--")):
             kept = [(one.joined == joined) & (a <= one.true) & (one.true < a + 0.5) for a in edges]
@@ -235,6 +238,12 @@ def _spread(count: int, most: int) -> np.ndarray:
 
 def _rms(away: np.ndarray) -> float:
     return float(np.sqrt((away**2).sum(axis=-1).mean()))
+
+
+def _write_mean(rows: Sequence[Row], name: str) -> str:
+    """Mean of a column [cm] over the runs that have it; in a convex room no two positions are not joined."""
+    known = [row for row in rows if row[name] is not None]
+    return f"{100 * mean(known, name):.3g}" if known else "-"
 
 
 def _median(values: np.ndarray) -> float | None:

@@ -13,10 +13,11 @@ import rerun.blueprint as rrb
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
-from deepgps.evaluation.without_truth import FILE, read_judged
+from deepgps.evaluation.without_truth import read_judged
 from deepgps.figures import run_figures
 from deepgps.figures.without_truth import markdown
 from deepgps.methods.catalog import title_of
+from deepgps.run_folder import WITHOUT_TRUTH
 from deepgps.viewer.run.diagnosis import diagnosis_view, log_diagnosis
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
 from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view
@@ -55,7 +56,7 @@ def write_without_truth(run: Path, path: Path) -> Path:
         run / "recording" / "manifest.json",
         *sorted(run.glob("*/history.npz")),
         *run.glob(DIAGNOSIS),
-        *run.glob(FILE),
+        *run.glob(WITHOUT_TRUTH),
     ]
     identity = hash_files(run, shown)
     save_recording(path, identity, f"{run.name}, without truth", blueprint, log)

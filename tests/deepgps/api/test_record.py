@@ -10,6 +10,7 @@ from deepgps.adopted_recording import choose_folder
 from deepgps.viewer.run.recording import find_recording
 from sim.recording.format import check_recording, has_truth, open_recording, open_truth
 from sim.recording.manifest import ObservationKind
+from tests.helpers.command import deepgps_here
 from tests.helpers.toy import make_toy
 
 QUICK = {"learn.train.steps": 20, "learn.network.width": 16, "learn.fold.restarts": 0, "learn.train.segments": 4}
@@ -94,6 +95,20 @@ def test_with_the_truth_it_is_also_evaluated(drive: dict, tmp_path: Path):
     assert (run.folder / "recording").resolve() == folder.resolve()
 
 
+def test_with_the_truth_but_no_test_images_it_is_trained_and_nothing_is_measured(drive: dict, tmp_path: Path):
+    arrays = {**drive["arrays"], "test_observations": None}
+    folder = deepgps.write_recording(tmp_path / "mine", **arrays, pose=drive["truth"]["pose"])
+    for command in ("run", "evaluate"):
+        done = deepgps_here(command, "mine", "--methods", "knn", "--out", command, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        (line,) = done.stdout.splitlines()
+        assert line.startswith(f"{command}: all methods are trained; errors cannot be measured, since the recording")
+        assert (tmp_path / command / "knn" / "positioner.json").is_file()
+        assert not (tmp_path / command / "metrics.json").exists()
+    run = deepgps.train(folder, ["knn"], tmp_path / "run", progress=False)
+    assert run.methods == ("knn",)
+
+
 @pytest.mark.slow
 def test_it_is_learned_like_the_recording_that_it_was_made_from(drive: dict, small_recording: Path, tmp_path: Path):
     copy = deepgps.write_recording(tmp_path / "mine", **drive["arrays"])
@@ -142,6 +157,7 @@ def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_p
         "test_pose: .* test positions need their poses": {"pose": truth["pose"]},
         "pose: test_pose and free_space need": {"test_pose": truth["test_pose"]},
         "pose and test_pose: must be finite": {**truth, "pose": np.full((count, 3), np.nan)},
+        "pose: covers .* x .* m, more than the 10000 m2 .*; give free_space": {**truth, "pose": truth["pose"] * 1000.0},
         "most of them|most|impossible|cannot be": {"time": arrays["time"][::-1]},
     }.items():
         with pytest.raises(deepgps.InputError, match=message) as caught:
@@ -155,6 +171,27 @@ def test_a_folder_that_holds_something_is_left_alone(drive: dict, tmp_path: Path
     with pytest.raises(deepgps.InputError, match="is not empty; a recording is written to a folder of its own"):
         deepgps.write_recording(tmp_path, **drive["arrays"])
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_recording_that_was_interrupted_is_written_by_the_same_call(
+    drive: dict, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with monkeypatch.context() as broken:
+        broken.setattr("deepgps.api.record.check_recording", lambda _: (_ for _ in ()).throw(KeyboardInterrupt))
+        with pytest.raises(KeyboardInterrupt):
+            deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"])
+    assert list(tmp_path.iterdir()) == []
+    check_recording(deepgps.write_recording(tmp_path / "mine", **drive["arrays"], **drive["truth"]))
+
+
+def test_a_drive_whose_length_is_not_recorded_is_measured_by_the_wheels(tmp_path: Path):
+    toy = make_toy(tmp_path / "toy", samples=300)
+    assert toy.manifest.distance_driven_m is None and toy.manifest.segments is None
+    run = deepgps.train(toy.folder, ["knn"], tmp_path / "run", progress=False)
+    pose, (segment, image) = open_truth(toy.folder).pose, toy.reading[:, :2].T
+    way = np.linalg.norm(np.diff(pose[image, :2], axis=0), axis=1)[np.diff(segment) == 0].sum()
+    said = run.report().replace("\n", " ")
+    assert f"{len(pose)} observations on {len(np.unique(segment))} straight segments, {way:.0f} m driven" in said
 
 
 def test_another_recording_in_the_same_run_folder_is_refused(tmp_path: Path):

@@ -59,6 +59,22 @@ def test_yaw_has_a_column_where_a_method_tells_one(metrics: dict) -> None:
     assert [row[headings.index("yaw [deg]")] for row in rows] == ["0.4", "-"]
 
 
+def test_the_yaw_of_what_is_accepted_stands_below_that_of_all(metrics: dict) -> None:
+    values = metrics["methods"]["deepgps"]
+    accept_some(values)
+    values |= {"yaw_rms_deg": 4.0, "yaw_rms_accepted_deg": 0.449}
+    headings, rows = tabulate(metrics)
+    assert [row[headings.index("yaw [deg]")] for row in rows[:2]] == ["4.0", "0.4"]
+
+
+def test_brackets_in_the_name_of_a_method_are_printed_as_they_are(tmp_path: Path, metrics: dict) -> None:
+    metrics["methods"]["my [/x]"] = metrics["methods"].pop("mine")
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    console = Console(width=80, record=True, file=StringIO())
+    print_report(tmp_path, console)
+    assert "my [/x]" in console.export_text()
+
+
 def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
     text = markdown_report(metrics)
     assert "1 of 4 reachable test positions (25.0 %)" in text

@@ -18,7 +18,7 @@ from deepgps.logs.pictures import open_images
 from deepgps.logs.robot_config import RobotConfig
 from deepgps.progress import ignore
 from sim.errors import InputError
-from sim.recording.format import check_recording, has_truth, open_labels, open_recording, open_truth
+from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth
 from tests.helpers import robot_log
 from tests.helpers.robot_log import (
     CAMERA,
@@ -424,12 +424,18 @@ def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(not
     assert (kept.manifest.segments, held_out.manifest.segments) == (len(LENGTHS_M) - 2, 2)
     assert len(held_out.observation) == about["held_out"] > 5 and held_out.turns is not None
     assert held_out.turns.image.tolist() == [0]
+    assert about["images_used"] == sum(map(count_images, (kept, held_out)))
     few, _ = bring_in(log, tmp_path / "few", configure(pose=None, drive={"held_out": 0.01}))
     assert open_recording(few / "use").manifest.segments == 1, "errors could not be measured without"
     folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
     recording, truth = open_recording(folder), open_truth(folder)
     assert len(recording.test_observation) == len(truth.test_pose) == about["held_out"] > 5
+    assert about["images_used"] == count_images(recording) + len(recording.test_observation)
     assert recording.manifest.segments == len(LENGTHS_M) - 2
+
+
+def count_images(recording: Recording) -> int:
+    return len(recording.observation) + (0 if recording.turn_observation is None else len(recording.turn_observation))
 
 
 def test_damaged_images_are_left_out_unless_they_are_many(notes: list[Note], tmp_path: Path) -> None:

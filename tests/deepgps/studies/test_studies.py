@@ -383,9 +383,18 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
         ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
         ({"report": "change", "target": {}}, "report change needs drive.mixed_light to vary in cases or axes"),
-        (
-            {"report": "diagnose", "target": {}, "cases": [{}]},
-            "report diagnose needs drive.samples to be in set, cases or axes",
+        *(
+            (
+                {"report": "diagnose", "target": {}, "cases": [{}], **changes},
+                f"report diagnose needs drive.samples to be a whole number in set, and it is {given}",
+            )
+            for changes, given in (
+                ({}, "missing"),
+                ({"set": {"drive.samples": "many"}}, "'many'"),
+                ({"set": {"drive.samples": True}}, "True"),
+                ({"set": {"drive.samples": 300}, "axes": {"drive.samples": [300, 400]}}, "in cases or axes"),
+                ({"cases": [{"drive.samples": 300}]}, "in cases or axes"),
+            )
         ),
     ],
 )

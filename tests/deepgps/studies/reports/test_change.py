@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from deepgps.figures.style import to_png
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
@@ -53,6 +54,14 @@ def test_the_worst_change_of_each_kind_is_a_figure():
     assert values == pytest.approx({"light_0.2_ratio": 2.0, "mixed_ratio": 5.0})
     assert set(REPORTS["change"].targets) == set(change.FIGURES)
     assert change.measure(ROWS[1:2]) == {}
+
+
+def test_a_study_on_one_kind_of_features_needs_not_vary_it(tmp_path: Path):
+    rows = [{name: value for name, value in row.items() if name != change.VALUES} for row in ROWS[:4]]
+    varied = [name for name in VARIED if name != change.VALUES]
+    assert change.report(rows, varied)[0] == "## Trained in one light"
+    assert change.measure(rows)["light_0.2_ratio"].value == pytest.approx(2.0)
+    assert to_png(change.draw(rows, varied, tmp_path)).startswith(b"\x89PNG")
 
 
 def test_each_change_is_trained_in_one_light_and_in_several_on_pixels_and_on_ranks():

@@ -12,11 +12,13 @@ from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.reports import knowing
-from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, Drive, find_expected
+from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, Drive, add_drives, find_expected
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
+from sim.errors import InputError
+from sim.files import write_json
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, check_turns
 from tests.helpers.small_study import run_all_here
@@ -64,6 +66,13 @@ def test_figures_count_drives_and_images_with_the_right_cause():
     right = {"drives_right": 2 / 3, "images_right": (1.0 + 0.96 + 0.4) / 3, "clean_refused": 0.02}
     assert values == pytest.approx(right | {"other_room_refused": 0.99, "covered_refused": 1.0})
     assert set(REPORTS["knowing"].targets) == set(values) | {"moved_refused"}
+
+
+@pytest.mark.parametrize("more", [{}, {"in_use": {"rms_m": 0.1, "median_m": 0.1}}])
+def test_methods_that_refuse_nothing_are_named(more: dict, tmp_path: Path):
+    write_json(tmp_path / "metrics.json", {"methods": {"knn": {"rms_m": 0.1, **more}}})
+    with pytest.raises(InputError, match=r"knowing needs a drive in use.*which Nearest neighbour does not"):
+        add_drives(tmp_path, {"method": "knn"})
 
 
 def test_every_fault_of_the_study_has_a_cause():

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from deepgps.figures.style import to_png
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
@@ -42,6 +43,15 @@ def test_maps_with_a_large_patch_turned_over_are_counted() -> None:
     assert set(REPORTS["maps"].targets) <= set(figures)
     assert figures["mirrored"].value == 1
     assert figures["nees exact"].value == pytest.approx(0.9)
+
+
+def test_methods_without_a_map_by_compass_are_left_out(tmp_path: Path) -> None:
+    other = {**ROWS[0], **{name: None for name in ROWS[0] if name.startswith("map_")}}
+    assert maps.report([*ROWS, other], VARIED) == maps.report(ROWS, VARIED)
+    assert maps.measure([*ROWS, other]) == maps.measure(ROWS)
+    for rows in ([*ROWS, other], [other]):
+        assert to_png(maps.draw(rows, VARIED, tmp_path)).startswith(b"\x89PNG")
+    assert maps.report([other], VARIED)[0].count("\n") == 1
 
 
 def test_the_study_has_sixty_drives_and_runs_small(tmp_path: Path) -> None:
