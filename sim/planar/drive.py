@@ -69,12 +69,10 @@ class PlaneWorld(Protocol):
     """A plane world.
 
     Attributes:
-        bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive, at most.
         relocate_after: Segments after which the robot is relocated; 0: never.
     """
 
-    bounds: np.ndarray
     segments: int
     relocate_after: int
 

@@ -253,7 +253,7 @@ def read_manifest(folder: Path) -> Manifest:
         values = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
-    number = values.get("schema") if isinstance(values, dict) else None
+    number = values.get("schema")
     if number not in READ:
         raise InputError(f"{path}: schema {number!r}, but this version reads schema {SCHEMA}")
     try:
