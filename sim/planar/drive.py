@@ -17,6 +17,7 @@ from sim.errors import WorkError
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (
+    Report,
     grid_file,
     measure_driven,
     observation_file,
@@ -40,7 +41,6 @@ LEAST_STEPS = 3
 TRIES = 10_000
 """Draws of a heading before the robot is taken to be stuck."""
 PACKAGES = ("numpy",)
-Report = Callable[[str, int, int], None]
 Observe = Callable[[np.ndarray], np.ndarray]
 
 

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from sim.occupancy import FreeSpace
-from sim.planar.drive import Report, record, spread_headings
+from sim.planar.drive import record, spread_headings
+from sim.recording.format import Report
 from sim.rng import stream
 from sim.settings import SimSettings
 

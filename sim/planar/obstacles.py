@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
-from sim.planar.drive import Report, record, spread_headings
+from sim.planar.drive import record, spread_headings
+from sim.recording.format import Report
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles
 from sim.settings import SimSettings

@@ -31,7 +31,7 @@ from sim.recording.assemble import (
     write_tests,
 )
 from sim.recording.chunks import CHUNK, drive_chunk
-from sim.recording.format import COLLECTING, OWN, PART, RECORDING, chunk_files, finish_recording, work_folder
+from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import name_sensors
@@ -54,7 +54,6 @@ TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 log = logging.getLogger(__name__)
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ TRACK_M = 0.16
 """Effective track [m]: difference of the wheels' distances over the angle turned, from sim.robot.calibrate
 (nominal 0.160)."""
 
-_LENS_M = 0.35
+_LENS_M = CameraSettings().height_m  # as in robot.xml
 
 
 @dataclass(frozen=True)
