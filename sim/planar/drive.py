@@ -109,7 +109,7 @@ def record(
         settings: Encoder and drive (speeds, spacing, samples at most) are used.
         seed: Seed of the RNG streams for driving and encoder.
         folder: The recording's folder.
-        progress: Called with the samples done and the largest number that there can be.
+        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
     """
     start = time.perf_counter()
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)

@@ -42,7 +42,15 @@ class Drive(NamedTuple):
 def write_drive(
     folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, wheel_radius_m: float
 ) -> dict[str, float]:
-    """Write the drive, cut to the number of samples wanted, and return its entries for the manifest."""
+    """Write the drive, cut to the number of samples wanted, and return its entries for the manifest.
+
+    Args:
+        folder: The recording's folder.
+        settings: The sensors, the encoders and the number of samples.
+        drive: The drive.
+        rng: Parent of the RNG streams of the encoders' faults.
+        wheel_radius_m: Effective wheel radius [m].
+    """
     samples = settings.drive.samples
     joined = {
         name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
