@@ -23,8 +23,8 @@ def quote(value: Any, most: int = 80) -> str:
 def shorten(text: str, most: int = 80) -> str:
     """A text in one line of at most ``most`` printable characters; the middle of a longer text is left out."""
     half = (most - 3) // 2
-    short = text if len(text) <= most else f"{text[:half]}...{text[-half:]}"
-    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in short)
+    shown = "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+    return shown if len(shown) <= most else f"{shown[:half]}...{shown[-half:]}"
 
 
 def read_file(path: Path, largest: int, what: str) -> bytes:

@@ -17,6 +17,7 @@ from sim.errors import WorkError
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (
+    Report,
     grid_file,
     measure_driven,
     observation_file,
@@ -40,7 +41,6 @@ LEAST_STEPS = 3
 TRIES = 10_000
 """Draws of a heading before the robot is taken to be stuck."""
 PACKAGES = ("numpy",)
-Report = Callable[[str, int, int], None]
 Observe = Callable[[np.ndarray], np.ndarray]
 
 
@@ -69,12 +69,10 @@ class PlaneWorld(Protocol):
     """A plane world.
 
     Attributes:
-        bounds: Lower and upper corner (2, 2) [m].
         segments: Straight segments to drive, at most.
         relocate_after: Segments after which the robot is relocated; 0: never.
     """
 
-    bounds: np.ndarray
     segments: int
     relocate_after: int
 
@@ -111,7 +109,7 @@ def record(
         settings: Encoder and drive (speeds, spacing, samples at most) are used.
         seed: Seed of the RNG streams for driving and encoder.
         folder: The recording's folder.
-        progress: Called with the samples done and the largest number that there can be.
+        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
     """
     start = time.perf_counter()
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from sim.occupancy import FreeSpace
-from sim.planar.drive import Report, record, spread_headings
+from sim.planar.drive import record, spread_headings
+from sim.recording.format import Report
 from sim.rng import stream
 from sim.settings import SimSettings
 
@@ -72,7 +73,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         settings: Landmarks, encoder, drive (speeds, spacing, samples at most) and test grid are used.
         seed: Seed of the RNG streams for landmarks, driving and encoder.
         folder: The recording's folder; complete once it holds ``manifest.json``.
-        progress: Called with the samples done and the largest number that there can be.
+        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
     """
     if (folder / "manifest.json").is_file():
         return

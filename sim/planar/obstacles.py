@@ -12,7 +12,8 @@ from scipy import ndimage
 
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
-from sim.planar.drive import Report, record, spread_headings
+from sim.planar.drive import record, spread_headings
+from sim.recording.format import Report
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles
 from sim.settings import SimSettings
@@ -86,7 +87,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         settings: Map, lidar, encoder, drive (speeds, spacing, samples) and test grid are used.
         seed: Seed of the RNG streams for map, driving, encoder and noise.
         folder: The recording's folder; complete once it holds ``manifest.json``.
-        progress: Called with the samples done and the largest number that there can be.
+        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
 
     Raises:
         InputError: There is no room for the robot, or for any test position.

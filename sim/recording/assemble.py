@@ -18,7 +18,7 @@ from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
 from sim.sensors.catalog import SENSORS, Measure, Measures, list_kept, load
-from sim.sensors.encoder import read_encoders, ticks_to_distance
+from sim.sensors.encoder import read_encoders
 from sim.sensors.tag_camera import NAME, camera_matrix, mounting
 from sim.settings import SimSettings
 
@@ -42,7 +42,15 @@ class Drive(NamedTuple):
 def write_drive(
     folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, wheel_radius_m: float
 ) -> dict[str, float]:
-    """Write the drive, cut to the number of samples wanted, and return its entries for the manifest."""
+    """Write the drive, cut to the number of samples wanted, and return its entries for the manifest.
+
+    Args:
+        folder: The recording's folder.
+        settings: The sensors, the encoders and the number of samples.
+        drive: The drive.
+        rng: Parent of the RNG streams of the encoders' faults.
+        wheel_radius_m: Effective wheel radius [m].
+    """
     samples = settings.drive.samples
     joined = {
         name: np.concatenate([chunk[name] for chunk in drive.chunks]) for name in drive.chunks[0] if name in JOINED
@@ -63,7 +71,6 @@ def write_drive(
     write_array(folder / "truth" / "wheel_angle.npy", angle)
     write_array(folder / "truth" / "state.npy", state)
     write_array(folder / "truth" / "pose.npy", planar_pose(state))
-    travelled_m = ticks_to_distance(angle, wheel_radius_m, 1).mean(axis=1) / (2 * np.pi)
     return {
         "samples": samples,
         "segments": int(segment[-1]) + 1,
@@ -71,7 +78,7 @@ def write_drive(
         "readings_lost": int((~arrived).sum()),
         "samples_dropped": int(sum(chunk["dropped"] for chunk in drive.chunks)),
         "times_relocated": int(sum(chunk.get("relocated", 0) for chunk in drive.chunks)),
-        "distance_driven_m": measure_driven(segment, travelled_m),
+        "distance_driven_m": measure_driven(segment, angle.mean(axis=1) * wheel_radius_m),
     }
 
 

@@ -31,7 +31,7 @@ from sim.recording.assemble import (
     write_tests,
 )
 from sim.recording.chunks import CHUNK, drive_chunk
-from sim.recording.format import COLLECTING, OWN, PART, RECORDING, chunk_files, finish_recording, work_folder
+from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import name_sensors
@@ -54,7 +54,6 @@ TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
 PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 log = logging.getLogger(__name__)
-Report = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ def collect(
     start = time.perf_counter()
     work = work_folder(folder)
     if (folder / "manifest.json").is_file():
-        _remove_parts(work)  # a process was killed just before it removed them
+        remove_files(work, COLLECTING)  # a process was killed just before it removed them
         return
     if folder.is_dir():  # what is there was left by a killed process, or is about to be rewritten
         remove_files(folder, OWN if settings.deployment.drive_samples else RECORDING)
@@ -145,7 +144,7 @@ def _plan_drive_in_use(job: _Job) -> list[_Job]:
     if not job.settings.deployment.drive_samples:
         return []
     if (folder / "manifest.json").is_file():
-        _remove_parts(work)
+        remove_files(work, COLLECTING)
         return []
     remove_files(folder, OWN)
     work.mkdir(exist_ok=True)
@@ -183,7 +182,7 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
         "collect_s": round(time.perf_counter() - start, 2),
     }
     finish_recording(job.folder, manifest)
-    _remove_parts(job.work)
+    remove_files(job.work, COLLECTING)
 
 
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
@@ -307,9 +306,3 @@ def _assemble(job: _Job, drive: Drive, tests: list[Path]) -> dict[str, Any]:
         counts |= write_tag_labels(folder, settings, drive.images, tests, test_pose.shape[:2])
     write_array(folder / "truth" / "test_pose.npy", test_pose)
     return counts
-
-
-def _remove_parts(work: Path) -> None:
-    remove_files(work, COLLECTING)
-    with suppress(OSError):  # it holds a file that is not ours
-        work.rmdir()

@@ -8,7 +8,7 @@ there is one: a recording of its own, whose manifest's checksum is in the outer 
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,8 @@ OF_USE = f"{IN_USE}/manifest.json"
 """Path of the manifest of the drive in use."""
 OF_RUN = "recording"
 """Name of the folder of a run's recording; other recordings have names of their own."""
+Report = Callable[[str, int, int], None]
+"""Called with a stage of the work, the steps done and their number."""
 RECORD_AGAIN = "restore it from a copy, or, if the simulator made it, make it again with --fresh"
 
 
@@ -253,7 +255,7 @@ def read_manifest(folder: Path) -> Manifest:
         values = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
-    number = values.get("schema") if isinstance(values, dict) else None
+    number = values.get("schema")
     if number not in READ:
         raise InputError(f"{path}: schema {number!r}, but this version reads schema {SCHEMA}")
     try:

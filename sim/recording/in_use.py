@@ -6,7 +6,7 @@ It is a recording of its own, in a folder inside the recording of the training d
 import numpy as np
 
 from sim.rng import derive_seed
-from sim.settings import DeploymentMountSettings, GridSettings, SimSettings
+from sim.settings import DeploymentMountSettings, SimSettings
 
 FOLDER = "use"
 """Folder of the drive in use, in the recording's folder and in that of its parts."""
@@ -30,7 +30,7 @@ def choose_drive_in_use(settings: SimSettings) -> SimSettings:
     """Settings of the recording of the drive in use, which is driven in the room as its ``deployment`` changes it, in
     the light of use."""
     drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples, "mixed_light": False})
-    grid = GridSettings(**settings.grid.model_dump(exclude={"held_out"}))
+    grid = settings.grid.model_copy(update={"held_out": 0})
     return set_in_use(settings).model_copy(update={"drive": drive, "grid": grid})
 
 

@@ -17,9 +17,8 @@ from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
 from sim.files import write_bytes
-from sim.rooms.spec import PREFIX
+from sim.rooms.spec import DRAWN_GROUPS, PREFIX
 
-DRAWN_GROUPS = (0, 1, 2)
 _JPEG_QUALITY = 85
 _SECTIONS = 16
 _DEFAULT_RGBA = np.array([0.5, 0.5, 0.5, 1.0])  # MuJoCo's default, which means that the geom has its material's colour

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, WorkError
-from sim.robot.model import BASE, CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
+from sim.robot.model import CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
 from sim.robot.scene import compile_scene
 from sim.rooms.spec import PREFIX, empty_room
 from sim.settings import SimSettings
@@ -38,7 +38,6 @@ class Chassis:
         self._substeps = round(CONTROL_PERIOD_S / TIMESTEP_S)
         self._left, self._right = (self.model.sensor(PREFIX + name).adr[0] for name in WHEELS)
         self._bumper = self.model.sensor_adr[self.model.sensor_type == mujoco.mjtSensor.mjSENS_TOUCH]
-        self._base = self.model.body(PREFIX + BASE).id
         self._rest = _settle(settings)
 
     def place(self, pose: np.ndarray) -> None:

@@ -26,7 +26,7 @@ TRACK_M = 0.16
 """Effective track [m]: difference of the wheels' distances over the angle turned, from sim.robot.calibrate
 (nominal 0.160)."""
 
-_LENS_M = 0.35
+_LENS_M = CameraSettings().height_m  # as in robot.xml
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,8 @@ def _scale_left_wheel(spec: mujoco.MjSpec, factor: float) -> None:
     wheel = spec.body("left_wheel")
     wheel.pos[2] *= factor
     for geom in wheel.geoms:
-        if geom.type == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-            geom.size = geom.size * (factor, 1.0, factor)
-        elif geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER:
-            geom.size = geom.size * (factor, 1.0, 1.0)
-        else:
-            geom.size = geom.size * (factor, 1.0, factor)
+        is_cylinder = geom.type == mujoco.mjtGeom.mjGEOM_CYLINDER  # of radius and half length
+        geom.size = geom.size * (factor, 1.0, 1.0 if is_cylinder else factor)
 
 
 def _raise_lens(spec: mujoco.MjSpec, lens_m: float) -> None:

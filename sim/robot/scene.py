@@ -6,14 +6,13 @@ from sim.errors import InputError, one_line
 from sim.robot.model import TIMESTEP_S, load_robot
 from sim.robot.own import load_own_robot
 from sim.rooms.deployment import dim
-from sim.rooms.spec import PREFIX, freeze
+from sim.rooms.spec import NEAR_M, PREFIX, freeze
 from sim.sensors.catalog import SENSORS, list_carried, load
 from sim.settings import DeploymentSettings, SimSettings
 
 AMBIENT = 0.4
 """Brightness of the ambient light; a room without lamps of its own gets AMBIENT_WITHOUT_LAMPS."""
 AMBIENT_WITHOUT_LAMPS = 0.9
-NEAR_M = 0.01
 FAR_M = 60.0
 
 # By default MuJoCo prints warnings and appends them to a file MUJOCO_LOG.TXT in the user's folder. The code that steps

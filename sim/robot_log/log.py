@@ -7,7 +7,7 @@ stay if the work is interrupted. At last all messages are written in the order i
 import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from glob import escape
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from sim.errors import DamagedError, InputError
 from sim.files import PART, check_space, list_files, read_json, remove_files, write_json
 from sim.recording.assemble import read_part
-from sim.recording.format import open_truth
+from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
 from sim.robot_log.clocks import make_base_clock
@@ -35,7 +35,6 @@ PARTS = re.compile(r"log\.json|picture-\d+\.npz")
 PICTURE_BYTES = 40_000
 """About the size of a picture."""
 log = logging.getLogger(__name__)
-Report = Callable[[str, int, int], None]
 
 
 def write_log(

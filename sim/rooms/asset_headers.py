@@ -9,8 +9,6 @@ from sim.errors import InputError
 _PNG = b"\x89PNG\r\n\x1a\n"
 _LONGEST_TEXT = 64 * 1024
 """Most bytes of compressed text in a PNG: text can inflate a thousandfold."""
-_EXPANDS = 1032
-"""Deflate expands one byte to at most this many."""
 _CHUNK = 1024 * 1024
 
 

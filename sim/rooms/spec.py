@@ -6,6 +6,10 @@ import mujoco
 
 PREFIX = "robot/"
 """Prefix of the names of the robot's parts once it is attached to a room."""
+DRAWN_GROUPS = (0, 1, 2)
+"""Groups of the geoms that cameras see."""
+NEAR_M = 0.01
+"""Distance from a camera within which nothing is drawn [m]."""
 
 
 def empty_room() -> mujoco.MjSpec:

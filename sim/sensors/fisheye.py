@@ -13,17 +13,15 @@ import cv2
 import mujoco
 import numpy as np
 
+from sim.rooms.spec import DRAWN_GROUPS, NEAR_M, PREFIX
 from sim.sensors.camera_mount import CIRCLE_PX, tilt
 from sim.sensors.cube_faces import Face, edge_planes, make_faces, map_rays
 from sim.sensors.lens import make_lens, polar_rays, round_rays
 from sim.sensors.offscreen import Offscreen
 from sim.settings import CameraMountSettings, CameraSettings
 
-ROBOT = "robot/"
-CAMERA_SITE = "robot/camera"
-DRAWN_GROUPS = (0, 1, 2)
+CAMERA_SITE = f"{PREFIX}camera"
 ON_THE_AXLE = CameraMountSettings()
-_NEAR_M = 0.01
 # Points read per face pixel along each axis: more points cost time without a measurable gain.
 _READ_DENSITY = 1.0
 UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
@@ -64,7 +62,7 @@ class Fisheye:
         self._faces = make_faces(self._lens, camera.face_px)
         self._planes = edge_planes(self._faces)
         self._site = model.site(CAMERA_SITE).id
-        self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
+        self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
         self._boxes = _local_boxes(model)
         self._scene, self._option, self._view = make_scene(model)
         finer = self._finer(self._lens.half_angle / camera.rings)
@@ -196,10 +194,10 @@ def update_scene(
 
 def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
     """Point both eyes, which MuJoCo averages, at a face."""
-    left, right, bottom, top = face.window * _NEAR_M
+    left, right, bottom, top = face.window * NEAR_M
     for eye in scene.camera:
         eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]
-        eye.frustum_near = _NEAR_M
+        eye.frustum_near = NEAR_M
         eye.frustum_center, eye.frustum_width = (left + right) / 2, (right - left) / 2
         eye.frustum_bottom, eye.frustum_top = bottom, top
         eye.orthographic = 0

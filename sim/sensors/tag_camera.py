@@ -10,9 +10,10 @@ import cv2
 import mujoco
 import numpy as np
 
+from sim.rooms.spec import PREFIX
 from sim.sensors.catalog import Opened
 from sim.sensors.cube_faces import Face
-from sim.sensors.fisheye import ROBOT, UNSEEN, aim, make_scene, update_scene
+from sim.sensors.fisheye import UNSEEN, aim, make_scene, update_scene
 from sim.sensors.offscreen import Offscreen
 from sim.settings import SimSettings, TagCameraSettings
 
@@ -36,8 +37,8 @@ class TagCamera:
     """
 
     def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings, site: str = NAME) -> None:
-        self._model, self._site = model, model.site(ROBOT + site).id
-        self._robot = np.array([model.body(body).name.startswith(ROBOT) for body in model.geom_bodyid])
+        self._model, self._site = model, model.site(PREFIX + site).id
+        self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
         across = np.tan(np.radians(settings.field_of_view_deg) / 2)
         up = across * settings.height_px / settings.width_px

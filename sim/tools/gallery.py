@@ -46,7 +46,7 @@ def draw_gallery(
         kinds: Kinds of room.
         seeds: Seeds of each kind; a seed's shape is the seed modulo the number of shapes.
         path: PNG file to write.
-        progress: Called with the rooms drawn and their number.
+        progress: Called with a stage (``rooms``), the rooms drawn and their number.
 
     Raises:
         InputError: A room cannot be built.

@@ -99,7 +99,7 @@ def short_parts(short_settings: SimSettings, tmp_path_factory: pytest.TempPathFa
         patch.setattr(collecting, "CHUNK", 32)
         patch.setattr(chunks, "CHUNK", 32)
         patch.setattr(collecting, "finish_recording", lambda *_: None)
-        patch.setattr(collecting, "_remove_parts", lambda _: None)
+        patch.setattr(collecting, "remove_files", lambda *_: None)
         collect(short_settings, 0, folder / "recording", lambda *_: None, workers=1)
     return folder
 
