@@ -15,9 +15,10 @@ from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import load_positioner
-from deepgps.owned_folder import is_older
+from deepgps.owned_folder import hold, is_older
 from deepgps.progress import Report
 from deepgps.run_folder import RUN, list_trained, open_run
+from deepgps.scenario import Scenario
 from deepgps.tracking.track import Track, track_drive, write_track
 from deepgps.tracking.tum import is_tum, write_tum
 from sim.errors import InputError
@@ -75,12 +76,17 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
         progress: Called with the steps done.
 
     Raises:
-        InputError: The folder is no run, has no such method or no drive in use, or the truth of both drives is known
-            but the run has not been evaluated.
+        InputError: The folder is no run, is in use, has no such method or no drive in use, or the truth of both drives
+            is known but the run has not been evaluated.
     """
     scenario = open_run(run)
     if is_older(run, RUN):
         raise InputError(f"{run} is a run of an earlier version, which is read but not changed")
+    with hold(run, RUN):
+        return _track_held(run, scenario, method, drive, progress)
+
+
+def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     name = _choose(run, scenario.methods, method)
     recording, path = _open_drive(run, drive, name)
     with use_threads(scenario.learn.train.threads):

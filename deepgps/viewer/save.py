@@ -1,6 +1,7 @@
 """Saving a recording: atomically, and with equal contents for equal runs."""
 
 import hashlib
+import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import timedelta
@@ -9,6 +10,8 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from deepgps.owned_folder import is_older
+from deepgps.run_folder import RUN
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files import check_sum, drop_sum, sha256, write_bytes, write_sum
@@ -44,6 +47,14 @@ def save_recording(
     drop_sum(path)
     write_bytes(path, data or b"")
     write_sum(path)
+
+
+def find_home(run: Path) -> Path:
+    """Folder for recordings of a run: its own, or, for a run of an earlier version, one of the user's cache."""
+    if not is_older(run, RUN):
+        return run
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return cache / "deepgps" / hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:12]
 
 
 def hash_files(folder: Path, paths: Iterable[Path]) -> str:

@@ -22,7 +22,7 @@ from deepgps.viewer.pair.difference import (
     scale_change,
 )
 from deepgps.viewer.run.recording import hash_run
-from deepgps.viewer.save import holds, save_recording
+from deepgps.viewer.save import find_home, holds, save_recording
 from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
 from deepgps.viewer.views import aim_eye, arrange, field_view, hold_still
 from sim.occupancy import FreeSpace, limits
@@ -34,14 +34,15 @@ LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 c
 def write_pair(folders: Sequence[Path]) -> Path:
     """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
 
-    The runs' own files do not change.
+    The runs' own files do not change, and nothing is added to a first run of an earlier version: its pairs are in the
+    user's cache.
 
     Raises:
         InputError: The folders are not two complete runs with a method in common.
     """
     pair = open_pair(folders)
     number = _hash_pair(folders)
-    path = folders[0] / PAIRS / f"{number[:12]}.rrd"
+    path = find_home(folders[0]) / PAIRS / f"{number[:12]}.rrd"
     if not holds(path, number):
         title = " and ".join(folder.resolve().name for folder in folders)
         save_recording(path, number, title, make_pair_blueprint(pair), lambda stream: _log_pair(stream, pair))

@@ -33,7 +33,7 @@ from deepgps.viewer.run.radii import list_radii, log_radii
 from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
 from deepgps.viewer.run.yaw import list_yaws, log_yaws
-from deepgps.viewer.save import hash_files, save_recording
+from deepgps.viewer.save import find_home, hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
 from sim.files import is_intact
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
@@ -50,12 +50,14 @@ HELP = (
 
 
 def write_recording(run: Path) -> Path:
-    """Write ``<run>/run.rrd``; raise InputError if the folder is not a complete run.
+    """Write ``<run>/run.rrd``, of a run of an earlier version in the user's cache; return its path.
 
-    Equal runs give equal contents: the recording's id is a hash of the run, and no wall-clock time is written.
+    Raises InputError if the folder is not a complete run. Equal runs give equal contents: the recording's id is a hash
+    of the run, and no wall-clock time is written.
     """
+    path = find_home(run) / RECORDING
     if lacks_truth(run):
-        return write_without_truth(run, run / RECORDING)
+        return write_without_truth(run, path)
     metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)
     recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
     space, driven = truth.free_space, truth.pose[:, :2]
@@ -94,7 +96,6 @@ def write_recording(run: Path) -> Path:
         log_diagnosis(stream, run)
         log_distribution(stream, {name: [field.worst] for name, field in fields.items()})
 
-    path = run / RECORDING
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
     return path
 

@@ -4,6 +4,8 @@ import base64
 import fcntl
 import json
 import os
+import select
+import shlex
 import shutil
 import subprocess
 import sys
@@ -11,13 +13,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from sim.errors import WorkError
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
 # WebGL on the processor, for machines without a graphics card.
 SOFTWARE = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+ANSWER_S = 300.0
+"""Time after which Chromium hangs, if it sends nothing [s]; a busy processor draws a picture in a minute."""
 
 # It reads from 3 and writes to 4.
 START = (
@@ -43,7 +48,7 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
         height_px: Height of the page.
 
     Raises:
-        WorkError: There is no Chromium.
+        WorkError: There is no Chromium, or it ends or hangs, also while a picture is taken.
     """
     chromium = find_chromium()
     if chromium is None:
@@ -60,16 +65,21 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
         for end in theirs:
             os.close(end)
         with os.fdopen(write_here, "wb", buffering=0) as out, os.fdopen(read_here, "rb") as answers:
-            numbers = count(1)
+            numbers, messages = count(1), _read_messages(answers)
 
             def tell(method: str, session: str | None = None, **values: Any) -> dict[str, Any]:
                 number = next(numbers)
                 message = {"id": number, "method": method, "params": values}
-                out.write(json.dumps(message | ({"sessionId": session} if session else {})).encode() + b"\0")
-                while True:
-                    answer = json.loads(_read_message(answers))
-                    if answer.get("id") == number:
-                        return answer.get("result", {})
+                try:
+                    out.write(json.dumps(message | ({"sessionId": session} if session else {})).encode() + b"\0")
+                    answer = next(one for one in map(json.loads, messages) if one.get("id") == number)
+                except (EOFError, TimeoutError, BrokenPipeError) as error:
+                    why = f"hangs: no answer in {ANSWER_S:g} s" if isinstance(error, TimeoutError) else "has ended"
+                    raise WorkError(
+                        f"Chromium {why}; {shlex.quote(chromium)} --headless=new --screenshot about:blank may say why, "
+                        "and deepgps view --web shows the same in a browser of your own"
+                    ) from None
+                return answer.get("result", {})
 
             try:
                 target = tell("Target.createTarget", url="about:blank")["targetId"]
@@ -92,10 +102,15 @@ def _move_up(end: int) -> int:
     return moved
 
 
-def _read_message(answers: Any) -> bytes:
-    message = bytearray()
-    while (byte := answers.read(1)) != b"\0":
-        if not byte:
-            raise EOFError("Chromium has ended")
-        message += byte
-    return bytes(message)
+def _read_messages(answers: IO[bytes]) -> Iterator[bytes]:
+    """Messages as they come; raises TimeoutError where none comes for long, and EOFError at the end."""
+    held = b""
+    while True:
+        while b"\0" not in held:
+            if not select.select([answers], [], [], ANSWER_S)[0]:
+                raise TimeoutError
+            if not (part := answers.read(1 << 16)):
+                raise EOFError
+            held += part
+        message, _, held = held.partition(b"\0")
+        yield message

@@ -10,6 +10,8 @@ import pytest
 from deepgps.api.run import load
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.evaluation.stored_alignment import read_alignment
+from deepgps.owned_folder import hold
+from deepgps.run_folder import RUN
 from deepgps.tracking.track import PATHS, read_track
 from sim.files import read_json, write_json
 from sim.recording.format import open_recording, open_truth
@@ -90,6 +92,13 @@ def test_same_bytes_again(run: Path, tmp_path: Path):
     (tmp_path / "run" / "tracking" / "deepgps_compass.npz").unlink()
     assert deepgps_here("track", "run", cwd=tmp_path).returncode == 0
     assert (tmp_path / "run" / "tracking" / "deepgps_compass.npz").read_bytes() == before
+
+
+def test_a_run_in_which_another_process_works_is_not_tracked(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run")
+    with hold(tmp_path / "run", RUN):
+        done = deepgps_here("track", "run", cwd=tmp_path)
+    assert (done.returncode, "run is in use by another process" in done.stderr) == (2, True)
 
 
 def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path):

@@ -11,10 +11,12 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from deepgps.owned_folder import MARK, OLD_LOCK
 from deepgps.scenario import Scenario, write_out
 from deepgps.viewer.pair.difference import colours_of_change, describe_pair, measure_change, open_pair, scale_change
 from deepgps.viewer.pair.pair import write_pair
 from deepgps.viewer.read import read_entity, read_error_table
+from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
@@ -173,6 +175,20 @@ def test_the_runs_stay_as_they_are_and_the_same_pair_gives_the_same_contents(cop
     command = [find_viewer(), "rrd", "compare", "--unordered", str(kept), str(first)]
     assert subprocess.run(command, check=False, capture_output=True).returncode == 0
     kept.unlink()
+
+
+def test_runs_of_an_earlier_version_are_viewed_and_not_changed(
+    copied: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    old = copied[1]
+    (old / MARK).unlink(missing_ok=True)
+    (old / OLD_LOCK).touch()
+    (old / "run.rrd").unlink(missing_ok=True)
+    before = sorted(old.rglob("*"))
+    for path in (find_recording(old), write_pair((old, copied[0]))):
+        assert path.is_relative_to(tmp_path / "cache") and path.stat().st_size > 10_000
+    assert sorted(old.rglob("*")) == before
 
 
 def test_what_stands_is_not_written_again_unless_settings_changed(copied: tuple[Path, Path]) -> None:

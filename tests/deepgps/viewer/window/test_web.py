@@ -24,11 +24,11 @@ from deepgps.cli import main
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
 from deepgps.figures.field_plot import COLOURS, colours_of
 from deepgps.viewer.run.recording import RECORDING, write_recording
-from deepgps.viewer.window import screenshot
+from deepgps.viewer.window import chromium, screenshot
 from deepgps.viewer.window.chromium import NAMES, find_chromium, open_page
 from deepgps.viewer.window.connect import HOST, find_free_port
 from deepgps.viewer.window.web import choose_ports
-from sim.errors import InputError
+from sim.errors import InputError, WorkError
 from tests.helpers.synthetic_run import write_synthetic_run
 
 PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
@@ -261,6 +261,20 @@ def test_a_screenshot_without_chromium_and_display_says_what_to_install(
     assert caught.value.code == 1
     assert len(said.splitlines()) == 1 and "install chromium, or xvfb and mesa-vulkan-drivers" in said
     assert not (tmp_path / "out.png").exists()
+
+
+@pytest.mark.parametrize(("script", "says"), [("exit 3", "has ended"), ("exec sleep 60", "hangs: no answer in 0.5 s")])
+def test_a_chromium_that_ends_or_hangs_is_one_line_with_a_cure(
+    script: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "chromium"
+    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(chromium, "find_chromium", lambda: str(program))
+    monkeypatch.setattr(chromium, "ANSWER_S", 0.5)
+    says = rf"^Chromium {says}; .*/chromium --headless=new .* may say why"
+    with pytest.raises(WorkError, match=says), open_page("about:blank", tmp_path / "profile"):
+        pytest.fail("there is no page")
 
 
 def test_a_screenshot_overwrites_no_file_of_someone_else(
