@@ -51,7 +51,7 @@ class RoomEnvironment(dm_env.Environment):
 
     Raises:
         InputError: The encoder has faults that are drawn for a complete drive (slip, noise of the gaps, lost readings,
-            a stuck encoder, those of plugins), or the camera has any faults.
+            a stuck encoder, those of plugins), the camera has any faults, or a length is impossible.
         WorkError: No OpenGL context can be opened, or physics fails.
     """
 
@@ -72,11 +72,11 @@ class RoomEnvironment(dm_env.Environment):
                 )
         if faults := [name for name, off in NO_FAULTS.items() if getattr(settings, name) != off]:
             raise InputError(f"{faults[0]} must be as by default: the environment's camera has no faults")
-        self._periods = round(step_s / CONTROL_PERIOD_S)
+        self._periods = round(step_s / CONTROL_PERIOD_S) if np.isfinite(step_s) else 0
         if self._periods < 1 or abs(self._periods * CONTROL_PERIOD_S - step_s) > 1e-9:
             raise InputError(f"step_s {step_s} must be a multiple of the control period, {CONTROL_PERIOD_S} s")
-        if episode_s < step_s:
-            raise InputError(f"episode_s {episode_s} must be at least the length of a step, {step_s} s")
+        if not step_s <= episode_s < np.inf:  # NaN is not
+            raise InputError(f"episode_s {episode_s} must be at least the length of a step, {step_s} s, and finite")
         choose_backend()
         from dm_control.mujoco import Physics, wrapper
 

@@ -35,6 +35,8 @@ BEAT_S = 0.5
 LOOK_S = 1.0
 AHEAD = 2
 """Parts that a worker has at once: with the next one queued it need not wait for a parent that is driving."""
+QUEUED_BYTES = 100_000
+"""Largest part that is queued: sending what the pipe cannot hold would wait until the worker has drawn the last."""
 PER_RENDERER = 500
 """Images for which it pays to start one more rendering process, which takes as long as drawing them."""
 CURE = "deepgps doctor checks the renderer"
@@ -155,7 +157,8 @@ class Renderers:
 
     def _hand_out(self) -> None:
         while self._waiting:
-            free = [worker for worker in self._workers if len(worker.parts) < AHEAD]
+            ahead = AHEAD if self._waiting[0].states.nbytes <= QUEUED_BYTES else 1
+            free = [worker for worker in self._workers if len(worker.parts) < ahead]
             if len(self._workers) < self._count and all(worker.parts for worker in free):
                 free.append(self._start())
             if not free:

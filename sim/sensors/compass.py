@@ -63,10 +63,10 @@ def find_turns(first: np.ndarray, second: np.ndarray, lens: Lens) -> Hypotheses:
         InputError: The shapes differ or are not those of polar images.
     """
     first, second = np.asarray(first), np.asarray(second)
-    if first.ndim != 4 or first.shape != second.shape or min(first.shape[1:]) < 1 or first.shape[2] < 8:
+    if first.ndim != 4 or first.shape != second.shape or first.shape[1] < 2 or first.shape[2] < 8 or first.shape[3] < 1:
         raise InputError(
-            f"images {first.shape} and {second.shape}: both must be (pairs, rings, sectors, channels) with at least 8 "
-            "sectors"
+            f"images {first.shape} and {second.shape}: both must be (pairs, rings, sectors, channels) with at least 2 "
+            "rings and 8 sectors"
         )
     chunks = [
         _find(first[start : start + CHUNK], second[start : start + CHUNK], lens)

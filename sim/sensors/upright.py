@@ -47,7 +47,7 @@ class Upright:
 
     def copy(self, images: np.ndarray, folder: Path) -> np.ndarray:
         """The same of images that need not fit into memory: memory-mapped, in a file without a name in ``folder``."""
-        if not any(self.lean):
+        if not any(self.lean) or not len(images):  # an empty file cannot be mapped
             return images
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=folder) as file:

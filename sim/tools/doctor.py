@@ -130,6 +130,7 @@ def check_renderer() -> Finding:
             cwd=Path(__file__).parents[2],
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=60,
             check=False,
         )

@@ -86,12 +86,13 @@ def test_faults_of_the_camera_are_refused() -> None:
         RoomEnvironment(SimSettings(camera_mount=CameraMountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
 
-def test_an_episode_shorter_than_a_step_is_refused() -> None:
-    with pytest.raises(InputError, match=r"episode_s 0\.01 must be at least the length of a step, 0\.04 s"):
-        RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=0.01)
+@pytest.mark.parametrize("episode_s", [0.01, np.nan, np.inf])
+def test_an_episode_is_at_least_a_step_long_and_ends(episode_s: float) -> None:
+    with pytest.raises(InputError, match=rf"episode_s {episode_s} must be at least the length of a step, 0\.04 s, and"):
+        RoomEnvironment(SETTINGS, np.random.default_rng(0), episode_s=episode_s)
 
 
-@pytest.mark.parametrize("step_s", [0.0, 0.03, 0.1])
+@pytest.mark.parametrize("step_s", [0.0, 0.03, 0.1, np.nan, np.inf])
 def test_a_step_is_a_multiple_of_the_control_period(step_s: float) -> None:
     with pytest.raises(InputError, match=rf"step_s {step_s} must be a multiple of the control period, 0\.04 s"):
         RoomEnvironment(SETTINGS, np.random.default_rng(0), step_s=step_s)

@@ -46,6 +46,16 @@ def take_long(part: Part, beat: Beat) -> None:
         beat()
 
 
+def wait_for_go(part: Part, beat: Beat) -> None:
+    end = time.monotonic() + 10.0
+    while not (go := part.path.with_name("go").exists()) and time.monotonic() < end:
+        time.sleep(0.05)
+        beat()
+    if not go:
+        raise WorkError("the parent waits for this part")
+    part.path.write_text(part.path.name)
+
+
 def draw_all(draw, settings, folder: Path, count: int = 5) -> Renderers:
     with Renderers(draw, 2, 0.0) as workers:
         for number in range(count):
@@ -58,6 +68,15 @@ def test_every_part_is_drawn_once(small_settings, tmp_path):
     workers = draw_all(write_name, small_settings, tmp_path, 7)
     assert (workers.drawn, workers.deaths) == (7, 0)
     assert sorted(path.read_text() for path in tmp_path.iterdir()) == [str(number) for number in range(7)]
+
+
+def test_a_large_part_is_given_without_waiting_for_the_one_that_is_drawn(small_settings, tmp_path):
+    with Renderers(wait_for_go, 1, 0.0) as workers:
+        for number in range(2):
+            workers.give(Part(small_settings, np.zeros((50_000, 9)), tmp_path / f"{number}"))
+        (tmp_path / "go").touch()
+        workers.finish(lambda _: None)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "go"]
 
 
 @pytest.mark.parametrize(

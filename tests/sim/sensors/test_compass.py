@@ -72,6 +72,8 @@ def test_a_blank_image_gives_no_angle() -> None:
 def test_images_of_other_shapes_are_refused() -> None:
     with pytest.raises(InputError, match=r"\(2, 16, 64, 3\) and \(1, 16, 64, 3\)"):
         find_turns(draw_images(2, 0), draw_images(1, 0), LENS)
+    with pytest.raises(InputError, match="at least 2 rings and 8 sectors"):
+        find_turns(draw_images(1, 0)[:, :1], draw_images(1, 0)[:, :1], LENS)
 
 
 def test_swapped_images_negate_the_angle() -> None:

@@ -49,3 +49,4 @@ def test_without_a_lean_images_stay_as_they_are_and_a_copy_on_disk_is_the_same(t
     upright = Upright(LENS, (0.1, 0.0))
     np.testing.assert_array_equal(upright.copy(images, tmp_path / "made"), upright(images))
     assert list((tmp_path / "made").iterdir()) == [], "the file has no name"
+    assert upright.copy(images[:0], tmp_path).shape == (0, *images.shape[1:])

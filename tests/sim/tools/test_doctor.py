@@ -160,6 +160,13 @@ def test_a_driver_that_kills_the_process_is_an_answer_too(monkeypatch):
     assert "code -11" in finding.text and finding.cure == doctor.EGL_CURE
 
 
+def test_what_a_driver_says_need_not_be_text(monkeypatch):
+    monkeypatch.setattr(doctor, "_DRAW", "import os; os.write(2, b'Ger\\xe4t fehlt\\n'); os.abort()")
+    finding = check_renderer()
+    assert not finding.ok
+    assert "code -6" in finding.text and "t fehlt" in finding.text
+
+
 def test_software_beside_a_graphics_card_is_said():
     software = "llvmpipe (LLVM 15.0.6, 256 bits)"
     assert "NVIDIA" in judge_renderer("egl", software, nvidia=True).text
