@@ -107,7 +107,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
             use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
-            causes = find_causes(folder_of(run, method), recording, in_use)
+            causes = find_causes(folder_of(run, method), recording, in_use, device)
             methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean, **causes}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)

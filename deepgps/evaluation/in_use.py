@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepgps.alignment import Alignment
 from deepgps.data.lean import adapt_upright, describe_lean
@@ -66,13 +67,14 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
     return add_yaws(field, found, alignment)
 
 
-def find_causes(folder: Path, recording: Recording, drive: Recording) -> dict[str, Any]:
+def find_causes(folder: Path, recording: Recording, drive: Recording, device: torch.device) -> dict[str, Any]:
     """Why images of the drive in use are refused or suspicious, as an entry of figures; nothing where it is not known.
 
     Args:
         folder: The method's folder.
         recording: What it has learned from.
         drive: The drive in use.
+        device: Where its network computes.
     """
-    causes = name_causes(load_positioner(folder), recording, drive)
+    causes = name_causes(load_positioner(folder, device), recording, drive)
     return {} if causes is None else {"causes": causes.summarise()}

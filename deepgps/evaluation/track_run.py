@@ -12,7 +12,7 @@ from deepgps.diagnosis.store import digest_recording
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
-from deepgps.learning.trainer import use_threads
+from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import load_positioner
 from deepgps.owned_folder import hold, is_older
@@ -89,10 +89,11 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
 def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     name = _choose(run, scenario.methods, method)
     recording, path = _open_drive(run, drive, name)
+    device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):
-        positioner, _ = adapt(load_positioner(folder_of(run, name)), recording)
+        positioner, _ = adapt(load_positioner(folder_of(run, name), device), recording)
         track = track_drive(positioner, recording, progress)
-        causes = find_causes(folder_of(run, name), open_recording(run / "recording"), recording)
+        causes = find_causes(folder_of(run, name), open_recording(run / "recording"), recording, device)
     reference = _open_reference(folder_of(run, name), recording, track)
     figures = {**_describe(name, len(recording.observation), track, reference), **causes}
     write_track(path.with_suffix(".npz"), track)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.lean import compare_images
@@ -21,7 +22,7 @@ from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.segment_errors import describe_drive
-from deepgps.learning.trainer import use_threads
+from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
 from deepgps.methods.positioner import Positioner, headings_of, load_positioner, read_training
@@ -53,10 +54,11 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     recording = keep_plausible(opened)
     held_out = open_drive_in_use(recording)
     methods = {}
+    device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):
         for number, name in enumerate(scenario.methods):
             progress("evaluate", number, len(scenario.methods))
-            methods[name] = _judge_method(folder_of(run, name), recording, held_out)
+            methods[name] = _judge_method(folder_of(run, name), recording, held_out, device)
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         **describe_drive(recording),
@@ -83,8 +85,10 @@ def read_judged(run: Path) -> dict[str, Any] | None:
         return None
 
 
-def _judge_method(folder: Path, recording: Recording, held_out: Recording | None) -> dict[str, Any]:
-    positioner = load_positioner(folder)
+def _judge_method(
+    folder: Path, recording: Recording, held_out: Recording | None, device: torch.device
+) -> dict[str, Any]:
+    positioner = load_positioner(folder, device)
     place = _locate(positioner, recording, folder)
     found: dict[str, Any] = {
         "segments": judge_segments(place, recording),
@@ -99,7 +103,7 @@ def _judge_method(folder: Path, recording: Recording, held_out: Recording | None
             **judge_turns(adapted, held_out),
             **_judge_trust(poses),
             **lean,
-            **find_causes(folder, recording, held_out),
+            **find_causes(folder, recording, held_out, device),
             "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}
