@@ -165,7 +165,9 @@ def study_command(words: Sequence[str]) -> None:
         with show_progress(errors) as progress:
             failures = carry_out(study, plans, place, run_all, progress)
         say(report_study(study, plans, failures, place))
-        if arguments.publish:
+        if arguments.publish and failures:
+            say(f"not copied to {arguments.publish / study.name}: some runs failed")
+        elif arguments.publish:
             publish(study, place, arguments.publish / study.name)
             say(f"copied to {arguments.publish / study.name}")
         if len(failures) < len(plans) and not REPORTS[study.report].gather:
@@ -279,15 +281,14 @@ def export_command(words: Sequence[str]) -> None:
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.export.command import default_folder, export_mcap, export_onnx, export_trajectories
+    from deepgps.export.command import default_folder, export_drives, export_onnx
 
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []
     with working_in(folder), show_progress(errors) as progress:
-        if formats := arguments.list_formats():
-            written += export_trajectories(run, folder, method, frame, formats, progress)
-        if arguments.mcap:
-            written += export_mcap(run, folder, method, frame, progress)
+        formats = arguments.list_formats()
+        if formats or arguments.mcap:
+            written += export_drives(run, folder, method, frame, formats, arguments.mcap, progress)
         if arguments.onnx:
             written += export_onnx(run, folder, method, frame, raw, progress)
     for path in written:

@@ -4,6 +4,7 @@ Only evaluation, the Python interface and the viewer open it. Nothing that learn
 it was fitted on the truth.
 """
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -51,7 +52,8 @@ def read_alignment(folder: Path) -> Alignment:
             trained again since.
     """
     path = folder / FILE
-    evaluate = f"deepgps evaluate {folder.parent / 'scenario.yaml'} --out {folder.parent} writes it"
+    words = (str(folder.parent / "scenario.yaml"), "--out", str(folder.parent))
+    evaluate = f"deepgps evaluate {shlex.join(words)} writes it"
     if not path.is_file():
         again = "the run is of an earlier version: make it again, or take positions in the frame of the map"
         remedy = again if is_older(folder.parent, RUN) else evaluate

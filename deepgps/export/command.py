@@ -8,7 +8,7 @@ from pathlib import Path
 from deepgps.api.run import Frame, Run
 from deepgps.export.mcap import write_drives
 from deepgps.export.onnx_folder import write_onnx
-from deepgps.export.trajectories import WRITE, Format, write_trajectories
+from deepgps.export.trajectories import WRITE, Format, find_trajectories, write_trajectories
 from deepgps.owned_folder import Kind, hold
 from deepgps.progress import Report
 from sim.errors import InputError
@@ -28,31 +28,32 @@ def default_folder(run: Path) -> Path:
     return Path("export") / run.resolve().name
 
 
-def export_trajectories(
-    run: Run, folder: Path, method: str | None, frame: Frame | None, formats: Sequence[Format], progress: Report
+def export_drives(
+    run: Run,
+    folder: Path,
+    method: str | None,
+    frame: Frame | None,
+    formats: Sequence[Format],
+    mcap: bool,
+    progress: Report,
 ) -> list[Path]:
-    """Write trajectories in these formats into a folder; return its subfolders.
+    """Write trajectories in these formats, and drives as MCAP files, into a folder; return its subfolders.
 
     Args:
         run: The run.
         folder: The export's folder.
         method: The only method; None: all.
         frame: Frame of the poses; None: the world's where the map has a place in it.
-        formats: What to write.
-        progress: Called with the trajectories done and their number.
+        formats: Formats of trajectories.
+        mcap: Whether to write MCAP files.
+        progress: Called with the trajectories, or messages, done and their number.
     """
-    methods = run.methods if method is None else (run.choose(method),)
     with _claim(run, folder):
-        write_trajectories(folder, run, methods, frame, formats, progress)
-    return [folder / name for name in formats]
-
-
-def export_mcap(run: Run, folder: Path, method: str | None, frame: Frame | None, progress: Report) -> list[Path]:
-    """Write the drives of a run as MCAP files into a folder; return its subfolder. Arguments as above."""
-    methods = run.methods if method is None else (run.choose(method),)
-    with _claim(run, folder):
-        write_drives(folder, run, methods, frame, progress)
-    return [folder / "mcap"]
+        found = find_trajectories(run, method, frame, progress)  # once for all formats: every image is located
+        write_trajectories(folder, found, formats)
+        if mcap:
+            write_drives(folder, run, found, progress)
+    return [folder / name for name in (*formats, *(["mcap"] if mcap else []))]
 
 
 def export_onnx(

@@ -3,15 +3,15 @@
 Poses that a method does not accept are on a topic of their own, so that nobody fuses them unawares.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 
-from deepgps.api.run import Frame, Run
-from deepgps.export.trajectories import TRUTH, Trajectory, count_trajectories, find_trajectories, open_drives
+from deepgps.api.run import Run
+from deepgps.export.trajectories import TRUTH, Trajectory, open_drives
 from deepgps.methods.confidence import find_normal_radius
 from deepgps.methods.pose import Poses
 from deepgps.progress import Report
@@ -31,29 +31,19 @@ SIGMA_PER_RADIUS = 1.0 / find_normal_radius(0.68)
 """Standard deviation along each axis over the radius of a circle that holds 68 % of a round normal distribution."""
 
 
-def write_drives(folder: Path, run: Run, methods: tuple[str, ...], frame: Frame | None, progress: Report) -> None:
+def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], progress: Report) -> None:
     """Write ``mcap/<drive>.mcap`` for the training drive and the drive in use.
 
     Args:
         folder: Where to.
         run: The run.
-        methods: Its methods.
-        frame: Frame of the methods' poses; None: the world's where evaluation has placed the map. The truth is in the
-            world's.
-        progress: Called with the trajectories, or messages, done and their number.
-
-    Raises:
-        InputError: The recording has no times, or a map has no place in the world.
+        trajectories: Poses along its drives.
+        progress: Called with the messages done and their number.
     """
-    drives = open_drives(run)
-    found = list[Trajectory]()
-    for one in find_trajectories(run, drives, methods, frame):
-        found.append(one)
-        progress("trajectories", len(found), count_trajectories(drives, methods))
     start_ns = find_start(run.recording)  # all drives of a log count from its start
-    for drive, recording in drives.items():
+    for drive, recording in open_drives(run).items():
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]
-        topics += [topic for one in found if one.drive == drive for topic in list_poses(one, start_ns)]
+        topics += [topic for one in trajectories if one.drive == drive for topic in list_poses(one, start_ns)]
         write_mcap(folder / "mcap" / f"{drive}.mcap", topics, "export", lambda *done: progress("mcap", *done))
 
 

@@ -54,34 +54,17 @@ class Trajectory:
     poses: Poses
 
 
-def write_trajectories(
-    folder: Path, run: Run, methods: tuple[str, ...], frame: Frame | None, formats: Sequence[Format], progress: Report
-) -> None:
-    """Write ``<format>/<drive>/<method>.<format>`` for each method and the truth, of the training drive and in use.
+def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
+    """Write ``<format>/<drive>/<method>.<format>`` for each trajectory.
 
     Args:
         folder: Where to.
-        run: The run.
-        methods: Its methods.
-        frame: Frame of the methods' poses; None: the world's where evaluation has placed the map. The truth is in the
-            world's.
+        trajectories: What to write.
         formats: Names in ``WRITE``.
-        progress: Called with the trajectories done and their number.
-
-    Raises:
-        InputError: The recording has no times, or a map has no place in the world.
     """
-    drives = open_drives(run)
-    total = count_trajectories(drives, methods)
-    for number, one in enumerate(find_trajectories(run, drives, methods, frame)):
-        progress("trajectories", number + 1, total)
+    for one in trajectories:
         for name in formats:
             WRITE[name](folder / name / one.drive / f"{one.name}.{name}", one)
-
-
-def count_trajectories(drives: dict[str, Recording], methods: tuple[str, ...]) -> int:
-    """Number of trajectories along drives: the methods', and the true ones where they are known."""
-    return len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())
 
 
 def open_drives(run: Run) -> dict[str, Recording]:
@@ -90,10 +73,32 @@ def open_drives(run: Run) -> dict[str, Recording]:
     return {"training": run.recording} | ({} if in_use is None else {"use": in_use})
 
 
-def find_trajectories(
+def find_trajectories(run: Run, method: str | None, frame: Frame | None, progress: Report) -> list[Trajectory]:
+    """The true trajectory and the methods' along the training drive and the drive in use.
+
+    Args:
+        run: The run.
+        method: The only method; None: all.
+        frame: Frame of the methods' poses; None: the world's where evaluation has placed the map. The truth is in the
+            world's.
+        progress: Called with the trajectories done and their number.
+
+    Raises:
+        InputError: There is no such method, the recording has no times, or a map has no place in the world.
+    """
+    methods, drives = run.methods if method is None else (run.choose(method),), open_drives(run)
+    total = len(drives) * len(methods) + sum(has_truth(one.folder) for one in drives.values())
+    found = list[Trajectory]()
+    for one in _follow(run, drives, methods, frame):
+        found.append(one)
+        progress("trajectories", len(found), total)
+    return found
+
+
+def _follow(
     run: Run, drives: dict[str, Recording], methods: tuple[str, ...], frame: Frame | None
 ) -> Iterator[Trajectory]:
-    """The true trajectory and the methods' along each drive; the lean in use is corrected as in evaluation."""
+    """Trajectories one after the other; the lean in use is corrected as in evaluation."""
     in_use = drives.get("use")
     for drive, recording in drives.items():
         order, time_s = _put_in_order(recording)

@@ -37,6 +37,10 @@ def draw_figures(run: Path) -> list[Path]:
     return paths
 
 
+TALLEST = 4.0
+"""Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px."""
+
+
 def make_figures(run: Path) -> dict[str, Figure]:
     """Every figure of a run by its name."""
     metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
@@ -162,8 +166,9 @@ def draw_drive(truth: Truth, reading: np.ndarray, driven_m: float | None = None)
 
 
 def _aspect(space: FreeSpace) -> float:
+    """Height of a floor over its width, at most ``TALLEST``."""
     low, high = limits(space)
-    return (high[1] - low[1]) / (high[0] - low[0])
+    return min((high[1] - low[1]) / (high[0] - low[0]), TALLEST)
 
 
 def _summary(field: ErrorField) -> str:

@@ -13,7 +13,7 @@ from rich.table import Table
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.figures.verdict import judge_run
-from deepgps.figures.without_truth import print_without_truth
+from deepgps.figures.without_truth import print_without_truth, write_hundredths
 from deepgps.methods.catalog import folder_of, title_of
 from deepgps.monitoring.words import describe_causes
 from sim.errors import DamagedError, InputError
@@ -22,19 +22,14 @@ from sim.renamed import name_methods
 
 Row = tuple[str, ...]
 
-
-def _centimetres(value: float) -> str:
-    return f"{100 * value:.1f}"
-
-
 Column = tuple[str, str, Callable[[Any], str]]
 # heading, key in metrics.json, function that formats a value
 COLUMNS: tuple[Column, ...] = (
-    ("RMS [cm]", "rms_m", _centimetres),
-    ("median [cm]", "median_m", _centimetres),
-    ("p75 [cm]", "p75_m", _centimetres),
-    ("p95 [cm]", "p95_m", _centimetres),
-    ("max [cm]", "max_m", _centimetres),
+    ("RMS [cm]", "rms_m", write_hundredths),
+    ("median [cm]", "median_m", write_hundredths),
+    ("p75 [cm]", "p75_m", write_hundredths),
+    ("p95 [cm]", "p95_m", write_hundredths),
+    ("max [cm]", "max_m", write_hundredths),
     ("yaw [deg]", "yaw_rms_deg", lambda value: f"{value:.1f}"),
     ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
     ("scale", "scale", lambda value: f"{value:.4f}"),
@@ -262,10 +257,10 @@ def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def _describe_errors_in_use(values: Mapping[str, Any]) -> str:
-    of_all = f"{_centimetres(values['rms_m'])} ({_centimetres(values['median_m'])})"
+    of_all = f"{write_hundredths(values['rms_m'])} ({write_hundredths(values['median_m'])})"
     if values.get("rms_accepted_m") is None:
         return of_all
-    accepted = f"{_centimetres(values['rms_accepted_m'])} ({_centimetres(values['median_accepted_m'])})"
+    accepted = f"{write_hundredths(values['rms_accepted_m'])} ({write_hundredths(values['median_accepted_m'])})"
     return f"{of_all}, of the {100 * values['accepted']:.1f} % accepted {accepted}"
 
 

@@ -18,24 +18,21 @@ from sim.errors import InputError
 NO_ERRORS = "There is no ground truth, so no figure here is an error of a position."
 
 
-def _centimetres(value: float) -> str:
-    return f"{100 * value:.1f}"
-
-
-def _percent(value: float) -> str:
+def write_hundredths(value: float) -> str:
+    """A length [m] in centimetres, or a share in per cent."""
     return f"{100 * value:.1f}"
 
 
 COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
-    ("length, RMS [cm]", "length_rms_m", _centimetres),
-    ("length, accepted [cm]", "length_rms_accepted_m", _centimetres),
-    ("length, median [cm]", "length_median_m", _centimetres),
-    ("off the line [cm]", "straight_rms_m", _centimetres),
+    ("length, RMS [cm]", "length_rms_m", write_hundredths),
+    ("length, accepted [cm]", "length_rms_accepted_m", write_hundredths),
+    ("length, median [cm]", "length_median_m", write_hundredths),
+    ("off the line [cm]", "straight_rms_m", write_hundredths),
     ("scale", "scale", lambda value: f"{value:.4f}"),
     ("turns [deg]", "turn_rms_deg", lambda value: f"{value:.2f}"),
-    ("accepted [%]", "accepted", _percent),
-    ("radius 68 % [cm]", "radius_68_median_m", _centimetres),
-    ("new places [%]", "new", _percent),
+    ("accepted [%]", "accepted", write_hundredths),
+    ("radius 68 % [cm]", "radius_68_median_m", write_hundredths),
+    ("new places [%]", "new", write_hundredths),
 )
 """Heading, key of a method's figures on what is held out, and how a value is written."""
 

@@ -23,6 +23,8 @@ from sim.errors import InputError
 from sim.user_input import shorten
 
 ZSTD = ".zstd"
+STRIDE = 1000
+"""Messages between two reports of progress."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,18 @@ class Log:
 
     def feed(self, takers: Mapping[str, Callable[[Sample, Part], None]], progress: Report) -> None:
         """Read some topics once, and give each message to what takes its topic."""
-        progress("read log", 0, 1)
-        for sample, part in self.read(takers):
+        for sample, part in self.show(takers, "read log", progress):
             takers[sample.topic](sample, part)
-        progress("read log", 1, 1)
+
+    def show(self, topics: Collection[str], label: str, progress: Report) -> Iterator[tuple[Sample, Part]]:
+        """The same messages; what was read of the number in the files' indices is reported from time to time."""
+        total = sum(part.counts.get(topic, 0) for part in self._parts for topic in topics)
+        progress(label, 0, total or 1)
+        for count, message in enumerate(self.read(topics), start=1):
+            if count % STRIDE == 0 and count < total:
+                progress(label, count, total)
+            yield message
+        progress(label, total or 1, total or 1)
 
     def check_topic(self, topic: str, name: str, kinds: Collection[str]) -> str:
         """The type of a topic; raises InputError that names the setting unless it is one of ``kinds``."""
@@ -136,6 +146,9 @@ class IndexedPart:
     def __init__(self, file: Path, reader: AnyReader) -> None:
         self.file, self.reader = file, reader
         self.types = {one.topic: one.msgtype for one in reader.connections}
+        self.counts: dict[str, int] = {}
+        for one in reader.connections:
+            self.counts[one.topic] = self.counts.get(one.topic, 0) + one.msgcount
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         chosen = [one for one in self.reader.connections if one.topic in topics]

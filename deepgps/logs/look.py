@@ -51,7 +51,7 @@ def look(path: Path, progress: Report) -> str:
 
     Args:
         path: The log.
-        progress: Called before and after.
+        progress: Called with the messages read.
 
     Returns:
         A ``robot.yaml`` with what was found as comments.
@@ -59,16 +59,14 @@ def look(path: Path, progress: Report) -> str:
     Raises:
         InputError: It is no log.
     """
-    progress("look", 0, 1)
     with open_log(path) as log:
         seen = {topic: Seen(kind) for topic, kind in sorted(log.types.items())}
-        for sample, part in log.read(list(seen)):
+        for sample, part in log.show(list(seen), "look", progress):
             one = seen[sample.topic]
             one.log_ns.append(sample.log_ns)
             one.stamp_ns.append(sample.stamp_ns)
             if len(one.log_ns) <= FIRST and one.kind in DECODED:
                 _take_details(one, part.decode(sample))
-        progress("look", 1, 1)
         lines = [f"# {shorten(str(path), 300)}", *(f"# note: {note}" for note in log.notes), "#"]
         for topic, one in seen.items():
             lines += [f"# {line}" for line in _describe(topic, one)]

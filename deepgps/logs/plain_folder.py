@@ -52,6 +52,7 @@ class PlainFolder:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.types = {name: kind for name, kind in TYPES.items() if (folder / name).exists()}
+        self.counts: dict[str, int] = {}
         self._images = _list_images(folder)
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:

@@ -35,9 +35,11 @@ class Part(Protocol):
 
     Attributes:
         types: Type of each topic, such as ``sensor_msgs/msg/JointState``.
+        counts: Number of messages of each topic where an index tells it.
     """
 
     types: dict[str, str]
+    counts: dict[str, int]
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         """The messages of some topics."""

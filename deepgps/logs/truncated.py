@@ -66,6 +66,7 @@ class Salvaged:
         self.file, self._walk, self._ros1 = file, walk, default == Stores.ROS1_NOETIC
         found = [one for one in walk(file) if isinstance(one, Connection)]
         self.types = {one.topic: one.kind for one in found}
+        self.counts: dict[str, int] = {}
         self._store = _define(found, default)
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:

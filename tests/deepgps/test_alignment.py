@@ -1,9 +1,14 @@
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.alignment import fit_alignment, fit_robust_alignment
+from deepgps.evaluation.stored_alignment import read_alignment
+from sim.errors import InputError
 
 points = np.random.default_rng(0).normal(size=(60, 2)) * [2.0, 1.0]
 
@@ -82,3 +87,9 @@ def test_a_robust_alignment_of_normal_errors_is_least_squares():
     placed = many + random.normal(0.0, 0.02, many.shape)
     one, other = (fit(placed, many, "SE2").apply(placed) for fit in (fit_alignment, fit_robust_alignment))
     assert np.abs(one - other).max() < 1e-4
+
+
+def test_the_command_that_places_a_map_can_be_copied_into_a_shell(tmp_path: Path) -> None:
+    run = tmp_path / "my run"
+    with pytest.raises(InputError, match=re.escape(f"deepgps evaluate '{run}/scenario.yaml' --out '{run}' writes it")):
+        read_alignment(run / "deepgps")

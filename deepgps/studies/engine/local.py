@@ -1,4 +1,4 @@
-"""The local engine: one worker process per core, each doing run after run, without a server."""
+"""The local engine: one worker process per core, at most four on a GPU, each doing run after run, without a server."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -12,9 +12,12 @@ from deepgps.command.streams import open_streams
 from deepgps.command.terminal import warn_plainly
 from deepgps.plugins import list_files
 from deepgps.progress import Look, Report
-from deepgps.studies.engine.worker import Failures, count_steps, do_run
+from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
 from deepgps.studies.study import Plan
 from sim.processes import start_process, usable_cores
+
+MOST_ON_GPU = 4
+"""Runs that train on a GPU at once."""
 
 
 def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -30,11 +33,11 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """
     failed, done = {}, {plan.run: 0 for plan in plans}
     steps = {plan.run: count_steps(plan.scenario, folder / "runs" / plan.run) for plan in plans}
-    waiting = list(plans)
+    waiting, most = list(plans), count_workers(plans)
     active: dict[Connection, tuple[Plan, Popen[bytes]]] = {}
     try:
         while waiting or active:
-            while waiting and len(active) < usable_cores():
+            while waiting and len(active) < most:
                 pipe, process = _start(folder)
                 active[pipe] = _give(pipe, waiting), process
             for pipe in wait(list(active)):
@@ -61,6 +64,16 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
         for _, process in active.values():
             process.wait()
     return failed
+
+
+def count_workers(plans: Sequence[Plan]) -> int:
+    """Number of runs at once: one for each core, but few on a GPU, whose memory they share."""
+    if any(wants_gpu(plan.scenario) for plan in plans):
+        import torch
+
+        if torch.cuda.is_available():
+            return min(usable_cores(), MOST_ON_GPU)
+    return usable_cores()
 
 
 class Update(NamedTuple):

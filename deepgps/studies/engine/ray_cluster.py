@@ -19,8 +19,7 @@ from typing import Any
 
 from deepgps.plugins import list_files
 from deepgps.progress import Report, ignore
-from deepgps.scenario import Scenario
-from deepgps.studies.engine.worker import Failures, count_steps, do_run
+from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
 from deepgps.studies.study import Plan
 from sim.errors import InputError, one_line
 from sim.processes import ENDINGS, usable_cores
@@ -91,7 +90,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
     gpus = int("GPU" in ray.cluster_resources())
     running = {}
     for plan in plans:
-        needs = {"num_cpus": 1, "num_gpus": gpus * _wants_gpu(plan.scenario), "max_retries": RETRIES}
+        needs = {"num_cpus": 1, "num_gpus": gpus * wants_gpu(plan.scenario), "max_retries": RETRIES}
         home = folder.resolve() / "runs" / plan.run
         task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore, list_files())
         running[task] = plan
@@ -115,7 +114,3 @@ def _knock(address: str) -> None:
     host, _, port = address.rpartition(":")
     if host and "/" not in host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=KNOCK_S).close()
-
-
-def _wants_gpu(scenario: Scenario) -> bool:
-    return scenario.learn.train.device != "cpu"

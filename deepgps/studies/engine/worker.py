@@ -59,6 +59,11 @@ def do_run(
     return None
 
 
+def wants_gpu(scenario: Scenario) -> bool:
+    """Whether a run trains on a GPU where there is one."""
+    return scenario.learn.train.device != "cpu"
+
+
 def count_steps(scenario: Scenario, folder: Path) -> int:
     """Number of training steps that a run lacks, without restarts; at least one, so that every run counts."""
     missing = set(scenario.methods) - set(list_trained(folder))

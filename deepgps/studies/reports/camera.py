@@ -151,11 +151,15 @@ def group_faults(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[Fault, S
 
 def _measure_lean(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, Figure]:
     """By what factor a camera that leans increases the median of the compass, which sets its images upright."""
-    figures, clean = {}, group_faults(rows, varied).get(Fault(CLEAN, False), ())
+    figures, faults = {}, group_faults(rows, varied)
+    clean = faults.get(Fault(CLEAN, False), ())
     for setting, name in LEANS.items() if clean else ():
         for lean in sorted({row[setting] for row in rows if row.get(setting)}):
-            group = [row for row in rows if row[setting] == lean]
-            words = f"{title_of('deepgps_compass')}: median / without faults, {TITLES[setting].format(lean)}"
+            title = TITLES[setting].format(lean)
+            group = faults.get(Fault(title, setting.startswith("deployment.")))
+            if group is None:  # only together with other faults
+                continue
+            words = f"{title_of('deepgps_compass')}: median / without faults, {title}"
             ratio = mean(group, "median_m") / mean(clean, "median_m")
             figures[f"compass_{name}_{lean:g}_ratio"] = Figure(words, ratio, "")
     return figures

@@ -14,9 +14,12 @@ UNSEEN = (232, 37, 79)
 
 
 def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace) -> None:
-    """Log the reachable floor too far from every training image, and the density of images, taken at ``place`` (n, 2).
+    """Log the reachable floor too far from every training image, and the number of images in each cell.
 
-    Nothing is logged for coverage that is complete.
+    Args:
+        stream: The recording.
+        place: True positions of the training images (n, 2) [m].
+        space: Where the robot fits.
     """
     row, column = np.nonzero(space.reachable)
     floor = space.origin + np.stack([column, row], axis=1) * space.cell_m

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.export import onnx_folder
+from deepgps.export import onnx_folder, trajectories
+from deepgps.methods.pose import find_poses
 from sim.errors import InputError
 from tests.helpers.command import assert_one_clear_line, deepgps_here
 
@@ -19,6 +20,16 @@ def test_trajectories_go_into_a_folder_of_their_own_again_and_again(finished_run
         assert done.stdout == "wrote given/tum\nwrote given/csv\n"
     written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
     assert written == [f"{kind}/training/{name}.{kind}" for kind in ("csv", "tum") for name in ("posenet", "truth")]
+
+
+def test_every_image_is_located_once_for_all_formats(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    found = []
+    monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
+    done = deepgps_here("export", str(finished_run), "--tum", "--mcap", "--method", "posenet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(found) == 1
 
 
 def test_a_run_of_the_same_name_does_not_write_into_the_export_of_another(finished_run: Path, tmp_path: Path):
@@ -40,7 +51,7 @@ def test_an_export_that_is_refused_leaves_nothing(finished_run: Path, tmp_path: 
     def refuse(*_: object) -> None:
         raise InputError("no times")
 
-    monkeypatch.setattr("deepgps.export.command.write_trajectories", refuse)
+    monkeypatch.setattr("deepgps.export.command.find_trajectories", refuse)
     assert_one_clear_line(deepgps_here("export", str(finished_run), "--tum", cwd=tmp_path), 2, "no times", tmp_path)
 
 

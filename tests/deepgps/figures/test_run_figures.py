@@ -75,6 +75,15 @@ def test_every_figure_is_written_as_png(run: Path) -> None:
     assert all(path.parent == run / "figures" for path in paths)
 
 
+def test_a_narrow_drive_along_y_has_a_figure_that_can_be_drawn(run: Path) -> None:
+    reachable = np.zeros((2400, 3), bool)
+    reachable[:, 1] = True
+    space = replace(make_free_space(), free=reachable, reachable=reachable, origin=np.zeros(2), cell_m=0.1)
+    assert np.ptp(limits(space), axis=0)[1] > 100 * np.ptp(limits(space), axis=0)[0]
+    figure = draw_error_field(space, read_all_headings(run)["deepgps"], "deepgps")
+    assert figure.get_figheight() < 40.0
+
+
 def test_equal_figures_give_equal_bytes(run: Path) -> None:
     space, field = make_free_space(), read_all_headings(run)["deepgps"]
     first, second = (to_png(draw_error_field(space, field, "deepgps")) for _ in range(2))

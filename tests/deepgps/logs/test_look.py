@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from deepgps.cli import main
+from deepgps.logs import containers
 from deepgps.logs.camera import read_calibration
 from deepgps.logs.look import look
 from deepgps.logs.robot_config import RobotConfig, load_config
@@ -61,6 +62,16 @@ def test_the_command_says_what_it_needs(words: list[str], message: str, capsys: 
     with pytest.raises(SystemExit) as ended:
         main(["import", "log.mcap", *words])
     assert ended.value.code == 2 and message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["mcap_lz4", "db3"])
+def test_messages_are_counted_while_a_log_is_read(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(containers, "STRIDE", 50)
+    told: list[tuple[int, int]] = []
+    look(write_log(tmp_path / "log", make_notes("image/jpeg"), kind), lambda label, *done: told.append(done[:2]))
+    total = told[0][1]
+    assert total > 100
+    assert told == [*((done, total) for done in range(0, total, 50)), (total, total)]
 
 
 def test_topics_types_rates_clocks_joints_and_calibration_are_told(log: Path) -> None:

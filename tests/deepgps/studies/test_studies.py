@@ -56,7 +56,7 @@ def grown(finished) -> tuple[Path, str, str, dict[Path, int]]:
     study, out, _ = finished
     write_study(study.parent, cases=[*STUDY["cases"], *MORE])
     times = {path: path.stat().st_mtime_ns for path in out.glob("r*/*/*") if path.is_file() and path.name != ".deepgps"}
-    process = start(study, out)
+    process = start(study, out, "--publish", str(out.parent / "pages"))
     said, errors = process.communicate(timeout=120)
     assert process.returncode == 1
     return out, said, errors, times
@@ -112,6 +112,7 @@ def test_a_run_that_fails_is_listed_and_the_others_are_done(grown):
     assert [row["failure"] is None for row in rows] == [True, True, True, False]
     assert "cuda:99" in rows[3]["failure"]
     assert rows[3]["failure"] in said
+    assert "not copied to" in said and not (out.parent / "pages").exists()
 
 
 def test_a_recording_is_shared_by_what_does_not_change_it(tmp_path):

@@ -5,10 +5,20 @@ from pathlib import Path
 import pytest
 
 from deepgps.progress import ignore
-from deepgps.studies.engine.local import run_all
+from deepgps.studies.engine.local import count_workers, run_all
 from deepgps.studies.study import load_study, plan_runs
 from sim.processes import start_process
 from tests.helpers.small_study import write_study
+
+
+@pytest.mark.parametrize(("device", "there", "most"), [("cpu", True, 64), ("cuda", True, 4), ("auto", False, 64)])
+def test_few_runs_train_on_a_gpu_at_once(
+    device: str, there: bool, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: there)
+    monkeypatch.setattr("deepgps.studies.engine.local.usable_cores", lambda: 64)
+    study = write_study(tmp_path, set={"learn.train.device": device})
+    assert count_workers(plan_runs(load_study(str(study), tiny=False))) == most
 
 
 def test_workers_that_die_before_they_read_anything_fail_their_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):

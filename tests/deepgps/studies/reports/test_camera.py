@@ -57,6 +57,17 @@ def test_each_fault_stands_beside_none_and_those_in_use_alone_come_last():
     assert [fault.in_use for fault in camera.group_faults(ROWS, VARIED)] == [False, False, True]
 
 
+def test_a_leaning_camera_with_another_fault_does_not_count_as_one_that_leans():
+    lean = "camera_mount.roll_deg"
+    rows = [
+        {**make_row("deepgps_compass", rms, 0, exposure), lean: degrees}
+        for rms, exposure, degrees in ((0.01, 1.0, 0.0), (0.02, 1.0, 8.0), (0.50, 0.25, 8.0), (0.50, 0.25, 2.0))
+    ]
+    figures = camera.measure(rows)
+    assert figures["compass_tilted_8_ratio"].value == pytest.approx(2.0)
+    assert "compass_tilted_2_ratio" not in figures
+
+
 def test_the_worst_fault_of_each_kind_is_a_figure():
     figures = camera.measure(ROWS)
     assert set(figures) == {name for name in REPORTS["camera"].targets if not name.startswith("compass_")}
