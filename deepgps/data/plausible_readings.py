@@ -75,10 +75,15 @@ def count_readings(recording: Recording) -> dict[str, dict[str, int]]:
     return {} if recording.readings is None else {"readings": recording.readings}
 
 
+def count_left_out(counts: Mapping[str, int]) -> int:
+    """Number of readings that were left out, since they cannot be."""
+    return sum(counts.get(fault, 0) for fault in FAULTS)
+
+
 def describe_readings(counts: Mapping[str, int]) -> str | None:
     """Describe in a sentence what was left out or repaired; None if nothing was."""
     parts = []
-    if left_out := sum(counts.get(fault, 0) for fault in FAULTS):
+    if left_out := count_left_out(counts):
         total = counts["kept"] + left_out
         parts.append(f"{left_out} of {total} readings cannot be and are left out ({_say_why(counts)})")
     if wrapped := counts.get("wrapped", 0):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deepgps.data.dead_reckoning import travel
-from deepgps.data.plausible_readings import FAULTS
+from deepgps.data.plausible_readings import count_left_out
 from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick
 
@@ -122,7 +122,7 @@ def measure_loss(recording: Recording) -> tuple[float, float, float]:
     that were left out because they cannot be did arrive.
     """
     assert recording.turn_observation is not None
-    arrived = len(recording.reading) + sum((recording.readings or {}).get(fault, 0) for fault in FAULTS)
+    arrived = len(recording.reading) + count_left_out(recording.readings or {})
     total = max(len(recording.observation) + len(recording.turn_observation), arrived)
     lost = 1.0 - arrived / total
     shrunk = 1.0 + Z95**2 / total

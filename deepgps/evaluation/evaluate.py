@@ -51,6 +51,7 @@ class Predictions(NamedTuple):
         training: Positions of the training images (N, 2) [m].
         test: Positions of the test images (C, H, 2) [m].
         poses: The same test images' poses (C * H).
+        trained: The positioner as it was trained.
         positioner: The positioner of the camera in use, which took the test images.
         lean: How that camera leans, for ``metrics.json``.
     """
@@ -58,6 +59,7 @@ class Predictions(NamedTuple):
     training: np.ndarray
     test: np.ndarray
     poses: Poses
+    trained: Positioner
     positioner: Positioner
     lean: dict[str, float]
 
@@ -107,7 +109,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             methods[method] |= judge_map(placed, methods[method]["map"])
         if in_use is not None:
             use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
-            causes = find_causes(folder_of(run, method), recording, in_use, device)
+            causes = find_causes(maps.trained, recording, in_use)
             methods[method]["in_use"] = {**_summarise(use_fields[method], side_m), **maps.lean, **causes}
         if labels is not None:
             label_fields[method], to_labels = measure_field(maps, method, labels)
@@ -156,7 +158,7 @@ def predict(
     test = poses.position
     if wrong := int((~np.isfinite(training)).any(axis=1).sum() + (~np.isfinite(test)).any(axis=1).sum()):
         raise WorkError(f"{folder}: for {wrong} of {len(training) + len(test)} observations it predicts no position")
-    return Predictions(training, test.reshape(cells, headings, 2), poses, positioner_in_use, lean)
+    return Predictions(training, test.reshape(cells, headings, 2), poses, positioner, positioner_in_use, lean)
 
 
 def _check_tests(recording: Recording, truth: Truth) -> None:

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from deepgps.alignment import Alignment
 from deepgps.data.lean import adapt_upright, describe_lean
@@ -14,7 +13,7 @@ from deepgps.evaluation.acceptance import take_acceptance
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.yaw_errors import add_yaws
 from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import NetworkPositioner, Positioner, load_positioner
+from deepgps.methods.positioner import NetworkPositioner, Positioner
 from deepgps.monitoring.causes import name_causes
 from sim.errors import InputError, WorkError
 from sim.recording.format import OF_USE, Recording, open_recording, open_truth
@@ -67,14 +66,13 @@ def measure_in_use(positioner: Positioner, alignment: Alignment, drive: Recordin
     return add_yaws(field, found, alignment)
 
 
-def find_causes(folder: Path, recording: Recording, drive: Recording, device: torch.device) -> dict[str, Any]:
+def find_causes(positioner: Positioner, recording: Recording, drive: Recording) -> dict[str, Any]:
     """Why images of the drive in use are refused or suspicious, as an entry of figures; nothing where it is not known.
 
     Args:
-        folder: The method's folder.
+        positioner: The method's, as it was trained.
         recording: What it has learned from.
         drive: The drive in use.
-        device: Where its network computes.
     """
-    causes = name_causes(load_positioner(folder, device), recording, drive)
+    causes = name_causes(positioner, recording, drive)
     return {} if causes is None else {"causes": causes.summarise()}

@@ -91,9 +91,10 @@ def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path |
     recording, path = _open_drive(run, drive, name)
     device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):
-        positioner, _ = adapt(load_positioner(folder_of(run, name), device), recording)
+        trained = load_positioner(folder_of(run, name), device)
+        positioner, _ = adapt(trained, recording)
         track = track_drive(positioner, recording, progress)
-        causes = find_causes(folder_of(run, name), open_recording(run / "recording"), recording, device)
+        causes = find_causes(trained, open_recording(run / "recording"), recording)
     reference = _open_reference(folder_of(run, name), recording, track)
     figures = {**_describe(name, len(recording.observation), track, reference), **causes}
     write_track(path.with_suffix(".npz"), track)

@@ -103,7 +103,7 @@ def _judge_method(
             **judge_turns(adapted, held_out),
             **_judge_trust(poses),
             **lean,
-            **find_causes(folder, recording, held_out, device),
+            **find_causes(positioner, recording, held_out),
             "new": measure_new(poses.position[rows[:, 1]], rows[:, 0], place),
         }
     return {**found, **read_training(folder)}

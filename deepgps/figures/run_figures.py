@@ -25,6 +25,8 @@ from sim.renamed import name_methods
 
 NOTE_IN = 0.4
 """Height of the note below error fields [inch]."""
+TALLEST = 4.0
+"""Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px."""
 DRIVE_COLOURS = LinearSegmentedColormap.from_list("drive", ["#3f78ff", "#c86bff", "#ff8a5c", "#ffe36e"])
 
 
@@ -35,10 +37,6 @@ def draw_figures(run: Path) -> list[Path]:
     for path, figure in zip(paths, figures.values(), strict=True):
         write_bytes(path, to_png(figure))
     return paths
-
-
-TALLEST = 4.0
-"""Largest height of a figure's floor over its width; matplotlib draws no picture of 65,536 px."""
 
 
 def make_figures(run: Path) -> dict[str, Figure]:

@@ -166,8 +166,17 @@ def train_attempt(
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, any_length: bool = False) -> Start:
-    """Choose the start of attempt ``number``: ``auto`` is paths at first, if the segments are long enough for a map
-    (or, at ``any_length``, need not be), else lifting."""
+    """Choose the start of an attempt: ``auto`` is paths at first, where a map can be made, and else lifting.
+
+    Args:
+        settings: How to learn.
+        segments: What is learned from.
+        number: Number of the attempt, counted from 0.
+        any_length: Whether the first attempt's map can be made of segments with two readings each.
+
+    Raises:
+        InputError: The start is set to paths, and no map can be made.
+    """
     enough = has_lines(segments) or (any_length and number == 0)
     if settings.start == "auto":
         return "paths" if number == 0 and enough else "lifting"
