@@ -4,7 +4,7 @@ import torch
 
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Draw
-from deepgps.learning.trainer import Loss
+from deepgps.learning.step import Loss
 
 IMITATE = 0.2
 """Fraction of the steps in which the network imitates the initial map, with decreasing weight."""
@@ -20,12 +20,13 @@ def imitate_first(loss: Loss, known: torch.Tensor, slack_m: float, weight: float
         weight: Weight of that later pull beside the loss.
     """
     mapped = known.isfinite().all(dim=1)
+    known = known.where(mapped[:, None], 0.0)
 
-    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        pull = max(0.0, 1.0 - done / IMITATE)
+    def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
+        pull = (1.0 - done / IMITATE).clamp_min(0.0)
         used = batch.valid & mapped[batch.index]
-        away = losses.distance(out[used], known[batch.index[used]])
-        count = max(1, len(away))
+        away = losses.distance(out, known[batch.index]).where(used, 0.0)
+        count = used.sum().clamp_min(1)
         imitation, leash = away.sum() / count, (away - slack_m).clamp_min(0.0).sum() / count
         return (1.0 - pull) * (loss(out, batch, done) + weight * leash) + pull * imitation
 

@@ -4,7 +4,7 @@ import torch
 
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
-from deepgps.learning.trainer import Loss
+from deepgps.learning.step import Loss
 from deepgps.settings import LiftSettings
 
 FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
@@ -12,10 +12,13 @@ FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
 
 
 def flatten_later(loss: Loss, lift: LiftSettings) -> Loss:
-    """Add, with increasing weight, the mean distance of predictions from the plane of their two principal axes."""
+    """Add, with increasing weight, the mean distance of predictions from the plane of their two principal axes.
 
-    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
-        push = lift.penalty * min(1.0, max(0.0, (done - FLATTEN_FROM) / (FLATTEN_TO - FLATTEN_FROM)))
+    It reads values back from a GPU, which therefore cannot replay its steps.
+    """
+
+    def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
+        push = lift.penalty * min(1.0, max(0.0, (float(done) - FLATTEN_FROM) / (FLATTEN_TO - FLATTEN_FROM)))
         if push == 0.0:
             return loss(out, batch, done)
         points = out[batch.valid]

@@ -10,7 +10,7 @@ methods, or nearly one between two machines, is noise.
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +20,9 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import nn
 
-from deepgps.learning.batches import Batch, Draw, Inputs
+from deepgps.learning.batches import Draw, Inputs
 from deepgps.learning.checkpoint import load_checkpoint, save_checkpoint
+from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
 from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
 from sim.errors import InputError, WorkError
@@ -31,8 +32,6 @@ from sim.rng import derive_seed
 SNAPSHOT_SAMPLES = 2000
 LOSS_POINTS = 300
 WARM_UP = 0.05
-
-Loss = Callable[[torch.Tensor, Batch, float], torch.Tensor]
 
 
 def make_generator(seed: int, purpose: str, attempt: int = 0) -> torch.Generator:
@@ -93,6 +92,7 @@ def train(
     folder: Path,
     progress: Report = ignore,
     label: str = "train",
+    replay: bool = True,
 ) -> float:
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
@@ -103,12 +103,13 @@ def train(
         network: The network, trained from its present weights.
         inputs: Training observations.
         draw: (generator, fraction of the steps done) -> batch of one step.
-        loss: (predictions shaped like the batch's index plus outputs, batch, fraction of the steps done) -> scalar.
+        loss: See ``Loss``.
         settings: Steps, rate, device.
         seed: Seed of the random draws.
         folder: Where the checkpoint and the history are written.
         progress: Called with the steps done and their number.
         label: The label for ``progress``.
+        replay: Whether a GPU may record a step and replay it, because the loss never waits for a value from the GPU.
 
     Returns:
         Seconds of training, including earlier parts of an interrupted training.
@@ -126,22 +127,19 @@ def train(
         fast = settings.bfloat16 and has_fast_bfloat16(device)
         history = History.start(len(inputs), settings.steps, settings.snapshots)
         done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
+        take_step = make_step(network, optimiser, loss, fast)
+        if replay and device.type == "cuda":
+            take_step = ReplayedStep(take_step, optimiser)
         start = time.perf_counter() - seconds
-        running = torch.zeros((), device=device)
+        running, fraction = torch.zeros((), device=device), torch.zeros((), device=device)
         every = max(1, settings.steps // LOSS_POINTS)
         for step in range(done, settings.steps):
             if step in history.snapshot_steps:
                 history.add_snapshot(step, predict(network, inputs, history.index))
-            for group in optimiser.param_groups:
-                group["lr"] = settings.learning_rate * schedule(step, settings.steps)
+            set_rate(optimiser, settings.learning_rate * schedule(step, settings.steps))
             batch = draw(generator, step / settings.steps)
-            with torch.autocast(device.type, torch.bfloat16, enabled=fast):
-                out = network(inputs.take(batch.index.flatten(), generator))
-            value = loss(out.unflatten(0, batch.index.shape), batch, step / settings.steps)
-            optimiser.zero_grad(set_to_none=True)
-            value.backward()
-            optimiser.step()
-            running += value.detach()
+            taken = inputs.take(batch.index.flatten(), generator)
+            running += take_step(taken, batch, fraction.fill_(step / settings.steps))
             if (step + 1) % every == 0:
                 _check_finite(running, step + 1, settings)
                 history.add_loss(step + 1, running.item() / every)

@@ -25,7 +25,8 @@ from deepgps.learning.batches import Batch, sample_from
 from deepgps.learning.imitation import imitate_first, sample_mapped_first
 from deepgps.learning.lifting import find_plane, flatten_later
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.trainer import Loss, make_generator, predict, train
+from deepgps.learning.step import Loss
+from deepgps.learning.trainer import make_generator, predict, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.methods.attempts import Attempt, label_attempt, train_until_unfolded
 from deepgps.methods.positioner import Fitted, as_positioner
@@ -154,7 +155,8 @@ def train_attempt(
             loss = flatten_later(loss, settings.lift)
     # 5. Gradient descent.
     shuffling = derive_seed(seed, "shuffling", number)
-    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label)
+    replay = start != "lifting"  # whose loss reads values back from a GPU
+    seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label, replay)
     # 6. The map, which is a plane in the network's output, and whether it is folded (ours).
     out = predict(network, data.inputs, torch.arange(len(data.features)))
     centre, axes = find_plane(out)
@@ -190,7 +192,7 @@ def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, a
 def segment_loss(settings: LearnSettings, weigh: Callable[[Batch], losses.Weights], curvature: float = 0.0) -> Loss:
     """The paper's dense loss (Eq. 5) plus our loss of straightness times its weight, for segments of a curvature."""
 
-    def both(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+    def both(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         weights = weigh(batch)
         pairs = losses.dense(out, batch.target, batch.valid, settings.loss, weights.pairs, curvature)
         if settings.straight == 0.0:

@@ -49,7 +49,7 @@ def fit_positions(
         chosen = torch.randint(len(index), (count,), generator=generator, device=device)
         return Batch(index[chosen], label[chosen], torch.ones(count, dtype=torch.bool, device=device))
 
-    def loss(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+    def loss(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         return losses.distance(out, batch.target).mean()
 
     network, shuffling = new_network(data, settings, 2, seed), derive_seed(seed, "shuffling")

@@ -7,8 +7,8 @@ import torch
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Inputs
 from deepgps.learning.networks import make_network
+from deepgps.learning.step import Loss
 from deepgps.learning.trainer import (
-    Loss,
     choose_device,
     describe_device,
     find_device,
@@ -38,7 +38,7 @@ def cut_at(step: int) -> Report:
     return report
 
 
-def aim(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+def aim(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
     return losses.distance(out, batch.target).mean()
 
 
@@ -178,7 +178,7 @@ def test_threads_are_lent_only_to_training(tmp_path: Path):
 
 
 def test_a_training_that_diverges_says_so_and_leaves_no_checkpoint_of_it(tmp_path: Path):
-    def burst(out: torch.Tensor, batch: Batch, done: float) -> torch.Tensor:
+    def burst(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         return aim(out, batch, done) * (torch.nan if done >= 0.5 else 1.0)
 
     with pytest.raises(WorkError, match=r"training diverged before step 6\d: .*learn.train.learning_rate"):

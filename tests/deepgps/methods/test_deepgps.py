@@ -158,7 +158,8 @@ def test_the_penalty_is_the_distance_from_the_plane_and_grows():
     points = torch.tensor([[3.0, 0, 0], [-3.0, 0, 0], [0, 2.0, 0], [0, -2.0, 0], [0, 0, 0.5], [0, 0, -0.5]])
     batch = Batch(torch.arange(6), torch.zeros(6), torch.ones(6, dtype=torch.bool))
     loss = flatten_later(lambda out, batch, done: out.sum() * 0.0, LiftSettings())
-    values = [loss(points, batch, done).item() for done in (FLATTEN_FROM, (FLATTEN_FROM + FLATTEN_TO) / 2.0, 0.9)]
+    times = (FLATTEN_FROM, (FLATTEN_FROM + FLATTEN_TO) / 2.0, 0.9)
+    values = [loss(points, batch, torch.tensor(done)).item() for done in times]
     assert values == pytest.approx([0.0, 0.5 / 6.0, 1.0 / 6.0])
 
 
@@ -167,11 +168,11 @@ def test_imitation_ends_in_a_leash():
     batch = Batch(torch.arange(4), torch.zeros(4), torch.tensor([True, True, False, True]))
     slack = SLACK_M["paths"]
     loss = imitate_first(lambda out, batch, done: out.nan_to_num().sum() * 0.0, known, slack)
-    values = [loss(torch.zeros((4, 2)), batch, done).item() for done in (0.0, 0.1, 0.5)]
+    values = [loss(torch.zeros((4, 2)), batch, done).item() for done in torch.tensor([0.0, 0.1, 0.5])]
     assert values == pytest.approx([2.0**0.5, 2.0**0.5 - slack / 2.0, 2.0**0.5 - slack])
-    assert loss(known + slack / 2.0, batch, 0.5).item() == 0.0
+    assert loss(known + slack / 2.0, batch, torch.tensor(0.5)).item() == 0.0
     nobody = Batch(torch.tensor([3]), torch.zeros(1), torch.ones(1, dtype=torch.bool))
-    assert loss(torch.ones((1, 2)), nobody, 0.0).item() == 0.0
+    assert loss(torch.ones((1, 2)), nobody, torch.tensor(0.0)).item() == 0.0
     out = torch.zeros((4, 2), requires_grad=True)
-    loss(out, batch, 0.1).backward()
+    loss(out, batch, torch.tensor(0.1)).backward()
     assert out.grad is not None and torch.isfinite(out.grad).all()
