@@ -83,7 +83,9 @@ def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool
     return True
 
 
-def make_recording(scenario: Scenario, folder: Path, progress: Report, base: Path | None = None) -> None:
+def make_recording(
+    scenario: Scenario, folder: Path, progress: Report, base: Path | None = None, renderers: int | None = None
+) -> None:
     """Drive and record: write the recording ``folder``, or what is missing of it.
 
     Args:
@@ -91,14 +93,15 @@ def make_recording(scenario: Scenario, folder: Path, progress: Report, base: Pat
         folder: The recording's folder.
         progress: Called with the progress of driving and rendering.
         base: A recording with the same training drive, which is shared unless it is damaged; None: there is none.
+        renderers: Processes that draw a room's images; None: as many as pay on all cores.
     """
     if base is not None:
         try:
             check_recording(base)
-            return _record_room(scenario, folder, progress, base)
+            return _record_room(scenario, folder, progress, renderers, base)
         except DamagedError as error:
             log.warning("%s; the drive is made again", error)
-    RECORD[scenario.world](scenario, folder, progress)
+    RECORD[scenario.world](scenario, folder, progress, renderers)
 
 
 def check_log(path: Path, scenario: Scenario) -> None:
@@ -211,25 +214,27 @@ def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
         return None
 
 
-def _record_room(scenario: Scenario, folder: Path, progress: Report, base: Path | None = None) -> None:
+def _record_room(
+    scenario: Scenario, folder: Path, progress: Report, renderers: int | None, base: Path | None = None
+) -> None:
     from sim.recording.collect import collect as collect_room
 
-    collect_room(scenario.sim, scenario.seed, folder, progress, base=base)
+    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base)
 
 
-def _record_landmarks(scenario: Scenario, folder: Path, progress: Report) -> None:
+def _record_landmarks(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
     from sim.planar.landmarks import collect as collect_landmarks
 
     collect_landmarks(scenario.sim, scenario.seed, folder, progress)
 
 
-def _record_obstacles(scenario: Scenario, folder: Path, progress: Report) -> None:
+def _record_obstacles(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
     from sim.planar.obstacles import collect as collect_lidar
 
     collect_lidar(scenario.sim, scenario.seed, folder, progress)
 
 
-RECORD: dict[WorldName, Callable[[Scenario, Path, Report], None]] = {
+RECORD: dict[WorldName, Callable[[Scenario, Path, Report, int | None], None]] = {
     "room": _record_room,
     "landmarks": _record_landmarks,
     "obstacles": _record_obstacles,

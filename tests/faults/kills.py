@@ -17,7 +17,7 @@ from tests.faults.moments import wait_for_moment
 
 HANGS_S = 90.0
 """A command of some seconds, one worker of which was stopped, must have replaced it and ended by then."""
-WORKERS = (b"renderers import work", b"engine.local import work")
+WORKERS = (b"renderers import work", b"engine.pool import work")
 """Part of the command line of a process that trains or draws."""
 CHANCES = 3
 """How often a command is given until a worker could be hit: it may be done before."""

@@ -2,21 +2,21 @@
 
 A drive is collected once, at its greatest length and with the default encoders and images. All other recordings of the
 drive are derived from it, which needs no simulator, and little disk space where the images are the same. Drives that
-differ in deployment or test grid share all but their tests. They are collected one after another, each on all cores.
+differ in deployment or test grid share all but their tests.
 """
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from deepgps.progress import Look, Report
+from deepgps.progress import Report
 from deepgps.scenario import Scenario, digest_recording
-from deepgps.stages import make_recording
+from deepgps.studies.engine.collecting import collect_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole
-from sim.recording.training_drive import has_same_training_drive, keep_training_settings
+from sim.recording.training_drive import keep_training_settings
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -33,7 +33,8 @@ def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, pro
     """
     drives, home = find_drives(plans), folder / "recordings"
     wanted = _find_wanted(missing, home)
-    unmade = _collect_all(_choose_undriven(drives, wanted, home), drives.values(), home, progress)
+    undriven = _choose_undriven(drives, wanted, home)
+    unmade = collect_all(undriven, _find_bases(undriven, drives.values(), home), home, progress)
     failed: Failures = {}
     for done, (key, scenario) in enumerate(wanted.items(), start=1):
         drive = digest_recording(drives[key])
@@ -79,22 +80,11 @@ def _choose_undriven(drives: dict[str, Scenario], wanted: Iterable[str], home: P
     return {key: scenario for key, scenario in needed.items() if not is_whole(home / key)}
 
 
-def _collect_all(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home: Path, progress: Report) -> Failures:
-    total, before, failed = sum(one.drive.samples for one in scenarios.values()), 0, {}
+def _find_bases(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home: Path) -> dict[str, Path]:
+    """For each drive to collect, the recording with the same training drive: a finished one, or the first of them."""
     made = {digest_recording(one): one for one in drives} if scenarios else {}
     shared = {_name_training_drive(one): home / key for key, one in made.items() if is_whole(home / key)}
-    for key, scenario in scenarios.items():
-        base = shared.setdefault(_name_training_drive(scenario), home / key)
-        stages = (1 if is_whole(base) else 2) + (2 if scenario.deployment.drive_samples else 0)
-        part = _share_out(progress, before, scenario.drive.samples, total, stages)
-        try:
-            shares = is_whole(base) and has_same_training_drive(base, scenario.sim, scenario.seed)
-            make_recording(scenario, home / key, part, base if shares else None)
-        except (InputError, WorkError, OSError) as error:
-            failed[key] = f"recording: {one_line(error)}"
-        before += scenario.drive.samples
-        progress("recordings", before, total)
-    return failed
+    return {key: shared.setdefault(_name_training_drive(one), home / key) for key, one in scenarios.items()}
 
 
 def _name_training_drive(scenario: Scenario) -> str:
@@ -109,14 +99,3 @@ def _try_to_derive(drive: Path, scenario: Scenario, folder: Path) -> Failures:
     except (InputError, WorkError, OSError) as error:
         return {folder.name: f"recording: {one_line(error)}"}
     return {}
-
-
-def _share_out(progress: Report, before: int, size: int, total: int, stages: int) -> Report:
-    """Report driving and rendering, in training and in use, as one progress bar, in which all stages count the same."""
-    share: dict[str, float] = {}
-
-    def report(label: str, done: int, of: int, look: Look | None = None) -> None:
-        share[label] = done / of
-        progress("recordings", before + round(size * sum(share.values()) / stages), total)
-
-    return report

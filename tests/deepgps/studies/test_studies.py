@@ -508,5 +508,5 @@ def find_workers(parent: int) -> list[int]:
     return [
         int(child)
         for child in children
-        if b"deepgps.studies.engine.local" in Path(f"/proc/{child}/cmdline").read_bytes()
+        if b"deepgps.studies.engine.pool" in Path(f"/proc/{child}/cmdline").read_bytes()
     ]

@@ -24,7 +24,7 @@ def test_few_runs_train_on_a_gpu_at_once(
 def test_workers_that_die_before_they_read_anything_fail_their_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     plans = plan_runs(load_study(str(write_study(tmp_path)), tiny=False))
     monkeypatch.setattr(
-        "deepgps.studies.engine.local.start_process",
+        "deepgps.studies.engine.pool.start_process",
         lambda code, words, handles: start_process("raise SystemExit(3)", words, handles),
     )
     failures = run_all(plans, tmp_path, ignore)

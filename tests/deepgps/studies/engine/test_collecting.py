@@ -1,0 +1,75 @@
+"""Several drives at once: the same bytes as in turn, and one that fails, or whose process dies, fails alone."""
+
+from pathlib import Path
+
+import pytest
+
+from deepgps.progress import ignore
+from deepgps.studies.engine import collecting
+from deepgps.studies.engine.collecting import collect_all, count_drives
+from deepgps.studies.engine.shared_recordings import record_all
+from deepgps.studies.study import Plan, load_study, plan_runs
+from sim.processes import start_process
+from sim.recording.format import is_whole, read_manifest
+from tests.helpers.small_study import write_study
+
+ROOMS = [{"room.seed": 0}, {"room.seed": 1}, {"room.seed": 1, "deployment.light": 0.5}]
+"""The third shares the training drive of the second."""
+
+
+def plan(folder: Path, cases: list[dict[str, object]], scenario: str = "mini.yaml") -> list[Plan]:
+    folder.mkdir()
+    return plan_runs(load_study(str(write_study(folder, cases=cases, scenario=scenario, target={})), tiny=False))
+
+
+def at_once(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
+    monkeypatch.setattr(collecting, "PER_PROCESS", 10)
+    monkeypatch.setattr(collecting, "usable_cores", lambda: cores)
+
+
+@pytest.mark.parametrize(
+    ("cores", "drives", "samples", "most"),
+    [(2, 10, 80_000, 2), (16, 3, 48_000, 3), (16, 10, 500, 1), (16, 10, 3000, 4), (8, 0, 0, 1)],
+)
+def test_as_many_drives_at_once_as_pay(
+    cores: int, drives: int, samples: int, most: int, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(collecting, "usable_cores", lambda: cores)
+    assert count_drives(drives, samples) == most
+
+
+def test_drives_at_once_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    found, told = [], list[tuple[str, int, int]]()
+    for cores in (1, 4):
+        at_once(monkeypatch, cores)
+        plans, home = plan(tmp_path / str(cores), ROOMS), tmp_path / str(cores) / "out"
+        told.clear()
+        assert record_all(plans, plans, home, lambda *what: told.append(what[:3])) == {}
+        assert ("recordings", 180, 180) in told
+        recordings = [home / "recordings" / one.recording for one in plans]
+        shared = [path.relative_to(recordings[1]) for path in recordings[1].glob("observations/*.npy")]
+        assert shared and all((recordings[2] / path).samefile(recordings[1] / path) for path in shared)
+        found.append([read_manifest(one).sha256 for one in recordings])
+    assert found[0] == found[1]
+
+
+def test_a_drive_that_fails_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    at_once(monkeypatch, 2)
+    plans, home = plan(tmp_path / "study", ROOMS[:2]), tmp_path / "recordings"
+    scenarios = {one.recording: one.scenario for one in plans}
+    bad, good = scenarios
+    home.mkdir()
+    (home / bad).write_text("in the way")
+    failures = collect_all(scenarios, {key: home / key for key in scenarios}, home, ignore)
+    assert list(failures) == [bad] and failures[bad].startswith("recording: ") and is_whole(home / good)
+
+
+def test_a_process_that_dies_fails_its_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    at_once(monkeypatch, 2)
+    monkeypatch.setattr(
+        "deepgps.studies.engine.pool.start_process",
+        lambda code, words, handles: start_process("raise SystemExit(3)", words, handles),
+    )
+    plans = plan(tmp_path / "study", [{"landmarks.count": 20}, {"landmarks.count": 21}], "plane.yaml")
+    failures = record_all(plans, plans, tmp_path, ignore)
+    assert failures == {one.recording: "recording: its process ended with 3" for one in plans}
