@@ -1,8 +1,8 @@
 """The engine of a study: it makes every missing recording, then every missing run, with one process per core.
 
-A drive and a training take one core each, so as many are done at once as there are cores. The only state is the finished
-files, in folders named by a hash of everything they depend on. A study that was killed, or that has grown, therefore
-does only what is missing, under any engine.
+A drive and a training take one core each, so as many are done at once as there are cores. The only state is the
+finished files, in folders named by a hash of everything they depend on. A study that was killed, or that has grown,
+therefore does only what is missing, under any engine.
 """
 
 import re

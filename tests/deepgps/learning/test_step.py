@@ -70,8 +70,13 @@ def test_a_rate_is_set_in_place_where_it_is_a_tensor():
 @pytest.mark.parametrize("architecture", ["spectral", "resnet"])
 @pytest.mark.parametrize("name", LOSSES)
 def test_a_replayed_training_learns_what_a_plain_one_learns(name: str, architecture: Architecture, tmp_path: Path):
-    found = [learn_on_gpu(name, architecture, tmp_path / str(replay), replay) for replay in (True, False)]
-    assert np.abs(found[0] - found[1]).max() < 1e-3 * np.abs(found[1]).max()
+    """Convolutions do not even repeat themselves on a GPU, so two plain trainings say how far apart losses may be."""
+    replayed, plain, again = (
+        learn_on_gpu(name, architecture, tmp_path / str(number), replay)
+        for number, replay in enumerate((True, False, False))
+    )
+    noise, scale = np.abs(plain - again).max(), np.abs(plain).max()
+    assert np.abs(replayed - plain).max() <= 10.0 * noise + 1e-3 * scale
 
 
 @needs_gpu
