@@ -179,58 +179,92 @@ def _go_straight(
         mode: Whether the segment continues the last one, and which side to search.
         visits: What the robot had visited before this segment.
     """
-    period, spacing = CONTROL_PERIOD_S, settings.spacing_m
-    start, samples = robot.wheel_angle(), [_sample(robot, 0.0)]
-    speed = travelled_m = slip_from_m = held_s = 0.0
-    seen_m, length_m, gap = np.inf, _draw_length(settings, rng), 0
+    way, length_m, gap = _Way(robot, settings), _draw_length(settings, rng), 0
+    gaps, heed = _choose_gaps(settings, mode, stop_m, robot.body.radius_m)
     explores = settings.headings == "explore"
-    if mode.kind == "search":
-        gaps, heed = Gaps((mode.side,), SHORTEST_M + stop_m, robot.body.radius_m), 1.0
-    else:
-        sides = (1, -1) if explores or settings.enter > 0.0 else ()
-        gaps, heed = Gaps(sides, None, robot.body.radius_m), settings.enter
     # Short rays are enough to stop in time, and cheaper.
     blind_m = settings.speed_mps**2 / (2 * ACCELERATION_MPS2) + SLIP_M + 0.1
     reach_m = blind_m + stop_m + robot.body.radius_m + SEEN_M
-    ended: Ended | None = None
     while True:
         clear_m = look(robot, reach_m) - stop_m
-        if abs(clear_m - seen_m) > SEEN_M or clear_m > blind_m:
-            seen_m, slip_from_m = clear_m, travelled_m
-        for side in gaps.find(robot, travelled_m) if not gap else ():
-            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, travelled_m, stop_m)):
-                gap, length_m = side, min(length_m, travelled_m + speed**2 / (2 * ACCELERATION_MPS2))
-        rest_m = min(length_m - travelled_m, clear_m)
-        if ended := _why_stop(robot.bumped(), held_s, travelled_m - slip_from_m, clear_m, rest_m):
+        way.see(clear_m, blind_m)
+        for side in gaps.find(robot, way.travelled_m) if not gap else ():
+            if rng.uniform() < heed or (explores and is_staler_aside(robot, visits, side, way.travelled_m, stop_m)):
+                gap, length_m = side, min(length_m, way.travelled_m + way.speed**2 / (2 * ACCELERATION_MPS2))
+        rest_m = min(length_m - way.travelled_m, clear_m)
+        if ended := _why_stop(robot.bumped(), way, clear_m, rest_m):
             break
-        speed = ramp(speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
-        left, right = robot.wheel_angle() - start
-        even = STRAIGHTEN_PER_S * (left - right) / 2
-        robot.step(wheel_speeds(speed, 0.0, robot.body) + (-even, even))
-        before_m, travelled_m = travelled_m, travelled(robot, start)
-        held_s = held_s + period if travelled_m - before_m < speed * period / 2 else 0.0
-        if settings.strategy == "dense" and travelled_m >= len(samples) * spacing:
-            samples.append(_sample(robot, travelled_m))
+        way.drive_on(rest_m)
     halt(robot)
-    taken = len(samples)
-    if ended in TOUCHED:
-        samples = [sample for sample in samples if sample.travelled_m <= travelled_m - UNCERTAIN_M]
-    elif travelled_m < CLOSE_M:
-        samples = []
-    else:
-        samples.append(_sample(robot, travelled(robot, start)))
-        # The end is the next segment's start, so a regular sample just before it is dropped.
-        if len(samples) > 2 and samples[-1].travelled_m - samples[-2].travelled_m < spacing / 2:
-            del samples[-2]
+    samples = way.finish(ended)
     return Segment(
         state=np.array([sample.state for sample in samples]),
         wheel_angle=np.array([sample.wheel_angle for sample in samples]),
         time=np.array([sample.time for sample in samples]),
         continues=mode.continues,
         ended="gap" if ended == "length" and gap else ended,
-        dropped=taken - len(samples) if ended in TOUCHED else 0,
+        dropped=len(way.samples) - len(samples) if ended in TOUCHED else 0,
         mode=_go_on(settings, rng, mode, ended, gap),
     )
+
+
+class _Way:
+    """The way driven in one segment, by the wheels, and the samples taken on it.
+
+    Attributes:
+        travelled_m: Its length [m].
+        speed: Commanded speed [m/s].
+        held_s: How long the wheels have turned at less than half that speed [s].
+        samples: Samples at even distances.
+    """
+
+    def __init__(self, robot: Robot, settings: DriveSettings) -> None:
+        """Begin it with the robot at rest."""
+        self._robot, self._settings, self._start = robot, settings, robot.wheel_angle()
+        self.travelled_m = self.speed = self.held_s = self._slip_from_m = 0.0
+        self._seen_m, self.samples = np.inf, [_sample(robot, 0.0)]
+
+    @property
+    def slipped_m(self) -> float:
+        """Distance rolled since what is ahead came nearer [m]."""
+        return self.travelled_m - self._slip_from_m
+
+    def see(self, clear_m: float, blind_m: float) -> None:
+        """Note what is clear ahead [m]; beyond ``blind_m`` rays do not show whether it comes nearer."""
+        if abs(clear_m - self._seen_m) > SEEN_M or clear_m > blind_m:
+            self._seen_m, self._slip_from_m = clear_m, self.travelled_m
+
+    def drive_on(self, rest_m: float) -> None:
+        """Drive for one period, with ``rest_m`` left to the goal [m], and take a sample if one is due."""
+        robot, settings, period = self._robot, self._settings, CONTROL_PERIOD_S
+        self.speed = ramp(self.speed, settings.speed_mps, ACCELERATION_MPS2, rest_m, period)
+        left, right = robot.wheel_angle() - self._start
+        even = STRAIGHTEN_PER_S * (left - right) / 2
+        robot.step(wheel_speeds(self.speed, 0.0, robot.body) + (-even, even))
+        before_m, self.travelled_m = self.travelled_m, travelled(robot, self._start)
+        slow = self.travelled_m - before_m < self.speed * period / 2
+        self.held_s = self.held_s + period if slow else 0.0
+        if settings.strategy == "dense" and self.travelled_m >= len(self.samples) * settings.spacing_m:
+            self.samples.append(_sample(robot, self.travelled_m))
+
+    def finish(self, ended: Ended) -> list[Sample]:
+        """The samples that count, with one where the robot, again at rest, has stopped; none if it hardly moved."""
+        if ended in TOUCHED:
+            return [one for one in self.samples if one.travelled_m <= self.travelled_m - UNCERTAIN_M]
+        if self.travelled_m < CLOSE_M:
+            return []
+        last = _sample(self._robot, travelled(self._robot, self._start))
+        # The end is the next segment's start, so a regular sample just before it is dropped.
+        near = len(self.samples) > 1 and last.travelled_m - self.samples[-1].travelled_m < self._settings.spacing_m / 2
+        return [*(self.samples[:-1] if near else self.samples), last]
+
+
+def _choose_gaps(settings: DriveSettings, mode: DriveMode, stop_m: float, radius_m: float) -> tuple[Gaps, float]:
+    """The gaps to look for, and the chance to stop at one."""
+    if mode.kind == "search":
+        return Gaps((mode.side,), SHORTEST_M + stop_m, radius_m), 1.0
+    sides = (1, -1) if settings.headings == "explore" or settings.enter > 0.0 else ()
+    return Gaps(sides, None, radius_m), settings.enter
 
 
 def _draw_length(settings: DriveSettings, rng: np.random.Generator) -> float:
@@ -239,10 +273,10 @@ def _draw_length(settings: DriveSettings, rng: np.random.Generator) -> float:
     return rng.uniform(min(SHORTEST_M, settings.longest_m), settings.longest_m)
 
 
-def _why_stop(bumped: bool, held_s: float, slipped_m: float, clear_m: float, rest_m: float) -> Ended | None:
+def _why_stop(bumped: bool, way: _Way, clear_m: float, rest_m: float) -> Ended | None:
     if bumped:
         return "contact"
-    if held_s > STALL_S or slipped_m > SLIP_M:
+    if way.held_s > STALL_S or way.slipped_m > SLIP_M:
         return "stall"
     if rest_m < CLOSE_M:
         return "range" if clear_m < CLOSE_M else "length"
