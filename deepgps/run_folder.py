@@ -17,8 +17,8 @@ from sim.files import check_lines, remove_empty, remove_files, sweep, write_line
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"
-WITHOUT_TRUTH = "without_truth.json"
-"""Figures of a run on a recording without truth, in place of ``metrics.json``."""
+METRICS, WITHOUT_TRUTH = "metrics.json", "without_truth.json"
+"""Figures of a run, and those of a run on a recording without truth."""
 FEATURE_FILES = r"features\.(safetensors|key)"
 
 
@@ -197,7 +197,7 @@ def _refuse_unknown_methods(folder: Path) -> None:
 
 
 def _check_older(scenario: Scenario, folder: Path, fresh: bool) -> None:
-    if fresh or open_run(folder) != scenario or not (folder / "metrics.json").is_file():
+    if fresh or open_run(folder) != scenario or not (folder / METRICS).is_file():
         raise InputError(
             f"--out {folder} holds a run of an earlier version ({describe_work(folder)}), which is read but not "
             "changed; choose another folder"
@@ -211,9 +211,7 @@ def describe_work(folder: Path) -> str:
         [
             "a recording" if is_whole(folder / "recording") else "no finished recording",
             f"trained {' and '.join(trained)}" if trained else "nothing trained",
-            "measured"
-            if any((folder / name).is_file() for name in ("metrics.json", WITHOUT_TRUTH))
-            else "not measured",
+            "measured" if any((folder / name).is_file() for name in (METRICS, WITHOUT_TRUTH)) else "not measured",
         ]
     )
 

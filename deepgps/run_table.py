@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.methods.catalog import title_of
-from deepgps.run_folder import RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
+from deepgps.run_folder import METRICS, RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
 from deepgps.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.spelling import as_option
 from sim.errors import InputError
@@ -59,7 +59,7 @@ def _describe(run: Path, name: Path) -> tuple[str, str, str, str]:
 
 
 def _describe_errors(run: Path) -> str:
-    path = run / "metrics.json"
+    path = run / METRICS
     if path.is_file():
         metrics = read_json(path)
         try:
@@ -75,7 +75,7 @@ def _describe_errors(run: Path) -> str:
 
 def _find_time(run: Path) -> float:
     """When a run was measured, or else begun [s]."""
-    names = ("metrics.json", WITHOUT_TRUTH, RUN.first)
+    names = (METRICS, WITHOUT_TRUTH, RUN.first)
     return next(run / name for name in names if (run / name).is_file()).stat().st_mtime
 
 

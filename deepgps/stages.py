@@ -12,7 +12,7 @@ from deepgps.adopted_recording import find_adopted
 from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
-from deepgps.run_folder import RUN, WITHOUT_TRUTH, find_place
+from deepgps.run_folder import METRICS, RUN, WITHOUT_TRUTH, find_place
 from deepgps.scenario import Scenario, digest_recording
 from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
@@ -162,8 +162,8 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     head = {"scenario": scenario.title, "seed": scenario.seed}
     made_with = describe_environment(folder, measured["methods"].values())
     tail = {"timing_s": stage_times(folder), "environment": made_with}
-    write_json(folder / "metrics.json", {**head, **measured, **tail})
-    return read_json(folder / "metrics.json")
+    write_json(folder / METRICS, {**head, **measured, **tail})
+    return read_json(folder / METRICS)
 
 
 def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
@@ -188,10 +188,10 @@ def remove_recording_of_run(folder: Path) -> None:
 
 def read_measured(folder: Path) -> dict[str, Any] | None:
     """The contents of a run's ``metrics.json``; None if that file or an error field is missing or damaged."""
-    if not (folder / "metrics.json").is_file():
+    if not (folder / METRICS).is_file():
         return None
     try:
-        metrics = read_json(folder / "metrics.json")
+        metrics = read_json(folder / METRICS)
         for name in ("error_field.npz", "label_field.npz")[: 2 if "labels" in metrics else 1]:
             read_arrays(folder / name)
     except DamagedError as error:

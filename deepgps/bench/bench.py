@@ -20,6 +20,7 @@ from deepgps.evaluation.evaluate import evaluate
 from deepgps.methods.positioner import NetworkPositioner, load_positioner
 from deepgps.progress import Report, ignore
 from deepgps.provenance import describe_environment
+from deepgps.run_folder import METRICS
 from deepgps.scenario import Scenario, load_scenario
 from deepgps.stages import collect, train
 from deepgps.timing import stage_times
@@ -181,7 +182,7 @@ def measure_quick(size: Size, demo: Path, folder: Path, progress: Report) -> lis
     found = evaluate(folder, scenario)["methods"]["deepgps"]
     seconds = read_json(folder / "timing.json")["train deepgps"]
     rms = 100 * found["relative_rms"]
-    baseline = 100 * read_json(demo / "metrics.json")["methods"]["posenet"]["relative_rms"]
+    baseline = 100 * read_json(demo / METRICS)["methods"]["posenet"]["relative_rms"]
     note = f"of the shorter side: {100 * found['rms_m']:.1f} cm; {found['steps']} steps; naive: PoseNet, whole"
     return [
         Row("quick", "quick schedule", seconds, "s", 15.0, note="features, initial map, training, search for folds"),

@@ -6,6 +6,7 @@ from deepgps.bench.rows import Row
 from deepgps.evaluation.evaluate import measure_part
 from deepgps.methods.fit import fit_method
 from deepgps.progress import Report
+from deepgps.run_folder import METRICS
 from deepgps.scenario import Scenario
 from sim.files import read_json
 from sim.recording.format import open_recording
@@ -28,7 +29,7 @@ def measure_paper(scenario: Scenario, demo: Path, steps: int, folder: Path, prog
     settings = scenario.learn.model_copy(update={"train": train})
     fit_method("deepgps", open_recording(demo / "recording"), settings, scenario.seed, folder / "deepgps", progress)
     took_s = read_json(folder / "deepgps" / "training.json")["train_s"]
-    ours = read_json(demo / "metrics.json")["methods"]["deepgps"]
+    ours = read_json(demo / METRICS)["methods"]["deepgps"]
     found = measure_part(demo, folder / "deepgps", "deepgps", EVERY)
     whole = scenario.learn.train.steps
     schedule = f"{whole:,} steps of {1e3 * took_s / steps:.0f} ms; naive: what replaced it"

@@ -16,6 +16,7 @@ from deepgps.figures.verdict import judge_run
 from deepgps.figures.without_truth import print_without_truth, write_hundredths
 from deepgps.methods.catalog import folder_of, title_of
 from deepgps.monitoring.words import describe_causes
+from deepgps.run_folder import METRICS
 from sim.errors import DamagedError, InputError
 from sim.files import read_json
 from sim.renamed import name_methods
@@ -43,7 +44,7 @@ OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_
 
 def read_metrics(run: Path) -> dict[str, Any]:
     """Read a run's metrics.json; raises InputError for a folder that holds no run or broken metrics."""
-    path = run / "metrics.json"
+    path = run / METRICS
     if not path.is_file():
         raise InputError(f"{run} is not a run: it has no metrics.json (deepgps run writes one)")
     try:
@@ -175,7 +176,7 @@ def print_report(run: Path, console: Console, sitting_s: float | None = None) ->
     Raises:
         InputError: The folder holds no run.
     """
-    if not (run / "metrics.json").is_file() and print_without_truth(run, console):
+    if not (run / METRICS).is_file() and print_without_truth(run, console):
         return
     metrics = read_metrics(run)
     headings, rows = tabulate(metrics)

@@ -11,6 +11,7 @@ from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import to_png
 from deepgps.figures.targets import Figure, tabulate_targets
 from deepgps.provenance import describe_origin
+from deepgps.run_folder import METRICS
 from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.study import Plan, Study
 from deepgps.studies.table import Row, gather, write_table
@@ -131,7 +132,7 @@ def write_report(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
 
 def _read_environments(plans: Sequence[Plan], folder: Path) -> list[dict[str, Any]]:
     runs = [folder / "runs" / plan.run for plan in plans]
-    return [read_metrics(run).get("environment", {}) for run in runs if (run / "metrics.json").is_file()]
+    return [read_metrics(run).get("environment", {}) for run in runs if (run / METRICS).is_file()]
 
 
 def varied_names(study: Study) -> list[str]:

@@ -15,6 +15,7 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import read_all_headings
 from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
 from deepgps.methods.catalog import title_of
+from deepgps.run_folder import METRICS
 from deepgps.scenario import Scenario
 from deepgps.viewer.error_field import log_field
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
@@ -70,7 +71,7 @@ class LiveView:
             self._training = self._send_room(at)
         if self._training is not None:
             self._training.send(dict(self.histories), self._scenario.methods, at)
-        written = _find_time(self._folder / "metrics.json")
+        written = _find_time(self._folder / METRICS)
         if self._space is not None and written is not None and written != self._sent:
             self._measured, self._sent = self._send_results(self._space), written
         self._send_steps()

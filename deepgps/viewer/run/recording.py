@@ -18,6 +18,7 @@ from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.figures import run_figures
 from deepgps.figures.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
 from deepgps.figures.verdict import judge_run
+from deepgps.run_folder import METRICS
 from deepgps.viewer.distribution import log_distribution
 from deepgps.viewer.error_field import list_headings, log_field, log_headings
 from deepgps.viewer.read import open_rrd
@@ -136,7 +137,7 @@ def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
 
 def hash_run(run: Path) -> str:
     """Thirty-two hexadecimal digits of a run's metrics, error fields, recording, pictures and diagnosis."""
-    names = ["metrics.json", "error_field.npz", "recording/manifest.json"]
+    names = [METRICS, "error_field.npz", "recording/manifest.json"]
     return hash_files(
         run, [run / name for name in [*names, *(name for name in (PICTURES, DIAGNOSIS) if (run / name).is_file())]]
     )
