@@ -11,8 +11,8 @@ from torch import nn
 
 from deepgps.learning.batches import Batch
 
-WARM_UP_STEPS = 3
-"""Steps before one is recorded, in which CUDA's libraries allocate their memory."""
+PLAIN_STEPS = 3
+"""Steps that are taken before one is recorded, in which CUDA's libraries load kernels and allocate memory."""
 
 Loss = Callable[[torch.Tensor, Batch, torch.Tensor], torch.Tensor]
 """(predictions shaped like the batch's index plus outputs, batch, fraction of the steps done (0-dim)) -> scalar."""
@@ -39,56 +39,65 @@ class ReplayedStep:
     """A step recorded as a CUDA graph, which is launched at once.
 
     Its tensors have fixed addresses, so each call copies its arguments there; the learning rate becomes a tensor. The
-    step must not read a value back from the GPU, nor depend on a Python value that changes. Other shapes of the
-    arguments are recorded anew.
+    step must not read a value back from the GPU, nor depend on a Python value that changes. Arguments of other shapes
+    are recorded anew.
 
     Args:
-        step: Takes a step when it is called; the first ones are only called.
+        step: Called as it is at first, then recorded.
         optimiser: The optimiser that it steps.
+        device: The GPU of all tensors.
     """
 
-    def __init__(self, step: Step, optimiser: torch.optim.Optimizer) -> None:
-        self.step, self.optimiser = step, optimiser
-        self.left = WARM_UP_STEPS
-        self.graph: torch.cuda.CUDAGraph | None = None
+    def __init__(self, step: Step, optimiser: torch.optim.Optimizer, device: torch.device) -> None:
+        self.step, self.optimiser, self.device = step, optimiser, device
+        self.stream = torch.cuda.Stream(device)
+        self._forget()
         for group in optimiser.param_groups:
-            device = group["params"][0].device
-            group.update(lr=torch.zeros((), device=device), capturable=False)  # until it is recorded
+            group["lr"] = torch.zeros((), device=device)
+
+    def _forget(self) -> None:
+        """Begin again with plain steps, for arguments of shapes that are not known yet."""
+        self.graph: torch.cuda.CUDAGraph | None = None
+        self.plain, self.shapes = PLAIN_STEPS, list[torch.Size]()
+        for group in self.optimiser.param_groups:
+            group["capturable"] = False  # or a plain step warns
 
     def __call__(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         """Take a step; what it returns is overwritten by the next."""
-        self.left -= 1
-        with torch.cuda.device(inputs.device):
-            return (self._warm_up if self.left >= 0 else self._replay)(inputs, batch, done)
-
-    def _replay(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
         given = [inputs, done, *(one for one in vars(batch).values() if one is not None)]
-        if self.graph is None or [one.shape for one in given] != [one.shape for one in self.held]:
-            self.graph, self.held, self.value = self._record(inputs, batch, done)
-        for held, one in zip(self.held, given, strict=True):
-            held.copy_(one)
-        self.graph.replay()
-        return self.value
+        shapes = [one.shape for one in given]
+        with torch.cuda.device(self.device):
+            if shapes != self.shapes:
+                self._forget()
+                self.shapes = shapes
+            if self.plain > 0:
+                self.plain -= 1
+                return self._take_plainly(inputs, batch, done)
+            if self.graph is None:
+                self.graph, self.held, self.value = self._record(inputs, batch, done)
+            for held, one in zip(self.held, given, strict=True):
+                held.copy_(one)
+            self.graph.replay()
+            return self.value
 
-    def _warm_up(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        """Take a step on a stream of its own, as a recording does."""
-        stream = torch.cuda.Stream()
-        stream.wait_stream(torch.cuda.current_stream())
-        with torch.cuda.stream(stream):
+    def _take_plainly(self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
+        """Take a step on the stream on which it will be recorded."""
+        self.stream.wait_stream(torch.cuda.current_stream())
+        with torch.cuda.stream(self.stream):
             value = self.step(inputs, batch, done)
-        torch.cuda.current_stream().wait_stream(stream)
+        torch.cuda.current_stream().wait_stream(self.stream)
         return value
 
     def _record(
         self, inputs: torch.Tensor, batch: Batch, done: torch.Tensor
     ) -> tuple[torch.cuda.CUDAGraph, list[torch.Tensor], torch.Tensor]:
-        """Record a step, which does not take it: the graph, what it reads, and the loss that it writes."""
+        """Record a step without taking it: the graph, what it reads, and the loss that it writes."""
         for group in self.optimiser.param_groups:
             group["capturable"] = True
         tensors = {name: one.clone() for name, one in vars(batch).items() if one is not None}
         inputs, done, batch = inputs.clone(), done.clone(), replace(batch, **tensors)
         graph = torch.cuda.CUDAGraph()
-        with torch.cuda.graph(graph):
+        with torch.cuda.graph(graph, stream=self.stream):
             value = self.step(inputs, batch, done)
         return graph, [inputs, done, *tensors.values()], value
 

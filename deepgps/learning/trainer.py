@@ -92,7 +92,7 @@ def train(
     folder: Path,
     progress: Report = ignore,
     label: str = "train",
-    replay: bool = True,
+    replay: bool = False,
 ) -> float:
     """Train ``network`` in place, or continue from the checkpoint in ``folder``.
 
@@ -109,7 +109,8 @@ def train(
         folder: Where the checkpoint and the history are written.
         progress: Called with the steps done and their number.
         label: The label for ``progress``.
-        replay: Whether a GPU may record a step and replay it, because the loss never waits for a value from the GPU.
+        replay: Whether a GPU may record a step and replay it: the loss never waits for a value from the GPU, and
+            depends on no Python value that changes.
 
     Returns:
         Seconds of training, including earlier parts of an interrupted training.
@@ -129,7 +130,7 @@ def train(
         done, seconds = load_checkpoint(folder, network, optimiser, generator, history.arrays)
         take_step = make_step(network, optimiser, loss, fast)
         if replay and device.type == "cuda":
-            take_step = ReplayedStep(take_step, optimiser)
+            take_step = ReplayedStep(take_step, optimiser, device)
         start = time.perf_counter() - seconds
         running, fraction = torch.zeros((), device=device), torch.zeros((), device=device)
         every = max(1, settings.steps // LOSS_POINTS)

@@ -28,10 +28,16 @@ def keep_training_settings(settings: SimSettings) -> SimSettings:
     return settings.model_copy(update={"deployment": DeploymentSettings(), "grid": GridSettings()})
 
 
-def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> bool:
-    """Whether the training drive of a recording has the bytes that these settings and this seed would give.
+def can_share(settings: SimSettings) -> bool:
+    """Whether recordings of these settings can share a training drive at all.
 
     Held-out tests are driven after it, and labels from tags are fitted to training and test images in one.
+    """
+    return settings.world == "room" and not (settings.grid.held_out or settings.tag_camera.mounted)
+
+
+def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> bool:
+    """Whether the training drive of a recording has the bytes that these settings and this seed would give.
 
     Raises:
         InputError: The recording's manifest cannot be read.
@@ -40,8 +46,8 @@ def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> boo
     if manifest.number != SCHEMA or manifest.seed != seed:
         return False
     other = read_settings(manifest)
-    joined = any(one.grid.held_out or one.tag_camera.mounted for one in (other, settings))
-    return settings.world == "room" and not joined and keep_training_settings(other) == keep_training_settings(settings)
+    shared = can_share(other) and can_share(settings)
+    return shared and keep_training_settings(other) == keep_training_settings(settings)
 
 
 def link_training(base: Path, folder: Path) -> dict[str, Any]:

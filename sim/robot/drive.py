@@ -214,7 +214,7 @@ class _Way:
     Attributes:
         travelled_m: Its length [m].
         speed: Commanded speed [m/s].
-        held_s: How long the wheels have turned at less than half that speed [s].
+        held_s: How long, until now, the wheels have turned at less than half that speed [s].
         samples: Samples at even distances.
     """
 
@@ -248,7 +248,10 @@ class _Way:
             self.samples.append(_sample(robot, self.travelled_m))
 
     def finish(self, ended: Ended) -> list[Sample]:
-        """The samples that count, with one where the robot, again at rest, has stopped; none if it hardly moved."""
+        """The samples that count: after a touch those well before it, else also one where the robot has stopped.
+
+        None, if it hardly moved.
+        """
         if ended in TOUCHED:
             return [one for one in self.samples if one.travelled_m <= self.travelled_m - UNCERTAIN_M]
         if self.travelled_m < CLOSE_M:

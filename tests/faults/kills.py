@@ -18,7 +18,7 @@ from tests.faults.moments import wait_for_moment
 HANGS_S = 90.0
 """A command of some seconds, one worker of which was stopped, must have replaced it and ended by then."""
 WORKERS = (b"renderers import work", b"engine.pool import work")
-"""Part of the command line of a process that trains or draws."""
+"""Part of the command line of a process that draws, or that drives or trains for a study."""
 CHANCES = 3
 """How often a command is given until a worker could be hit: it may be done before."""
 
@@ -123,7 +123,7 @@ def _hit(running: Running, how: signal.Signals, most: int, rng: random.Random) -
 
 
 def find_workers(running: Running) -> list[int]:
-    """Processes that draw or train for a command."""
+    """Processes that draw, drive or train for a command."""
     found = []
     for pid in find_marked(running.mark):
         with suppress(OSError):

@@ -1,10 +1,11 @@
-"""Collect a study's drives: several at once, since to drive takes one core and longer than to draw the images."""
+"""Collection of a study's drives, several at once: driving takes one core, and longer than drawing the images."""
 
-from collections.abc import Mapping, Sequence
+import logging
+import traceback
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepgps.plugins import list_files, load_plugins
 from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.stages import make_recording
@@ -13,8 +14,10 @@ from deepgps.studies.engine.worker import Failures
 from sim.errors import InputError, WorkError, one_line
 from sim.processes import usable_cores
 from sim.recording.format import is_whole
+from sim.recording.renderers import count_renderers
 from sim.recording.training_drive import has_same_training_drive
 
+log = logging.getLogger(__name__)
 PER_PROCESS = 1000
 """Samples for which it pays to start one more process that drives."""
 
@@ -28,14 +31,12 @@ class Drive:
         folder: The recording's folder.
         base: Folder of a recording with the same training drive, which may be its own.
         renderers: Processes that draw; None: as many as pay on all cores.
-        plugins: Files of plugins.
     """
 
     scenario: Scenario
     folder: Path
     base: Path
     renderers: int | None
-    plugins: Sequence[Path]
 
     @property
     def size(self) -> int:
@@ -45,18 +46,20 @@ class Drive:
     def __call__(self, tell: Tell) -> str | None:
         """Collect it, or complete it; returns why that failed, or None."""
         try:
-            load_plugins(self.plugins)
             given = self.base != self.folder and is_whole(self.base)
             shares = given and has_same_training_drive(self.base, self.scenario.sim, self.scenario.seed)
-            report = self._share_out(tell, driven=given)
+            report = self._share_out(tell, shares)
             make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers)
         except (InputError, WorkError, OSError) as error:
             return one_line(error)
+        except Exception as error:  # a bug must not stop the other drives
+            log.warning("%s", traceback.format_exc())
+            return f"{type(error).__name__}: {one_line(error)}"
         return None
 
-    def _share_out(self, tell: Tell, driven: bool) -> Report:
+    def _share_out(self, tell: Tell, shares: bool) -> Report:
         """Report driving and drawing, in training and in use, as one amount in which all stages count the same."""
-        stages = (1 if driven else 2) + (2 if self.scenario.deployment.drive_samples else 0)
+        stages = (1 if shares else 2) + (2 if self.scenario.deployment.drive_samples else 0)
         share: dict[str, float] = {}
 
         def report(label: str, done: int, of: int, look: Look | None = None) -> None:
@@ -67,7 +70,7 @@ class Drive:
 
 
 def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], home: Path, progress: Report) -> Failures:
-    """Collect drives, those first that another waits for.
+    """Collect drives; one that shares another's training drive comes after it.
 
     Args:
         scenarios: What to collect, by the name of its folder.
@@ -83,8 +86,7 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
     for keys in (first, [key for key in scenarios if key not in first]):
         size = sum(scenarios[key].drive.samples for key in keys)
         most = count_drives(len(keys), size)
-        renderers = usable_cores() // most if most > 1 else None
-        drives = {key: Drive(scenarios[key], home / key, bases[key], renderers, list_files()) for key in keys}
+        drives = {key: _plan(scenarios[key], home / key, bases[key], most) for key in keys}
 
         def report(done: int, before: int = before) -> None:
             progress("recordings", before + done, total)
@@ -94,8 +96,13 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
     return {key: f"recording: {reason}" for key, reason in failed.items()}
 
 
+def _plan(scenario: Scenario, folder: Path, base: Path, at_once: int) -> Drive:
+    share = min(usable_cores() // at_once, count_renderers(scenario.drive.samples))
+    return Drive(scenario, folder, base, share if at_once > 1 else None)
+
+
 def count_drives(drives: int, samples: int) -> int:
-    """Number of drives that pay to be collected at once."""
+    """Number of drives that it pays to collect at once."""
     return max(1, min(usable_cores(), drives, 1 + samples // PER_PROCESS))
 
 
@@ -104,8 +111,8 @@ def _collect_in_turn(drives: Mapping[str, Drive], progress: Tell) -> Failures:
     failed, before = Failures(), 0
     for key, drive in drives.items():
 
-        def report(done: int, before: int = before) -> None:
-            progress(before + done)
+        def report(done: int, before: int = before, size: int = drive.size) -> None:
+            progress(before + min(done, size))
 
         if reason := drive(report):
             failed[key] = reason

@@ -1,4 +1,4 @@
-"""The engine of a study: it makes every missing recording, then every missing run, with one process per core.
+"""The engine of a study: it makes every missing recording, then every missing run, several at once.
 
 A drive and a training take one core each, so as many are done at once as there are cores. The only state is the
 finished files, in folders named by a hash of everything they depend on. A study that was killed, or that has grown,

@@ -90,11 +90,16 @@ def work(handle: int) -> None:
     open_streams()
     warn_plainly()
     pipe = Connection(handle)
-    with suppress(EOFError, BrokenPipeError):  # the parent needs no more, or is gone
-        while True:
+    while True:
+        try:
             task: Task = pipe.recv()
+        except EOFError:  # the parent needs no more, or is gone
+            return
+        try:
             failure = task(lambda done: pipe.send(Update(done)))
             pipe.send(Update(task.size, ended=True, failure=failure))
+        except BrokenPipeError:  # the parent is gone
+            return
 
 
 def _start() -> tuple[Connection, Popen[bytes]]:

@@ -16,7 +16,7 @@ from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole
-from sim.recording.training_drive import keep_training_settings
+from sim.recording.training_drive import can_share, keep_training_settings
 
 
 def record_all(plans: Sequence[Plan], missing: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -84,7 +84,10 @@ def _find_bases(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home
     """For each drive to collect, the recording with the same training drive: a finished one, or the first of them."""
     made = {digest_recording(one): one for one in drives} if scenarios else {}
     shared = {_name_training_drive(one): home / key for key, one in made.items() if is_whole(home / key)}
-    return {key: shared.setdefault(_name_training_drive(one), home / key) for key, one in scenarios.items()}
+    return {
+        key: shared.setdefault(_name_training_drive(one), home / key) if can_share(one.sim) else home / key
+        for key, one in scenarios.items()
+    }
 
 
 def _name_training_drive(scenario: Scenario) -> str:

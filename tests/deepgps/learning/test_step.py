@@ -81,18 +81,20 @@ def test_a_replayed_training_learns_what_a_plain_one_learns(name: str, architect
 
 @needs_gpu
 def test_other_shapes_are_recorded_anew():
-    weight = torch.ones(2, device="cuda", requires_grad=True)
-    optimiser = torch.optim.AdamW([weight], fused=True)
-
-    def step(inputs: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
-        return (inputs * weight).sum().detach()
-
-    replayed = ReplayedStep(step, optimiser)
-    for count in (3, 3, 3, 3, 3, 5, 5, 3):
-        index = torch.zeros(count, dtype=torch.long, device="cuda")
-        batch = Batch(index, index.float(), index == 0)
-        done = torch.zeros((), device="cuda")
-        assert replayed(torch.ones((count, 2), device="cuda"), batch, done).item() == 2.0 * count
+    network = make_network(NetworkSettings(width=16, layers=2), 6, 2, make_generator(0, "weights")).cuda()
+    optimiser = torch.optim.AdamW(network.parameters(), fused=True)
+    loss = LOSSES["ours"]("cuda")
+    step = ReplayedStep(make_step(network, optimiser, loss, bfloat16=False), optimiser, torch.device("cuda:0"))
+    set_rate(optimiser, 0.0)
+    for rows in (4, 4, 4, 4, 4, 2, 2, 2, 2, 2, 4):
+        batch = make_batch(make_generator(rows, "batch"))
+        held = {name: one[:rows].cuda() for name, one in vars(batch).items()}
+        inputs, done = torch.ones((8 * rows, 6), device="cuda"), torch.zeros((), device="cuda")
+        inputs *= torch.arange(8 * rows, device="cuda")[:, None]
+        out = network(inputs).unflatten(0, (rows, 8))
+        assert step(inputs, Batch(**held), done).item() == pytest.approx(
+            loss(out, Batch(**held), done).item(), rel=1e-5
+        )
 
 
 def learn_on_gpu(name: str, architecture: Architecture, folder: Path, replay: bool) -> np.ndarray:

@@ -503,7 +503,7 @@ def test_a_process_that_is_killed_fails_its_run_and_no_others(tmp_path):
 
 
 def find_workers(parent: int) -> list[int]:
-    """Processes started by another to do runs."""
+    """Processes started by another to drive, or to do runs."""
     children = Path(f"/proc/{parent}/task/{parent}/children").read_text().split()
     return [
         int(child)

@@ -1,5 +1,6 @@
 """Several drives at once: the same bytes as in turn, and one that fails, or whose process dies, fails alone."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,11 +14,11 @@ from sim.processes import start_process
 from sim.recording.format import is_whole, read_manifest
 from tests.helpers.small_study import write_study
 
-ROOMS = [{"room.seed": 0}, {"room.seed": 1}, {"room.seed": 1, "deployment.light": 0.5}]
-"""The third shares the training drive of the second."""
+ROOMS = [{"room.seed": 0}, *({"room.seed": 1, "deployment.light": light} for light in (1.0, 0.5, 0.4))]
+"""The last three share a training drive."""
 
 
-def plan(folder: Path, cases: list[dict[str, object]], scenario: str = "mini.yaml") -> list[Plan]:
+def plan(folder: Path, cases: Sequence[Mapping[str, object]], scenario: str = "mini.yaml") -> list[Plan]:
     folder.mkdir()
     return plan_runs(load_study(str(write_study(folder, cases=cases, scenario=scenario, target={})), tiny=False))
 
@@ -45,10 +46,11 @@ def test_drives_at_once_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.
         plans, home = plan(tmp_path / str(cores), ROOMS), tmp_path / str(cores) / "out"
         told.clear()
         assert record_all(plans, plans, home, lambda *what: told.append(what[:3])) == {}
-        assert ("recordings", 180, 180) in told
+        assert ("recordings", 240, 240) in told
         recordings = [home / "recordings" / one.recording for one in plans]
-        shared = [path.relative_to(recordings[1]) for path in recordings[1].glob("observations/*.npy")]
-        assert shared and all((recordings[2] / path).samefile(recordings[1] / path) for path in shared)
+        _, base, *others = recordings
+        shared = [path.relative_to(base) for path in base.glob("observations/*.npy")]
+        assert shared and all((one / path).samefile(base / path) for one in others for path in shared)
         found.append([read_manifest(one).sha256 for one in recordings])
     assert found[0] == found[1]
 
@@ -62,6 +64,27 @@ def test_a_drive_that_fails_fails_alone(tmp_path: Path, monkeypatch: pytest.Monk
     (home / bad).write_text("in the way")
     failures = collect_all(scenarios, {key: home / key for key in scenarios}, home, ignore)
     assert list(failures) == [bad] and failures[bad].startswith("recording: ") and is_whole(home / good)
+
+
+def test_drives_whose_base_fails_make_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    at_once(monkeypatch, 2)
+    plans, home = plan(tmp_path / "study", ROOMS[1:]), tmp_path / "out"
+    base, *others = (home / "recordings" / one.recording for one in plans)
+    base.parent.mkdir(parents=True)
+    base.write_text("in the way")
+    assert list(record_all(plans, plans, home, ignore)) == [base.name]
+    assert all(map(is_whole, others))
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_a_bug_in_a_drive_fails_it_alone(cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    at_once(monkeypatch, cores)
+    cases = [{"landmarks.count": 20}, {"landmarks.count": 21}]
+    bad, good = plan(tmp_path / "study", cases, "plane.yaml")
+    broken = bad.scenario.model_copy(update={"world": "nowhere"})
+    scenarios = {bad.recording: broken, good.recording: good.scenario}
+    failures = collect_all(scenarios, {key: tmp_path / key for key in scenarios}, tmp_path, ignore)
+    assert failures == {bad.recording: "recording: KeyError: 'nowhere'"} and is_whole(tmp_path / good.recording)
 
 
 def test_a_process_that_dies_fails_its_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
