@@ -14,10 +14,11 @@ REPORTS_OF = {"precision": rooms.report, "strategies": compare.report, "samples"
 
 
 def read_published(study: str) -> tuple[list[Row], list[str]]:
-    """The rows of a published table from before methods refused images, and the names that vary."""
-    return read_rows(STUDIES.parents[1] / "docs" / "results" / study / "table.parquet"), varied_names(
-        load_study(study, tiny=False)
-    )
+    """The rows of a published table as they were before methods refused images, and the names that vary."""
+    rows = read_rows(STUDIES.parents[1] / "docs" / "results" / study / "table.parquet")
+    later = (*ACCEPTED, "radius_68_holds", "radius_95_holds")
+    known = [{name: value for name, value in row.items() if name not in later} for row in rows]
+    return known, varied_names(load_study(study, tiny=False))
 
 
 def accept(rows: list[Row]) -> list[Row]:
@@ -35,7 +36,6 @@ def split_cells(table: str) -> list[list[str]]:
 @pytest.mark.parametrize("study", REPORTS_OF)
 def test_a_table_gains_columns_and_changes_no_other(study: str) -> None:
     rows, varied = read_published(study)
-    rows = [{name: value for name, value in row.items() if name not in ACCEPTED} for row in rows]
     before, after = (split_cells(REPORTS_OF[study](some, varied)[0]) for some in (rows, accept(rows)))
     new = [after[0].index(heading) for heading in ACCEPTED.values()]
     assert [[cell for place, cell in enumerate(line) if place not in new] for line in after[2:]] == before[2:]
