@@ -14,7 +14,6 @@ from deepgps.studies.engine.worker import Failures
 from sim.errors import InputError, WorkError, one_line
 from sim.processes import usable_cores
 from sim.recording.format import is_whole
-from sim.recording.renderers import count_renderers
 from sim.recording.training_drive import has_same_training_drive
 
 log = logging.getLogger(__name__)
@@ -97,8 +96,7 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
 
 
 def _plan(scenario: Scenario, folder: Path, base: Path, at_once: int) -> Drive:
-    share = min(usable_cores() // at_once, count_renderers(scenario.drive.samples))
-    return Drive(scenario, folder, base, share if at_once > 1 else None)
+    return Drive(scenario, folder, base, usable_cores() // at_once if at_once > 1 else None)
 
 
 def count_drives(drives: int, samples: int) -> int:
