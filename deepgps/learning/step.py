@@ -40,7 +40,7 @@ class ReplayedStep:
 
     Its tensors have fixed addresses, so each call copies its arguments there; the learning rate becomes a tensor. The
     step must not read a value back from the GPU, nor depend on a Python value that changes. Arguments of other shapes
-    are recorded anew.
+    need a new recording.
 
     Args:
         step: Called as it is at first, then recorded.
