@@ -29,7 +29,7 @@ METHODS = {
     "odometry": "dead_reckoned_labels",
 }
 WORLDS = {"lidar": "obstacles"}
-COLUMNS = {"fold_bent": "length_error_fraction", "fold_doubled": "overlap_fraction"}
+COLUMNS = {"fold_bent": "length_error_fraction", "fold_doubled": "overlap_fraction", "map_off": "misplaced"}
 """Columns of a study's table that are not settings."""
 
 

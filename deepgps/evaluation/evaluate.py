@@ -43,6 +43,9 @@ from sim.recording.format import (
     open_truth,
 )
 
+FAR_M = 0.5
+"""Distance from the truth beyond which a training image counts as misplaced [m]."""
+
 
 class Predictions(NamedTuple):
     """What a trained method predicts of a recording, in the method's own frame.
@@ -98,6 +101,7 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             **summarise_yaw(fields[method]),
             "heading_spread_m": measure_heading_spread(fields[method].predicted),
             "scale": alignment.scale,
+            "misplaced": measure_misplaced(alignment.apply(maps.training), truth),
             **measure_grid(fields[method], scenario),
             "alignment": METHODS[method].alignment,
             **describe_parts(find_turned_parts(maps.training, recording)),
@@ -195,6 +199,11 @@ def measure_field(maps: Predictions, method: str, truth: Truth | Labels) -> tupl
     shared = heading[:1] == heading  # a drive reaches each place with a different heading
     trust = {name: part[known] for name, part in take_acceptance(maps.poses, maps.test.shape[:2]).items()}
     return ErrorField(pose[:, 0, :2], heading[0] if shared.all() else heading, predicted, **trust), alignment
+
+
+def measure_misplaced(places: np.ndarray, truth: Truth) -> float:
+    """Share of the training images whose aligned positions (N, 2) [m] are more than ``FAR_M`` from the truth."""
+    return float((np.linalg.norm(places - truth.pose[:, :2], axis=1) > FAR_M).mean())
 
 
 def _summarise(field: ErrorField, shorter_side_m: float) -> dict[str, Any]:

@@ -25,12 +25,13 @@ def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     # Distance of each cell from where the robot does not fit: a ray may skip it in one step. The padding is occupied.
     clear = np.asarray(ndimage.distance_transform_edt(np.pad(space.free, 1))) * space.cell_m
-    length = np.zeros((len(points), RAYS))
-    going = np.ones(length.shape, bool)
-    while going.any():
-        cell = np.rint((points[:, None] + length[..., None] * direction - space.origin) / space.cell_m).astype(int) + 1
-        column, row = np.moveaxis(cell, -1, 0)
+    start, direction = np.repeat(points, RAYS, axis=0), np.tile(direction, (len(points), 1))
+    length, going = np.zeros(len(start)), np.arange(len(start))
+    while len(going):
+        place = start[going] + length[going, None] * direction[going]
+        column, row = (np.rint((place - space.origin) / space.cell_m).astype(int) + 1).T
         gap = clear[row.clip(0, clear.shape[0] - 1), column.clip(0, clear.shape[1] - 1)]
-        going = gap > 0.0
-        length += going * np.maximum(gap - space.cell_m, space.cell_m / 2)
+        going, gap = going[gap > 0.0], gap[gap > 0.0]
+        length[going] += np.maximum(gap - space.cell_m, space.cell_m / 2)
+    length = length.reshape(len(points), RAYS)
     return np.minimum(np.pi * np.square(length).mean(axis=1) / (space.reachable.sum() * space.cell_m**2), 1.0)

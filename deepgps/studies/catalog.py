@@ -154,7 +154,6 @@ REPORTS: dict[str, Report] = {
         {"corridors": "corridors:draw"},
         "corridors:measure",
         ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
-        "corridors:add_map",
     ),
     "maps": Report("maps:report", {"maps": "maps:draw"}, "maps:measure", ("mirrored",)),
     "diagnose": Report(

@@ -20,7 +20,7 @@ Row = dict[str, Any]
 FIGURES = (
     *("rms_m", "median_m", "p75_m", "p95_m", "max_m", "relative_rms", "heading_spread_m"),
     *("yaw_rms_deg", "yaw_median_deg", "yaw_p95_deg", "yaw_rms_accepted_deg"),
-    *("scale", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
+    *("scale", "misplaced", "flipped", "alignment", "steps", "train_s", "parameters", "attempts"),
     *("accepted", "accepted_places", "rms_accepted_m", "median_accepted_m", "p95_accepted_m", "max_accepted_m"),
     *("auroc_10cm", "aurc_m", "radius_68_holds", "radius_95_holds", "radius_68_median_m"),
 )

@@ -6,24 +6,22 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.alignment import fit_alignment
+from deepgps.evaluation.evaluate import FAR_M
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure, median_of, write
-from deepgps.methods.catalog import METHODS, folder_of, title_of
-from deepgps.methods.positioner import load_positioner
+from deepgps.methods.catalog import title_of
 from deepgps.studies.reports.rooms import draw_errors
 from deepgps.studies.table import Row, find_methods, split_by
-from sim.recording.format import open_recording, open_truth
 
 SIGNS = {"fold_found": "folded", "turned": "turned", "undecided": "undecided"}
 """Columns that say that a map is wrong, and their words: the fold detector, parts turned by the compass, the map."""
 NOISE, LOOK_ALIKE, SIZE = "encoder.step_noise", "room.look_alike", ("room.width_m", "room.depth_m")
-FAR_M, FAR_SHARE = 0.5, 0.1
-"""A map is wrong if more than this share of the training images is off by more than this distance [m]."""
+FAR_SHARE = 0.1
+"""A map is wrong if it misplaces more than this share of the training images."""
 NOTE = (
     "Errors on the test grid, for the worst heading of each position; aligned on training samples, never scaled. Map: "
-    "RMS of the initial map by compass, before training. Off: share of the training images that the trained map puts "
-    f"more than {FAR_M:g} m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
+    "RMS of the initial map by compass, before training. Off: share of the training images that are placed more than "
+    f"{FAR_M:g} m from the truth; a map with more than {100 * FAR_SHARE:.0f} % is wrong. Said: what the "
     "method says of its map without the truth, and the share of the way that it finds turned. Seen: share of "
     "positions within 0.25 m of a training image; where it is low, errors are the drive's. PoseNet and the nearest "
     "neighbour learn from true positions, so that noise of the encoders does not change them."
@@ -50,7 +48,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         baseline = baselines.get(row["recording"]) if row["method"] != "posenet" else None
         ratios = [write(row[name] / baseline[name] if baseline else None, "") for name in ("rms_m", "median_m")]
         errors = [f"{100 * row[name]:.1f}" for name in ("rms_m", "median_m")]
-        extra = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["map_off"], "%"), _said(row)]
+        extra = [write(row.get("map_rms_m"), "cm").removesuffix(" cm"), write(row["misplaced"], "%"), _said(row)]
         extra.append(write(row["seen"], "%"))
         cells.append([_world(row, varied), _noise(row), title_of(row["method"]), *errors, *ratios, *extra])
     return [tabulate(headings, cells), NOTE, _count(rows)]
@@ -66,7 +64,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         key = f"compass_{name.removesuffix('_m')}_ratio"
         figures[key] = median_of(f"{title} / PoseNet's, median over worlds", (mine / other).tolist(), "")
     for key, method in (("compass_unsaid", "deepgps_compass"), ("deepgps_unsaid", "deepgps")):
-        some = [row for row in rows if row["method"] == method]
+        some = [row for row in rows if row["method"] == method and has_map(row)]
         if some:
             unsaid = sum(is_wrong(row) and not is_flagged(row) for row in some)
             figures[key] = Figure(f"{title_of(method)}: maps wrong and not said to be, of {len(some)}", unsaid, "count")
@@ -77,20 +75,14 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     return figures
 
 
-def add_map(run: Path, row: Row) -> Row:
-    """A column for methods that make a map of their own: the share of training images that is far off."""
-    if row["fold_found"] is None:
-        return {"map_off": None}
-    recording, pose = open_recording(run / "recording"), open_truth(run / "recording").pose[:, :2]
-    places = load_positioner(folder_of(run, row["method"]))(recording.observation)
-    alignment = fit_alignment(places, pose, METHODS[row["method"]].alignment)
-    off = np.linalg.norm(alignment.apply(places) - pose, axis=1) > FAR_M
-    return {"map_off": float(off.mean())}
+def has_map(row: Row) -> bool:
+    """Whether the method makes a map of its own, and the truth was asked about it; earlier versions did not."""
+    return row["fold_found"] is not None and row["misplaced"] is not None
 
 
 def is_wrong(row: Row) -> bool:
-    """Whether a map is wrong according to the truth."""
-    return row["map_off"] is not None and row["map_off"] > FAR_SHARE
+    """Whether the method's own map is wrong according to the truth."""
+    return has_map(row) and row["misplaced"] > FAR_SHARE
 
 
 def is_flagged(row: Row) -> bool:
@@ -114,8 +106,8 @@ def _count(rows: Sequence[Row]) -> str:
     headings = ["w", "method", "maps", "wrong", *said, "wrong, unsaid", "right, said wrong"]
     cells = []
     for noise, same in split_by([{NOISE: None, **row} for row in rows], NOISE).items():
-        for method in find_methods(row for row in same if row["fold_found"] is not None):
-            group = [row for row in same if row["method"] == method]
+        for method in find_methods(filter(has_map, same)):
+            group = [row for row in same if row["method"] == method and has_map(row)]
             wrong, flagged = ([test(row) for row in group] for test in (is_wrong, is_flagged))
             unsaid = sum(one and not other for one, other in zip(wrong, flagged, strict=True))
             alarms = sum(other and not one for one, other in zip(wrong, flagged, strict=True))
