@@ -1,9 +1,10 @@
-"""Draw the pictures of the page "How a distance becomes a map" from two runs, by the maps that they kept.
+"""Draw the pictures of the page "How a distance becomes a map" from three runs, by the maps that they kept.
 
 ``.venv/bin/deepgps run quick --methods deepgps_compass --drive.samples 4000 --out runs/map``, then
 ``.venv/bin/deepgps run labyrinth --methods deepgps_compass --drive.samples 3000 --encoder.step-noise 0.3
 --encoder.slip-per-m 0.3 --learn.features.principal 256 --learn.train.steps 200 --out runs/repeats``, then
-``.venv/bin/python -m docs.map_pictures runs/map runs/repeats``.
+``.venv/bin/deepgps run living_room --methods deepgps --drive.samples 1000 --out runs/few``, then
+``.venv/bin/python -m docs.map_pictures runs/map runs/repeats runs/few``.
 """
 
 import sys
@@ -14,10 +15,12 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from deepgps.alignment import fit_alignment
+from deepgps.alignment import fit_alignment, fit_robust_alignment
+from deepgps.data.runs import fill_stretches
 from deepgps.figures.field_plot import draw_room
 from deepgps.figures.style import PAPER, to_png
 from deepgps.initial_map.stored_map import StoredMap, read_map
+from deepgps.methods.positioner import load_positioner, read_training
 from deepgps.viewer.run.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
 from sim.files import write_bytes
@@ -148,7 +151,27 @@ def draw_undecided(drawn: Drawn) -> Figure:
     return figure
 
 
-def draw_all(run: Path, repeats: Path) -> None:
+def draw_mirrored(run: Path) -> Figure:
+    """A map from distances alone, aligned, beside where its images were taken; the part in doubt in orange."""
+    folder, recording, truth = run / "deepgps", open_recording(run / "recording"), open_truth(run / "recording")
+    places = load_positioner(folder)(recording.observation)
+    places = fit_robust_alignment(places, truth.pose[:, :2], "E2").apply(places)
+    doubtful = fill_stretches(read_training(folder)["map"]["parts"], len(places))
+    figure = Figure(figsize=(11, 3.9), layout="constrained")
+    for axes, points, title in zip(
+        figure.subplots(1, 2, sharex=True, sharey=True),
+        (places, truth.pose[:, :2]),
+        ("the map from distances alone", "where the images were taken"),
+        strict=True,
+    ):
+        draw_room(axes, truth.free_space, PAPER)
+        for some, colour in ((~doubtful, PATH), (doubtful, UNDECIDED)):
+            axes.scatter(*points[some].T, s=7, color=colour, linewidths=0)
+        axes.set_title(title, loc="left", fontsize=11)
+    return figure
+
+
+def draw_all(run: Path, repeats: Path, few: Path) -> None:
     """Draw every picture of the page."""
     drawn = Drawn(run)
     figures = {
@@ -156,10 +179,11 @@ def draw_all(run: Path, repeats: Path) -> None:
         "map_rounds": draw_rounds(drawn),
         "map_ellipses": draw_ellipses(drawn),
         "map_undecided": draw_undecided(Drawn(repeats)),
+        "map_mirrored": draw_mirrored(few),
     }
     for name, figure in figures.items():
         write_bytes(PICTURES / f"{name}.png", reduce(to_png(figure)))
 
 
 if __name__ == "__main__":
-    draw_all(Path(sys.argv[1]), Path(sys.argv[2]))
+    draw_all(*map(Path, sys.argv[1:]))

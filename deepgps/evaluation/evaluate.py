@@ -20,7 +20,14 @@ from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.flipped import measure_flipped
 from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
-from deepgps.evaluation.map_errors import add_expected, find_true_camera, judge_map, place_map, read_known_map
+from deepgps.evaluation.map_errors import (
+    add_expected,
+    find_true_camera,
+    is_undecided,
+    judge_map,
+    place_map,
+    read_known_map,
+)
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
@@ -107,10 +114,12 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
             **describe_parts(find_turned_parts(maps.training, recording)),
             **read_training(folder_of(run, method)),
         }
+        if "map" in methods[method]:
+            methods[method]["undecided"] = is_undecided(methods[method]["map"])
         if (stored := read_known_map(folder_of(run, method))) is not None:
             placed = place_map(stored, find_true_camera(recording, truth))
             fields[method] = add_expected(fields[method], placed)
-            methods[method] |= judge_map(placed, methods[method]["map"])
+            methods[method]["map"] |= judge_map(placed)
         if in_use is not None:
             use_fields[method] = measure_in_use(maps.positioner, alignment, in_use, folder_of(run, method))
             causes = find_causes(maps.trained, recording, in_use)

@@ -1,5 +1,6 @@
 """Errors of a map by compass before any training, beside those that its own covariance expects."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -52,29 +53,28 @@ def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
     )
 
 
-def judge_map(placed: PlacedMap, training: dict[str, Any]) -> dict[str, Any]:
+def is_undecided(training: Mapping[str, Any]) -> bool:
+    """Whether a map is undecided, by what the training said of it."""
+    return training["undecided"] > UNDECIDED
+
+
+def judge_map(placed: PlacedMap) -> dict[str, float]:
     """Measure a map against the truth.
 
-    Args:
-        placed: The map.
-        training: What the training said of the map, which is kept.
-
     Returns:
-        ``undecided``, whether more than ``UNDECIDED`` of the map is, and ``map``: ``rms_m``, ``median_m``, ``max_m``,
-        ``flipped_m2``, the area of the largest connected patch that the map turns over, and ``nees``, the normalised
-        estimation error squared over its expectation of 2: 1 for a covariance that is right (Bar-Shalom et al.,
-        "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
+        ``rms_m``, ``median_m``, ``max_m``; ``flipped_m2``, the area of the largest connected patch that the map turns
+        over; and ``nees``, the normalised estimation error squared over its expectation of 2: 1 for a covariance that
+        is right (Bar-Shalom et al., "Estimation with Applications to Tracking and Navigation", 2001, Sec. 5.4).
     """
     apart = placed.position - placed.truth
     error = np.linalg.norm(apart, axis=1)
-    measured = {
+    return {
         "rms_m": find_rms(error),
         "median_m": float(np.median(error)),
         "max_m": float(error.max()),
         "flipped_m2": measure_flipped_patch(placed.truth, placed.position),
         "nees": measure_nees(placed.covariance, placed.samples, apart),
     }
-    return {"undecided": training["undecided"] > UNDECIDED, "map": {**training, **measured}}
 
 
 def measure_nees(covariance: np.ndarray, samples: int, error: np.ndarray) -> float:

@@ -53,7 +53,7 @@ def find_doubts(method: Mapping[str, Any]) -> list[str]:
 
 
 def describe_undecided(found: Mapping[str, Any]) -> str | None:
-    """Say in a sentence how much of an initial map is undecided, and why; None: nothing is, or there is no such map.
+    """Say in a sentence how much of a map is undecided, and why; None: nothing is, or there is no such map.
 
     Args:
         found: The map's part of ``metrics.json``, or of ``training.json``.
@@ -66,7 +66,9 @@ def describe_undecided(found: Mapping[str, Any]) -> str | None:
         f"images {first} to {last}" if len(parts) == 1 else f"{len(parts)} parts; longest: images {first} to {last}"
     )
     because = f"; the world repeats every {repeats_m:.1f} m" if repeats_m else ""
-    return f"{max(100 * share, 0.1):.1f} % of its initial map is undecided ({pieces}){because}."
+    if "repeats_m" not in found:
+        because = "; segments cross it along one line only, so it could be mirrored: drive more, or use the compass"
+    return f"{max(100 * share, 0.1):.1f} % of its map is undecided ({pieces}){because}."
 
 
 def describe_turned(turned: Mapping[str, Any]) -> str | None:

@@ -116,7 +116,7 @@ def _describe_method(name: str, values: Mapping[str, Any]) -> str | None:
     if known_map.get("expected_rms_m") is not None:
         parts.append(f"its map expects an RMS error of {100 * known_map['expected_rms_m']:.1f} cm of itself")
     if known_map.get("undecided"):
-        parts.append(f"{100 * known_map['undecided']:.1f} % of it are undecided")
+        parts.append(f"{100 * known_map['undecided']:.1f} % of its map is undecided")
     if known_map.get("believed") is not None:
         parts.append(f"{100 * known_map['believed']:.1f} % of its loop closures agree")
     if values.get("lean_roll_deg") is not None:

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from deepgps.initial_map.fold_detector import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.methods.positioner import NetworkPositioner
@@ -23,12 +25,14 @@ class Attempt:
         number: Its number, counted from 0.
         positioner: The trained network.
         score: How far its map is folded.
+        ambiguous: Observations that could be mirrored, as far as distances tell (N,) bool; none where turns tell.
         seconds: Duration of the training.
     """
 
     number: int
     positioner: NetworkPositioner
     score: FoldScore
+    ambiguous: np.ndarray
     seconds: float
 
 

@@ -24,28 +24,36 @@ LEAST_ERRORS, MOST_ERRORS = 20, 4000
 
 
 def make_confidence(
-    segments: Segments, features: np.ndarray, positions: np.ndarray, map_std: np.ndarray | None = None
+    segments: Segments,
+    features: np.ndarray,
+    positions: np.ndarray,
+    map_std: np.ndarray | None = None,
+    undecided: np.ndarray | None = None,
 ) -> Confidence | None:
     """Make the table, its threshold and its radii; None where all images are of one segment, or nearly so.
+
+    Images that may lie elsewhere come into no table, so that those like them are refused as new.
 
     Args:
         segments: Segments of the drive.
         features: Features of its images (N, K).
         positions: Positions that the method predicts for them (N, 2) [m].
         map_std: Standard deviation of the map at each of them, along one axis (N,) [m]; None: unknown.
+        undecided: Images that may lie elsewhere on the map (N,) bool; None: none.
     """
     left_out = leave_segments_out(segments, features, positions)
     if left_out is None:
         return None
     held = find_held_out(segments, len(positions)).numpy()
     std = np.zeros(len(positions)) if map_std is None else np.nan_to_num(map_std)
-    table = set_threshold(make_table(features, positions, std, np.flatnonzero(~held)), left_out)
+    known = ~held if undecided is None or undecided[~held].all() else ~held & ~undecided
+    table = set_threshold(make_table(features, positions, std, np.flatnonzero(known)), left_out)
     error = measure_bars(segments, positions, held)
     measured = np.isfinite(error)
     if measured.sum() >= LEAST_ERRORS:
         return fit_radii(table, table.measure(features[measured], positions[measured])[0], error[measured])
-    known = left_out.guessed <= table.threshold_m
-    return fit_radii(table, left_out.guessed[known], left_out.error[known])
+    accepted = left_out.guessed <= table.threshold_m
+    return fit_radii(table, left_out.guessed[accepted], left_out.error[accepted])
 
 
 def fit_radii(table: Confidence, novelty: np.ndarray, error: np.ndarray) -> Confidence:

@@ -11,13 +11,17 @@ the fold detector are ours.
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 
 from deepgps.data.encoder_noise import find_inliers
+from deepgps.data.runs import find_stretches
 from deepgps.data.segments import Segments, subsample
 from deepgps.initial_map.dense import find_initial_map
 from deepgps.initial_map.end_points import find_end_point_map
+from deepgps.initial_map.flip_ambiguity import find_ambiguous
 from deepgps.initial_map.fold_detector import score_folding
 from deepgps.initial_map.isomap import has_lines
 from deepgps.learning import losses
@@ -114,6 +118,7 @@ def fit_data(
         "attempts": len(attempts),
         "attempt": best.number,
         "fold": {"found": best.score.folded, **asdict(best.score)},
+        "map": describe_undecided(best.ambiguous),
         "segments_skipped": data.segments.skipped,
         "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
     }
@@ -157,14 +162,22 @@ def train_attempt(
     shuffling = derive_seed(seed, "shuffling", number)
     replay = start != "lifting"  # whose loss reads values back from a GPU
     seconds = train(network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, label, replay)
-    # 6. The map, which is a plane in the network's output, and whether it is folded (ours).
+    # 6. The map, which is a plane in the network's output, and whether it is folded or could be (ours).
     out = predict(network, data.inputs, torch.arange(len(data.features)))
     centre, axes = find_plane(out)
     places = (out - centre) @ axes
     score = score_folding(places.double().numpy(), data.features, segments, make_generator(seed, "fold", number))
+    ambiguous = np.zeros(len(places), bool)
     if variant.orient:
         axes = axes * torch.tensor([1.0, variant.orient(places)])
-    return Attempt(number, as_positioner(data, settings, network, centre, axes), score, seconds)
+    elif has_lines(segments):
+        ambiguous = find_ambiguous(places.double().numpy(), data.features, segments)
+    return Attempt(number, as_positioner(data, settings, network, centre, axes), score, ambiguous, seconds)
+
+
+def describe_undecided(undecided: np.ndarray) -> dict[str, Any]:
+    """What ``training.json`` holds of a mask (N,) of observations that may lie elsewhere: share, ends of each part."""
+    return {"undecided": round(float(undecided.mean()), 4), "parts": find_stretches(undecided).tolist()}
 
 
 def choose_start(settings: LearnSettings, segments: Segments, number: int = 0, any_length: bool = False) -> Start:

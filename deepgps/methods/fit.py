@@ -12,6 +12,7 @@ import torch
 
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.data.runs import fill_stretches
 from deepgps.data.segments import read_segments
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.learning.trainer import describe_device, use_threads
@@ -67,7 +68,8 @@ def fit_method(
                 positioner, training = ArrayPositioner(name, positioner), {**took, **training}
             positioner = learn_headings(positioner, recording, folder)
             mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
-            positioner = learn_confidence(positioner, recording, mapped, method.reads_ticks)
+            undecided = fill_stretches(training.get("map", {}).get("parts", []), len(recording.observation))
+            positioner = learn_confidence(positioner, recording, mapped, undecided, method.reads_ticks)
             device = {"trained_on": describe_device(settings.train.device)} if method.in_steps else {}
             save_positioner(folder, positioner, {**training, **device, **count_readings(recording)})
         remove_leftovers(folder)
@@ -85,13 +87,16 @@ def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     return positioner if headings is None else add_headings(positioner, headings)
 
 
-def learn_confidence(positioner: Any, recording: Recording, mapped: StoredMap | None, reads_ticks: bool) -> Any:
+def learn_confidence(
+    positioner: Any, recording: Recording, mapped: StoredMap | None, undecided: np.ndarray, reads_ticks: bool
+) -> Any:
     """The positioner with a table of confidence from its own map, if there are features of its observations.
 
     Args:
         positioner: Any method's.
         recording: What it learned from.
         mapped: The map from which its training started, if that is known with its errors.
+        undecided: Observations that may lie elsewhere on its map (N,) bool.
         reads_ticks: Whether it learned from the encoders.
     """
     if not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
@@ -100,5 +105,5 @@ def learn_confidence(positioner: Any, recording: Recording, mapped: StoredMap | 
     if not reads_ticks:  # images are evenly spaced
         segments = replace(segments, distance=torch.arange(segments.index.shape[1]).expand(segments.index.shape))
     map_std = None if mapped is None else mapped.expected / np.sqrt(2.0)
-    table = make_confidence(segments, features, camera, map_std)
+    table = make_confidence(segments, features, camera, map_std, undecided)
     return positioner if table is None else add_confidence(positioner, table)

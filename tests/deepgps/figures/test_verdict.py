@@ -108,6 +108,12 @@ def test_a_study_over_a_number_draws_curves_unless_it_names_a_report(axes: dict,
 def test_an_undecided_map_is_said_with_its_share_and_parts():
     found = {"undecided": 0.2, "parts": [[3, 5], [10, 90]], "repeats_m": 0.62}
     (line,) = judge_run(make(map=found))
-    assert line.startswith("DeepGPS: 20.0 % of its initial map is undecided (2 parts; longest: images 10 to 90)")
+    assert line.startswith("DeepGPS: 20.0 % of its map is undecided (2 parts; longest: images 10 to 90)")
     assert line.endswith("the world repeats every 0.6 m.")
     assert judge_run(make(map={"undecided": 0.0, "parts": [], "repeats_m": None})) == []
+
+
+def test_a_map_that_could_be_mirrored_in_part_is_said_to_be_undecided():
+    (line,) = judge_run(make(map={"undecided": 0.2, "parts": [[3, 5], [10, 90]]}))
+    assert line.startswith("DeepGPS: 20.0 % of its map is undecided (2 parts; longest: images 10 to 90)")
+    assert "could be mirrored" in line

@@ -72,6 +72,18 @@ def test_the_share_refused_of_a_fresh_drive_is_as_chosen(table: Confidence) -> N
     assert 0.3 * REFUSED < (~table.find(lift(place), place).accepted).mean() < 2.0 * REFUSED
 
 
+def test_images_of_a_part_that_may_lie_elsewhere_are_refused() -> None:
+    segments, place = drive(600)
+    undecided = place[:, 0] < SIDE_M / 4.0
+    made = make_confidence(segments, lift(place), place, undecided=undecided)
+    assert made is not None
+    _, fresh = drive(400, seed=2)
+    accepted = made.find(lift(fresh), fresh).accepted
+    inside, outside = fresh[:, 0] < SIDE_M / 4.0 - 0.5, fresh[:, 0] > SIDE_M / 4.0 + 0.2
+    assert accepted[inside].mean() < 0.05
+    assert accepted[outside].mean() > 0.9
+
+
 def test_unknown_and_misplaced_images_are_refused_with_large_radii(table: Confidence) -> None:
     _, place = drive(50, seed=5)
     known = table.find(lift(place), place)
