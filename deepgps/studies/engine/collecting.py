@@ -1,7 +1,5 @@
 """Collection of a study's drives, several at once: driving takes one core, and longer than drawing the images."""
 
-import logging
-import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,14 +7,12 @@ from pathlib import Path
 from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.stages import make_recording
-from deepgps.studies.engine.pool import Tell, do_all
+from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
-from sim.errors import InputError, WorkError, one_line
 from sim.processes import usable_cores
 from sim.recording.format import is_whole
 from sim.recording.training_drive import has_same_training_drive
 
-log = logging.getLogger(__name__)
 PER_PROCESS = 1000
 """Samples for which it pays to start one more process that drives."""
 
@@ -42,19 +38,12 @@ class Drive:
         """Number of samples."""
         return self.scenario.drive.samples
 
-    def __call__(self, tell: Tell) -> str | None:
-        """Collect it, or complete it; returns why that failed, or None."""
-        try:
-            given = self.base != self.folder and is_whole(self.base)
-            shares = given and has_same_training_drive(self.base, self.scenario.sim, self.scenario.seed)
-            report = self._share_out(tell, shares)
-            make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers)
-        except (InputError, WorkError, OSError) as error:
-            return one_line(error)
-        except Exception as error:  # a bug must not stop the other drives
-            log.warning("%s", traceback.format_exc())
-            return f"{type(error).__name__}: {one_line(error)}"
-        return None
+    def __call__(self, tell: Tell) -> None:
+        """Collect it, or complete it."""
+        given = self.base != self.folder and is_whole(self.base)
+        shares = given and has_same_training_drive(self.base, self.scenario.sim, self.scenario.seed)
+        report = self._share_out(tell, shares)
+        make_recording(self.scenario, self.folder, report, self.base if shares else None, self.renderers)
 
     def _share_out(self, tell: Tell, shares: bool) -> Report:
         """Report driving and drawing, in training and in use, as one amount in which all stages count the same."""
@@ -112,7 +101,7 @@ def _collect_in_turn(drives: Mapping[str, Drive], progress: Tell) -> Failures:
         def report(done: int, before: int = before, size: int = drive.size) -> None:
             progress(before + min(done, size))
 
-        if reason := drive(report):
+        if reason := attempt(drive, report):
             failed[key] = reason
         before += drive.size
         progress(before)

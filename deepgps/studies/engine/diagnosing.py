@@ -1,22 +1,54 @@
 """The runs of a study that diagnoses recordings and trains nothing."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.sight import Sight
-from deepgps.diagnosis.store import FILE, write_diagnosis
+from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
 from deepgps.progress import Report
+from deepgps.studies.engine.pool import Tell, do_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan
 from sim.errors import InputError, WorkError, one_line
+from sim.processes import usable_cores
 from sim.recording.format import open_recording
+
+
+@dataclass(frozen=True)
+class SameImages:
+    """Recordings of the same images to diagnose in a worker process: the angles that the camera sees are found once.
+
+    Attributes:
+        runs: Folder of each run, which gets a ``diagnosis.json``.
+        recordings: Folder of each run's recording.
+    """
+
+    runs: Sequence[Path]
+    recordings: Sequence[Path]
+
+    @property
+    def size(self) -> int:
+        """Number of runs."""
+        return len(self.runs)
+
+    def __call__(self, tell: Tell) -> str | None:
+        """Diagnose them in order; returns why some failed, or None."""
+        sight, reasons = Sight(), []
+        for done, (run, folder) in enumerate(zip(self.runs, self.recordings, strict=True), start=1):
+            try:
+                recording = open_recording(folder)
+                run.mkdir(parents=True, exist_ok=True)
+                write_diagnosis(run / FILE, diagnose(recording, sight), recording)
+            except (InputError, WorkError, OSError) as error:
+                reasons.append(one_line(error))
+            tell(done)
+        return "; ".join(reasons) or None
 
 
 def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     """Diagnose the recordings of runs and write ``runs/<run>/diagnosis.json``.
-
-    Recordings of the same images share the angles that the camera sees, each of which is found once.
 
     Args:
         plans: The runs.
@@ -26,17 +58,28 @@ def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failu
     Returns:
         Reasons why runs failed, by the hash of the run.
     """
-    sights: dict[str, Sight] = {}
-    failures: Failures = {}
-    for done, plan in enumerate(plans, start=1):
-        try:
-            recording = open_recording(folder / "recordings" / plan.recording)
-            files = recording.manifest.sha256
-            images = " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))
-            diagnosis = diagnose(recording, sights.setdefault(images, Sight()))
-            (folder / "runs" / plan.run).mkdir(parents=True, exist_ok=True)
-            write_diagnosis(folder / "runs" / plan.run / FILE, diagnosis, recording)
-        except (InputError, WorkError, OSError) as error:
-            failures[plan.run] = one_line(error)
-        progress("diagnose", done, len(plans))
-    return failures
+    groups: dict[str, list[Plan]] = {}
+    for plan in plans:
+        groups.setdefault(_name_images(folder / "recordings" / plan.recording), []).append(plan)
+    tasks = {images: _plan(group, folder) for images, group in groups.items()}
+    failed = do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
+    return {
+        plan.run: reason
+        for images, reason in failed.items()
+        for plan in groups[images]
+        if read_diagnosis(folder / "runs" / plan.run) is None
+    }
+
+
+def _name_images(folder: Path) -> str:
+    """Checksums of a recording's images; its folder, if it cannot be read."""
+    try:
+        files = open_recording(folder).manifest.sha256
+    except (InputError, OSError):
+        return str(folder)
+    return " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))
+
+
+def _plan(group: Sequence[Plan], folder: Path) -> SameImages:
+    runs = [folder / "runs" / plan.run for plan in group]
+    return SameImages(runs, [folder / "recordings" / plan.recording for plan in group])

@@ -1,5 +1,7 @@
 """Worker processes of this machine, each of which does task after task, without a server."""
 
+import logging
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from multiprocessing import Pipe
@@ -10,8 +12,10 @@ from typing import NamedTuple, Protocol
 from deepgps.command.streams import open_streams
 from deepgps.command.terminal import warn_plainly
 from deepgps.studies.engine.worker import Failures
+from sim.errors import InputError, WorkError, one_line
 from sim.processes import start_process
 
+log = logging.getLogger(__name__)
 Tell = Callable[[int], None]
 """Called with how much of a task is done."""
 
@@ -25,7 +29,7 @@ class Task(Protocol):
         ...
 
     def __call__(self, tell: Tell) -> str | None:
-        """Do it; returns why it failed, or None."""
+        """Do it; returns why it failed, or None. It may raise that as well."""
         ...
 
 
@@ -81,6 +85,17 @@ def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
     return failed
 
 
+def attempt(task: Task, tell: Tell) -> str | None:
+    """Do a task; returns why it failed, be it a bug, which must not stop the other tasks."""
+    try:
+        return task(tell)
+    except (InputError, WorkError, OSError) as error:
+        return one_line(error)
+    except Exception as error:
+        log.warning("%s", traceback.format_exc())
+        return f"{type(error).__name__}: {one_line(error)}"
+
+
 def work(handle: int) -> None:
     """Do the tasks that arrive through a pipe until it is closed; this is the main function of a worker process.
 
@@ -96,7 +111,7 @@ def work(handle: int) -> None:
         except EOFError:  # the parent needs no more, or is gone
             return
         try:
-            failure = task(lambda done: pipe.send(Update(done)))
+            failure = attempt(task, lambda done: pipe.send(Update(done)))
             pipe.send(Update(task.size, ended=True, failure=failure))
         except BrokenPipeError:  # the parent is gone
             return
