@@ -1,6 +1,7 @@
 """Worker processes: one that dies fails its own run and no other, whenever it dies."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,11 +12,16 @@ from sim.processes import start_process
 from tests.helpers.small_study import write_study
 
 
-@pytest.mark.parametrize(("device", "there", "most"), [("cpu", True, 64), ("cuda", True, 4), ("auto", False, 64)])
-def test_few_runs_train_on_a_gpu_at_once(
-    device: str, there: bool, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("device", "gigabytes", "most"),
+    [("cpu", 8, 64), ("cuda", 2, 1), ("cuda", 25, 7), ("auto", 800, 64), ("auto", 0, 64)],
+)
+def test_as_many_runs_train_on_a_gpu_at_once_as_fit(
+    device: str, gigabytes: int, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr("torch.cuda.is_available", lambda: there)
+    monkeypatch.setattr("torch.cuda.is_available", lambda: gigabytes > 0)
+    card = SimpleNamespace(total_memory=gigabytes * 10**9)
+    monkeypatch.setattr("torch.cuda.get_device_properties", lambda _: card)
     monkeypatch.setattr("deepgps.studies.engine.local.usable_cores", lambda: 64)
     study = write_study(tmp_path, set={"learn.train.device": device})
     assert count_workers(plan_runs(load_study(str(study), tiny=False))) == most
