@@ -123,7 +123,7 @@ def train(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Train each method that is not trained yet."""
     from deepgps.methods.catalog import folder_of
     from deepgps.methods.fit import fit_method
-    from deepgps.methods.positioner import is_finished
+    from deepgps.methods.stored_positioner import is_finished
 
     recording = open_recording(folder / "recording")
     seed = training_seed(scenario)

@@ -20,7 +20,7 @@ from deepgps.data.runs import fill_stretches
 from deepgps.figures.field_plot import draw_room
 from deepgps.figures.style import PAPER, to_png
 from deepgps.initial_map.stored_map import StoredMap, read_map
-from deepgps.methods.positioner import load_positioner, read_training
+from deepgps.methods.stored_positioner import load_positioner, read_training
 from deepgps.viewer.run.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
 from sim.files import write_bytes

@@ -250,7 +250,7 @@ class Run:
 
     def positioner(self, method: str | None = None) -> "Positioner":
         """The map from observations to positions that a method has learned; None: the first of the run."""
-        from deepgps.methods.positioner import load_positioner
+        from deepgps.methods.stored_positioner import load_positioner
 
         name = self.choose(method)
         if name not in self._positioners:

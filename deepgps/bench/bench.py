@@ -17,7 +17,8 @@ from deepgps.bench.paper import measure_paper
 from deepgps.bench.rows import KEPT, Row, write_bench
 from deepgps.bench.speed import measure_speed, measure_spread
 from deepgps.evaluation.evaluate import evaluate
-from deepgps.methods.positioner import NetworkPositioner, load_positioner
+from deepgps.methods.positioner import NetworkPositioner
+from deepgps.methods.stored_positioner import load_positioner
 from deepgps.progress import Report, ignore
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import METRICS

@@ -35,7 +35,8 @@ from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import METHODS, folder_of
 from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import CPU, Positioner, load_positioner, read_training
+from deepgps.methods.positioner import CPU, Positioner
+from deepgps.methods.stored_positioner import load_positioner, read_training
 from deepgps.progress import Report, ignore
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError

@@ -11,7 +11,7 @@ import numpy as np
 
 from deepgps.alignment import Alignment
 from deepgps.methods.catalog import AlignmentKind
-from deepgps.methods.positioner import INDEX
+from deepgps.methods.stored_positioner import INDEX
 from deepgps.owned_folder import is_older
 from deepgps.run_folder import RUN
 from sim.errors import InputError

@@ -14,7 +14,7 @@ from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import folder_of
-from deepgps.methods.positioner import load_positioner
+from deepgps.methods.stored_positioner import load_positioner
 from deepgps.owned_folder import hold, is_older
 from deepgps.progress import Report
 from deepgps.run_folder import RUN, list_trained, open_run

@@ -25,7 +25,8 @@ from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.methods.catalog import folder_of
 from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import Positioner, headings_of, load_positioner, read_training
+from deepgps.methods.positioner import Positioner, headings_of
+from deepgps.methods.stored_positioner import load_positioner, read_training
 from deepgps.progress import Report, ignore
 from deepgps.run_folder import WITHOUT_TRUTH
 from deepgps.scenario import Scenario

@@ -27,10 +27,8 @@ from deepgps.methods.positioner import (
     Positioner,
     add_confidence,
     add_headings,
-    is_finished,
-    load_positioner,
-    save_positioner,
 )
+from deepgps.methods.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings
 from sim.plugins import calling

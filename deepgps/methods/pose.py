@@ -5,13 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.alignment import Alignment
-from deepgps.methods.positioner import (
-    NeighbourPositioner,
-    NetworkPositioner,
-    Positioner,
-    confidence_of,
-    headings_of,
-)
+from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, Positioner, confidence_of, headings_of
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from deepgps.data.features import check_features, has_features
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.learning.training_data import FEATURES, digest_features
 from deepgps.methods.catalog import METHODS
-from deepgps.methods.positioner import is_finished, load_positioner, read_training
+from deepgps.methods.stored_positioner import is_finished, load_positioner, read_training
 from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
 from deepgps.scenario import Scenario
 from deepgps.stages import training_seed

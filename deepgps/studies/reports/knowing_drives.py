@@ -18,7 +18,7 @@ from deepgps.figures.run_report import read_metrics
 from deepgps.methods.catalog import METHODS, folder_of, title_of
 from deepgps.methods.fit import fit_method
 from deepgps.methods.pose import locate_camera
-from deepgps.methods.positioner import load_positioner
+from deepgps.methods.stored_positioner import load_positioner
 from deepgps.monitoring.causes import Causes, make_monitor
 from deepgps.monitoring.rules import TITLES
 from deepgps.run_folder import open_run

@@ -23,7 +23,8 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure, mean_of
 from deepgps.initial_map.isomap import find_axes
 from deepgps.methods.catalog import folder_of
-from deepgps.methods.positioner import NetworkPositioner, load_positioner
+from deepgps.methods.positioner import NetworkPositioner
+from deepgps.methods.stored_positioner import load_positioner
 from deepgps.studies.grouping import choices, describe, group_rows
 from deepgps.studies.reports.compare import mean
 from deepgps.studies.reports.seeds import count_folded

@@ -15,7 +15,8 @@ from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
 from deepgps.methods.fit import fit_method
-from deepgps.methods.positioner import NetworkPositioner, Positioner, read_training
+from deepgps.methods.positioner import NetworkPositioner, Positioner
+from deepgps.methods.stored_positioner import read_training
 from deepgps.settings import LearnSettings
 from sim.geometry import wrap
 from sim.recording.collect import collect

@@ -5,7 +5,7 @@ import pytest
 
 from deepgps.methods.catalog import METHODS
 from deepgps.methods.fit import fit_method
-from deepgps.methods.positioner import load_positioner
+from deepgps.methods.stored_positioner import load_positioner
 from deepgps.progress import ignore
 from deepgps.scenario import load_scenario
 from deepgps.settings import LearnSettings

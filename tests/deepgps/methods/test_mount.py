@@ -12,7 +12,8 @@ from deepgps.initial_map.compass_map import CompassMap
 from deepgps.methods.deepgps_compass import find_mount
 from deepgps.methods.heading_fit import make_headings
 from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import NetworkPositioner, load_positioner, save_positioner
+from deepgps.methods.positioner import NetworkPositioner
+from deepgps.methods.stored_positioner import load_positioner, save_positioner
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, write_recording
 from tests.deepgps.methods.test_headings import ODOMETRY, RINGS, SECTORS, draw_queries

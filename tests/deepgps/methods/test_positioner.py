@@ -11,15 +11,8 @@ from deepgps.data.segments import Segments
 from deepgps.learning.networks import make_network
 from deepgps.methods.confidence_fit import make_confidence
 from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import (
-    NeighbourPositioner,
-    NetworkPositioner,
-    Positioner,
-    is_finished,
-    load_positioner,
-    read_training,
-    save_positioner,
-)
+from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, Positioner
+from deepgps.methods.stored_positioner import is_finished, load_positioner, read_training, save_positioner
 from deepgps.settings import NetworkSettings, PixelValues
 from sim.errors import DamagedError, InputError
 from sim.files import read_json, write_json

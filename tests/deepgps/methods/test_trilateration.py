@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
-from deepgps.methods.positioner import load_positioner, save_positioner
+from deepgps.methods.stored_positioner import load_positioner, save_positioner
 from deepgps.methods.trilateration import LandmarkPositioner, find_seen, trilaterate
 from sim.errors import InputError
 
