@@ -12,11 +12,10 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
 from deepgps.data.segments import Segments, subsample
+from deepgps.initial_map.dense import NEIGHBOURS
 from deepgps.initial_map.isomap import LONGEST_LINK, find_loop_closures
 from deepgps.initial_map.pose_graph import PoseGraph, build_pose_graph, lay_bars
 
-NEIGHBOURS = 3
-"""Neighbours of each observation in the graph of loop closures."""
 NEAR, MOVED = 2.0, 3.0
 """Distance from a line within which a crossing allows mirroring about it, and beyond which mirroring moves a reading,
 in steps between readings."""
@@ -33,11 +32,11 @@ def find_ambiguous(places: np.ndarray, features: torch.Tensor, segments: Segment
         segments: Weak constraints.
 
     Returns:
-        (N,) bool; of a long recording, a sample is examined, and what lies between two of the sample is as the first.
+        (N,) bool. Of a long recording, a sample is examined, and all others are taken to be like the one before them.
     """
     sample, chosen = subsample(segments, len(features))
     places, numbers = places[chosen.numpy()], chosen.numpy()
-    closures = find_loop_closures(features[chosen], sample, (NEIGHBOURS,))[0]
+    closures = find_loop_closures(features[chosen], sample, NEIGHBOURS[:1])[0]
     graph = build_pose_graph(sample, closures, np.asarray(np.isfinite(places).all(axis=1)))
     found = np.zeros(len(places), bool)
     found[graph.observation] = find_ambiguous_readings(graph, places[graph.observation])

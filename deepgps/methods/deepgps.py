@@ -118,7 +118,7 @@ def fit_data(
         "attempts": len(attempts),
         "attempt": best.number,
         "fold": {"found": best.score.folded, **asdict(best.score)},
-        "map": describe_undecided(best.ambiguous),
+        "map": record_undecided(best.ambiguous),
         "segments_skipped": data.segments.skipped,
         "segments_down_weighted": len(data.segments.count) - len(find_inliers(data.segments)),
     }
@@ -175,7 +175,7 @@ def train_attempt(
     return Attempt(number, as_positioner(data, settings, network, centre, axes), score, ambiguous, seconds)
 
 
-def describe_undecided(undecided: np.ndarray) -> dict[str, Any]:
+def record_undecided(undecided: np.ndarray) -> dict[str, Any]:
     """What ``training.json`` holds of a mask (N,) of observations that may lie elsewhere: share, ends of each part."""
     return {"undecided": round(float(undecided.mean()), 4), "parts": find_stretches(undecided).tolist()}
 

@@ -19,7 +19,7 @@ from deepgps.initial_map.isomap import find_loop_closures
 from deepgps.initial_map.stored_map import write_map
 from deepgps.initial_map.wheel_turns import find_chirality
 from deepgps.learning.training_data import TrainingData, prepare
-from deepgps.methods.deepgps import Variant, describe_undecided, fit_data, make_initial_map
+from deepgps.methods.deepgps import Variant, fit_data, make_initial_map, record_undecided
 from deepgps.methods.deepgps_noise_aware import weigh_by_noise
 from deepgps.methods.positioner import Fitted, NetworkPositioner
 from deepgps.progress import Report
@@ -107,7 +107,7 @@ def describe_map(found: CompassMap) -> dict[str, Any]:
     curvature, ahead, left = zip(found.shared.round(5).tolist(), found.shared_std.round(5).tolist(), strict=True)
     return {
         "expected_rms_m": round(float(np.sqrt(2.0 * (known**2).mean())), 5),
-        **describe_undecided(found.undecided),
+        **record_undecided(found.undecided),
         "repeats_m": round(found.repeats_m, 2) if np.isfinite(found.repeats_m) else None,
         "believed": round(float(found.believed.mean()), 4) if len(found.believed) else None,
         "curvature_per_m": curvature,

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from deepgps.progress import Look, Report
@@ -101,7 +102,7 @@ def _collect_in_turn(drives: Mapping[str, Drive], progress: Tell) -> Failures:
         def report(done: int, before: int = before, size: int = drive.size) -> None:
             progress(before + min(done, size))
 
-        if reason := attempt(drive, report):
+        if reason := attempt(partial(drive, report)):
             failed[key] = reason
         before += drive.size
         progress(before)

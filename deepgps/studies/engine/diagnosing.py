@@ -2,18 +2,19 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
 from deepgps.progress import Report
-from deepgps.studies.engine.pool import Tell, do_all
+from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan
-from sim.errors import InputError, WorkError, one_line
+from sim.errors import InputError
 from sim.processes import usable_cores
-from sim.recording.format import open_recording
+from sim.recording.format import open_recording, read_manifest
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,9 @@ class SameImages:
         """Diagnose them in order; returns why some failed, or None."""
         sight, reasons = Sight(), []
         for done, (run, folder) in enumerate(zip(self.runs, self.recordings, strict=True), start=1):
-            try:
-                recording = open_recording(folder)
-                run.mkdir(parents=True, exist_ok=True)
-                write_diagnosis(run / FILE, diagnose(recording, sight), recording)
-            except (InputError, WorkError, OSError) as error:
-                reasons.append(one_line(error))
+            reasons.append(attempt(partial(_diagnose, run, folder, sight)))
             tell(done)
-        return "; ".join(reasons) or None
+        return "; ".join(filter(None, reasons)) or None
 
 
 def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -71,10 +67,16 @@ def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failu
     }
 
 
+def _diagnose(run: Path, folder: Path, sight: Sight) -> None:
+    recording = open_recording(folder)
+    run.mkdir(parents=True, exist_ok=True)
+    write_diagnosis(run / FILE, diagnose(recording, sight), recording)
+
+
 def _name_images(folder: Path) -> str:
     """Checksums of a recording's images; its folder, if it cannot be read."""
     try:
-        files = open_recording(folder).manifest.sha256
+        files = read_manifest(folder).sha256
     except (InputError, OSError):
         return str(folder)
     return " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))

@@ -13,7 +13,7 @@ from deepgps.studies.study import Plan
 from sim.processes import usable_cores
 
 GPU_BYTES = 3 * 2**30
-"""Memory of a GPU that is kept for each run; those of ``samples``, with 16,000 images, took 1.3 GB each."""
+"""Memory of a GPU that is kept for each run; those of ``samples`` took about 1.5 GB each on an H100."""
 
 
 @dataclass(frozen=True)

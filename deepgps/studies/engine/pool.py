@@ -4,6 +4,7 @@ import logging
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from subprocess import Popen
@@ -85,10 +86,10 @@ def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
     return failed
 
 
-def attempt(task: Task, tell: Tell) -> str | None:
-    """Do a task; returns why it failed, be it a bug, which must not stop the other tasks."""
+def attempt(do: Callable[[], str | None]) -> str | None:
+    """Do something and return why it failed, or None; a bug is returned too, so that other tasks go on."""
     try:
-        return task(tell)
+        return do()
     except (InputError, WorkError, OSError) as error:
         return one_line(error)
     except Exception as error:
@@ -111,7 +112,7 @@ def work(handle: int) -> None:
         except EOFError:  # the parent needs no more, or is gone
             return
         try:
-            failure = attempt(task, lambda done: pipe.send(Update(done)))
+            failure = attempt(partial(task, lambda done: pipe.send(Update(done))))
             pipe.send(Update(task.size, ended=True, failure=failure))
         except BrokenPipeError:  # the parent is gone
             return
