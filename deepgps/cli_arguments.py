@@ -50,7 +50,7 @@ class RunArguments:
     out: OptionalFolder = None
     """The run folder itself; default: that of the run, or runs/<scenario>/seed<seed>-<hash>."""
     fresh: bool = False
-    """Discard what is in the run folder and start again."""
+    """Make the run again; the old one is replaced once the new one is complete."""
     live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
     """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
     log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
@@ -77,7 +77,7 @@ class StudyArguments:
     publish: OptionalFolder = None
     """Copy the table, report and figures to a subfolder of this folder named after the study, as in docs/results."""
     fresh: bool = False
-    """Discard what is in the study folder and start again."""
+    """Make the study again; the old one is replaced once the new one is complete."""
     plugin: Plugins = ()
     """Files of plugins, with methods and encoder faults of your own."""
 

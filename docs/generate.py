@@ -1,6 +1,7 @@
 """The parts of the documentation that come from the code: settings, commands and the Python API.
 
-A page has a comment in the place of such a part: ``<!-- generated: settings -->``.
+A page has a comment in the place of such a part, ``<!-- generated: settings -->``, and on the same line what readers of
+the repository see instead.
 """
 
 import os
@@ -57,7 +58,7 @@ def fill_in(text: str, page: str = "") -> str:
         "commands": describe_commands,
         "api": describe_api,
     }
-    return re.sub(r"^<!-- generated: (\w+) -->$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
+    return re.sub(r"^<!-- generated: (\w+) -->.*$", lambda found: parts[found[1]](), text, flags=re.MULTILINE)
 
 
 def show_figures(page: str) -> str:

@@ -30,7 +30,7 @@ def write_page(results: Sequence[Result], seed: int, seconds: float) -> str:
     made = f"Made on {datetime.now(UTC):%Y-%m-%d}, commit {_commit()}, seed {seed}"
     blocks = [HEAD.strip(), f"{made}, in {seconds / 60:.0f} minutes on {_machine()}.", tabulate(results)]
     fallen = [f"- {one.family}, {one.test}: {example[:LONGEST]}" for one in results for example in one.examples]
-    return "\n\n".join([*blocks, *(["## What fell", "\n".join(fallen)] if fallen else [])]) + "\n"
+    return "\n\n".join([*blocks, *(["## What failed", "\n".join(fallen)] if fallen else [])]) + "\n"
 
 
 def _commit() -> str:

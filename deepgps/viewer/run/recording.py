@@ -45,7 +45,7 @@ HELP = (
     "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
     "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
-    "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in purple), "
+    "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in magenta), "
     "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m.",
 )
 
