@@ -69,7 +69,7 @@ class Scenario(WithPlugins, SimSettings):
     """Name of the scenario; its runs are stored under runs/<name>. In a file without it, the file's own name, with _
     for other letters than a name may hold."""
     seed: int = Field(default=0, ge=0)
-    """Seed of the RNG streams, one each for driving, encoder, weights and shuffling."""
+    """Seed of everything random; each part of the work draws from an RNG stream of its own."""
     plugins: dict[str, PluginSource] = Field(default_factory=dict)
     """The plugins of those methods that deepgps does not have itself; filled in from the plugins that are loaded."""
     methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")

@@ -71,7 +71,7 @@ class RoomEnvironment(dm_env.Environment):
                     "sim.sensors.encoder.read_encoders from the wheel angles of environment.wheel_angle()"
                 )
         if faults := [name for name, off in NO_FAULTS.items() if getattr(settings, name) != off]:
-            raise InputError(f"{faults[0]} must be as by default: the environment's camera has no faults")
+            raise InputError(f"{faults[0]} must keep its default: the environment's camera has no faults")
         self._periods = round(step_s / CONTROL_PERIOD_S) if np.isfinite(step_s) else 0
         if self._periods < 1 or abs(self._periods * CONTROL_PERIOD_S - step_s) > 1e-9:
             raise InputError(f"step_s {step_s} must be a multiple of the control period, {CONTROL_PERIOD_S} s")

@@ -106,7 +106,7 @@ ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl", "sim.robot_log")
 ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
-    *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels", "deepgps.methods.pca_knn"),
+    *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
     *("deepgps.export.trajectories", "deepgps.export.mcap"),  # which write the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
@@ -114,7 +114,10 @@ OPENS_TRUTH = (
 )
 OPENS_ALIGNMENT = ("deepgps.evaluation", "deepgps.api.run", "deepgps.viewer")
 """The alignment of a map with the world is fitted on the truth."""
-READS_LABELS = ("deepgps.evaluation", "deepgps.data.labels", "deepgps.methods.posenet", "deepgps.methods.knn")
+READS_LABELS = (
+    *("deepgps.evaluation", "deepgps.data.labels"),
+    *("deepgps.methods.posenet", "deepgps.methods.knn", "deepgps.methods.pca_knn"),
+)
 MAKES_LABELS = ("sim.apriltag",)
 MAKES_PATHS = {"joinpath", "join", "Path", "PurePath"}
 GENERATORS = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox"}

@@ -7,10 +7,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 from scipy.spatial import KDTree
 
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import check_readings
+from deepgps.scenario import Scenario, describe_problems
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (
@@ -254,7 +256,7 @@ def _take_turns(
 def _describe(
     kind: ObservationKind, test: np.ndarray, camera: CameraSettings | None, observation: np.ndarray
 ) -> dict[str, Any]:
-    """The settings with which a scenario describes such a recording."""
+    """The settings with which a scenario describes such a recording; raises InputError where none can."""
     settings = dict(SETTINGS[kind])
     if kind != "vector" and len(test):
         settings["grid"] = {"held_out": len(test)}  # test positions need not form a grid
@@ -262,6 +264,11 @@ def _describe(
         rings, sectors = observation.shape[1:3]
         given = {} if camera is None else camera.model_dump(exclude_unset=True)
         settings["camera"] = {**given, "rings": rings, "sectors": sectors}
+    try:
+        Scenario.model_validate({"name": "recording", **settings})
+    except ValidationError as error:
+        arrays = f"observations {observation.shape}, test_observations {test.shape}"
+        raise InputError(f"{arrays}: {describe_problems(error, Scenario)}") from None
     return settings
 
 

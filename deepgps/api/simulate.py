@@ -10,7 +10,7 @@ from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_r
 from deepgps.api.run import Run, load
 from deepgps.plugins import load_plugins
 from deepgps.progress import Report, ignore, show_progress
-from deepgps.run_folder import claim, default_folder
+from deepgps.run_folder import claim, default_folder, join_methods
 from deepgps.scenario import Scenario, load_scenario, override_scenario
 from deepgps.source import refuse_settings_of_drive
 from deepgps.spelling import as_key
@@ -29,7 +29,8 @@ def simulate(
 ) -> Run:
     """Run a scenario as ``deepgps run`` does: drive and record, train, evaluate, draw figures.
 
-    A finished run is only opened, and an interrupted one continues where it stopped.
+    A finished run is only opened, an interrupted one continues where it stopped, and methods that are trained in the
+    folder already stay.
 
     Args:
         scenario: A scenario, the name of one, such as ``tiny``, or the path of a YAML file.
@@ -50,6 +51,7 @@ def simulate(
     load_plugins(plugins)
     chosen = _choose(scenario, {**(settings or {}), **_name_methods(methods)})
     folder = default_folder(chosen) if out is None else Path(out)
+    chosen = chosen if fresh else join_methods(chosen, folder)
     with _prepare(list_undriven(chosen, folder, fresh), progress) as report:
         run(chosen, folder, fresh, report)
     return load(folder)
@@ -86,6 +88,7 @@ def train(
     scenario = describe_recording(home, chosen)
     refuse_settings_of_drive(scenario, describe_recording(home, defaults), home, chosen, as_key)
     folder = choose_folder(home, scenario) if out is None else Path(out)
+    scenario = scenario if fresh else join_methods(scenario, folder)
     with _prepare([], progress) as report, claim(scenario, folder, fresh) as place:
         link_recording(home, place)
         train_methods(scenario, place, report)

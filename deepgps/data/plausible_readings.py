@@ -181,8 +181,8 @@ def _find_rising(numbers: np.ndarray, strictly: bool) -> np.ndarray:
 def _refuse_few(left: np.ndarray, reading: np.ndarray, counts: Mapping[str, int]) -> None:
     if 2 * len(left) < len(reading) or not len(left):
         raise InputError(
-            f"reading.npy, time.npy: of {len(reading)} readings most cannot be ({_say_why(counts)}), "
-            "so the others are not believed"
+            f"reading.npy, time.npy: more than half of {len(reading)} readings are impossible ({_say_why(counts)}), so "
+            "the others are not believed"
         )
 
 

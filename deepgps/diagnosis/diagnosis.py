@@ -7,6 +7,8 @@ a metre of the readings is in truth.
 
 from dataclasses import dataclass, replace
 
+from threadpoolctl import threadpool_limits
+
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
@@ -103,6 +105,7 @@ def can_diagnose(recording: Recording) -> bool:
     return enough and not recording.manifest.wheels_computed
 
 
+@threadpool_limits.wrap(limits=1)  # with more threads, sums depend on the number of cores
 def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     """Diagnose the wheels of a recording.
 

@@ -215,8 +215,8 @@ def _find_stuck(diagnosis: Diagnosis, least: dict[str, float], fix: Correction) 
         "stuck",
         f"A wheel counts nothing in {_percent(diagnosis.stuck_fraction)} of the gaps while the other one turns: "
         f"{when}.",
-        "look at that encoder's plug and magnet; distances in these stretches are halved, and noise-aware learning "
-        "gives them little weight",
+        "look at that encoder's plug and magnet; distances in these stretches are halved, but methods that learn with "
+        "the diagnosis take them from the other wheel",
         f"--encoder.stuck-fraction {diagnosis.stuck_fraction.value:.3f}",
     )
 

@@ -54,7 +54,7 @@ def place_map(stored: StoredMap, place: np.ndarray) -> PlacedMap:
 
 
 def is_undecided(training: Mapping[str, Any]) -> bool:
-    """Whether a map is undecided, by what the training said of it."""
+    """Whether a map is undecided, by its entry in ``training.json``."""
     return training["undecided"] > UNDECIDED
 
 

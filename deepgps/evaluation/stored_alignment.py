@@ -1,7 +1,7 @@
 """The alignment that evaluation fits on the truth, stored with each method: it carries predictions into the world.
 
-Only evaluation, the Python interface and the viewer open it. Nothing that learns, tracks or navigates may, since
-it was fitted on the truth.
+Only what reports results in the world's frame opens it: evaluation, the Python interface, the viewer, and the commands
+that track, locate and export. Nothing may learn or estimate a pose with it, since it was fitted on the truth.
 """
 
 import shlex

@@ -89,13 +89,14 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
 def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path | None, progress: Report) -> Tracked:
     name = _choose(run, scenario.methods, method)
     recording, path = _open_drive(run, drive, name)
+    alignment = _find_alignment(folder_of(run, name), recording)
     device = find_device(scenario.learn.train.device)
     with use_threads(scenario.learn.train.threads):
         trained = load_positioner(folder_of(run, name), device)
         positioner, _ = adapt(trained, recording)
         track = track_drive(positioner, recording, progress)
         causes = find_causes(trained, open_recording(run / "recording"), recording)
-    reference = _open_reference(folder_of(run, name), recording, track)
+    reference = None if alignment is None else _open_reference(alignment, recording, track)
     figures = {**_describe(name, len(recording.observation), track, reference), **causes}
     write_track(path.with_suffix(".npz"), track)
     write_json(path.with_suffix(".json"), figures)
@@ -147,17 +148,21 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
     return recording, run / FOLDER / method
 
 
-def _open_reference(folder: Path, recording: Recording, track: Track) -> Reference | None:
-    """The truth of the drive, if it is known and the method's map has a place in it."""
+def _find_alignment(folder: Path, recording: Recording) -> Alignment | None:
+    """The alignment of a method's map with the world; None: the truth of this drive, or of training, is not known."""
     if not has_truth(recording.folder) or not (has_alignment(folder) or has_truth(folder.parent / "recording")):
         return None
+    return read_alignment(folder)
+
+
+def _open_reference(alignment: Alignment, recording: Recording, track: Track) -> Reference:
     truth = open_truth(recording.folder)
     if len(truth.pose) != len(recording.observation):
         raise InputError(
             f"{recording.folder}: it has {len(recording.observation)} observations, but the truth {len(truth.pose)}"
         )
     pose = np.where((track.observation != NO_IMAGE)[:, None], truth.pose[track.observation], np.nan)
-    return Reference(read_alignment(folder), pose, truth.free_space)
+    return Reference(alignment, pose, truth.free_space)
 
 
 def _describe(method: str, images: int, track: Track, reference: Reference | None) -> dict[str, Any]:

@@ -61,10 +61,10 @@ def find_device(name: str) -> torch.device:
         return torch.device("cpu")
 
 
-def describe_device(name: str = "auto") -> str:
-    """Describe in one line the device that training would use."""
+def describe_device(name: str = "auto", bfloat16: bool = True) -> str:
+    """Describe in one line the device that training would use, where it may use bfloat16 or may not."""
     device = choose_device(name)
-    fast = "bfloat16" if has_fast_bfloat16(device) else "float32"
+    fast = "bfloat16" if bfloat16 and has_fast_bfloat16(device) else "float32"
     if device.type == "cuda":
         return f"{torch.cuda.get_device_name(device)}, {fast}"
     return f"CPU, {torch.get_num_threads()} threads, {fast}"

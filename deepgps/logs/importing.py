@@ -139,7 +139,7 @@ def _write(
             described["notes"] = [*notes, *([damage] if damage else [])]
             _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
         return described
-    raise InputError(f"{source.topic}: again and again, images are damaged")
+    raise InputError(f"{source.topic}: images were still damaged when they had been chosen {ROUNDS} times")
 
 
 def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Choice:

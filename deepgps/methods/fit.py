@@ -68,8 +68,9 @@ def fit_method(
             mapped = None if training.get("attempt") else read_map(folder)  # restarts do not begin with this map
             undecided = fill_stretches(training.get("map", {}).get("parts", []), len(recording.observation))
             positioner = learn_confidence(positioner, recording, mapped, undecided, method.reads_ticks)
-            device = {"trained_on": describe_device(settings.train.device)} if method.in_steps else {}
-            save_positioner(folder, positioner, {**training, **device, **count_readings(recording)})
+            device = describe_device(settings.train.device, settings.train.bfloat16)
+            made = {"trained_on": device} if method.in_steps else {}
+            save_positioner(folder, positioner, {**training, **made, **count_readings(recording)})
         remove_leftovers(folder)
         return load_positioner(folder)
 

@@ -9,12 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
+from deepgps.data.labels import read_places
 from deepgps.methods.nearest_scan import ScanPositioner
 from deepgps.methods.positioner import Fitted
 from deepgps.progress import Report
 from deepgps.settings import LearnSettings
 from sim.errors import InputError
-from sim.recording.format import Recording, open_truth
+from sim.recording.format import Recording
 from sim.rng import stream
 
 FITTED = 50_000
@@ -33,12 +34,13 @@ def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, 
     if recording.kind != "scan":
         raise InputError(f"{recording.folder} holds no scans; pca_knn needs world obstacles or sensor lidar")
     start = time.perf_counter()
-    scans, rng = np.asarray(recording.observation), stream(seed, "features")
+    index, labels = read_places(recording)
+    scans, rng = np.asarray(recording.observation)[index.numpy()], stream(seed, "features")
     count, kept, rays = scans.shape
     if (scans == scans[:1]).all():
         raise InputError(f"all {count} observations look alike, so none tells where it was")
     turns = draw_turns(count, kept * rays, settings.pca.headings, rng)
-    places = open_truth(recording.folder).pose[:, :2].astype(float)
+    places = labels.numpy()
     mean, axes = find_axes(scans, turns, COMPONENTS)
     headings = turns.shape[1]
     known = np.empty((count * headings, len(axes)), np.float32)

@@ -27,7 +27,7 @@ def fit_positions(
 ) -> Fitted:
     """Train on labelled observations with the paper's Eq. 1, the distance between prediction and label.
 
-    Observations on segments held out are left out, as by every method that learns a network or stores features.
+    Observations on held-out segments are not learned from.
 
     Args:
         data: The network's input.

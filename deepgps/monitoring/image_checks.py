@@ -112,7 +112,7 @@ def measure_change(images: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 def find_driven(recording: Recording) -> np.ndarray:
     """Whether the wheels moved on a segment between each observation and the one before it (N,) bool.
 
-    Way by way, at least half of the usual one; images beside turns do not count.
+    They moved if they travelled at least half the median distance between two images; images beside turns are left out.
     """
     segment, number = recording.reading[:, 0], recording.reading[:, 1]
     way = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)

@@ -19,6 +19,8 @@ class Report:
         varies: Settings that must vary in the study's cases or axes, by dotted name.
         sets: Settings that the study must set, or vary.
         fixes: Settings that must be a number in the study's ``set``, and cannot vary.
+        networks: Whether it needs methods that train a network.
+        labels: Whether it needs recordings with labels from tags.
         gather: (plans, failures, the study's folder) -> rows, of a study whose runs are diagnosed and not trained.
     """
 
@@ -32,6 +34,8 @@ class Report:
     varies: tuple[str, ...] = ()
     sets: tuple[str, ...] = ()
     fixes: tuple[str, ...] = ()
+    networks: bool = False
+    labels: bool = False
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
@@ -96,6 +100,7 @@ REPORTS: dict[str, Report] = {
         "mds:measure",
         ("apart", "not_joined_ratio", "planar", "mds_ratio"),
         "mds:add_distances",
+        networks=True,
     ),
     "concave": Report(
         "concave:report",
@@ -186,6 +191,7 @@ REPORTS: dict[str, Report] = {
             *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
         ),
         "lab:add",
+        labels=True,
     ),
 }
 PICTURES = tuple(sorted({name for report in REPORTS.values() for name in report.pictures}))

@@ -13,6 +13,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
+from deepgps.methods.catalog import find_method
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report, ignore
 from deepgps.scenario import (
@@ -293,9 +294,19 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
             raise found
         path, values = found
         scenario = override_scenario(values, path, {**study.set, **flatten(settings), **methods, "seed": seed})
+        _check_report_of(study.report, scenario)
         return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
 
     return plan
+
+
+def _check_report_of(name: str, scenario: Scenario) -> None:
+    """Raise InputError if the report could not show a run of this scenario."""
+    report = REPORTS[name]
+    if wrong := [method for method in scenario.methods if report.networks and not find_method(method).in_steps]:
+        raise InputError(f"methods {wrong[0]}: report {name} needs methods that train a network")
+    if report.labels and not scenario.tag_camera.mounted:
+        raise InputError(f"tag_camera.mounted False: report {name} needs labels from tags, so it must be True")
 
 
 def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:

@@ -147,8 +147,8 @@ def _add_segment(
 ) -> None:
     """Add the images of a segment of these readings; ``pending`` leads to its first one, None: nothing is known.
 
-    If it ``shares`` its first image with the segment before, that image was taken before the turn; where it is not
-    there yet, nothing is known of that turn by itself, and it is left out.
+    A segment that ``shares`` its first image has that of the last image before the turn. Where that one was not added,
+    it is left out here too, since it does not show the heading after the turn.
 
     Noise that grows with a gap grows with the true one: a gap that was measured too short errs no less than others.
     """

@@ -24,7 +24,7 @@ MOST = 12
 MOST_EVIDENCE = 4.0
 """Largest evidence of one image: more would trust the model of its errors too far."""
 MOST_BY_REFUSED = 4.0
-"""Largest evidence of a hypothesis by images that their method refuses: they alone make none certain."""
+"""Largest evidence of a hypothesis by images that their method refuses, so that they alone never make one certain."""
 LEAD = 30.0
 """Largest evidence of a hypothesis, after which it can be overtaken: the robot may be carried at any time."""
 SHARED_M, SHARED_RAD = 0.1, 0.2

@@ -181,7 +181,7 @@ def _explain_misfit_of_drive(
     samples, other = settings.drive.samples, read_settings(manifest)
     length = other.drive.samples
     reasons = {
-        "is a recording of another drive: more than encoder, image and drive.samples differ": (
+        "is a recording of another drive: only encoder.*, image_faults.* and drive.samples may differ": (
             (_strip(other, samples), manifest.seed) != (_strip(settings, samples), seed)
         ),
         "has faults in its images, which cannot be taken away: nothing can be derived from it": (

@@ -257,7 +257,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
     number = values.get("schema")
     if number not in READ:
-        raise InputError(f"{path}: schema {number!r}, but this version reads schema {SCHEMA}")
+        raise InputError(f"{path}: schema {number!r}, but this version reads {', '.join(map(str, sorted(READ)))}")
     try:
         manifest = Manifest.model_validate(values)
     except ValidationError as error:

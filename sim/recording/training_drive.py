@@ -31,7 +31,7 @@ def keep_training_settings(settings: SimSettings) -> SimSettings:
 def can_share(settings: SimSettings) -> bool:
     """Whether recordings of these settings can share a training drive at all.
 
-    Held-out tests are driven after it, and labels from tags are fitted to training and test images in one.
+    Held-out tests are driven after it, and labels from tags are fitted to training and test images together.
     """
     return settings.world == "room" and not (settings.grid.held_out or settings.tag_camera.mounted)
 

@@ -250,7 +250,7 @@ class _Way:
     def finish(self, ended: Ended) -> list[Sample]:
         """The samples that count: after a touch those well before it, else also one where the robot has stopped.
 
-        None, if it hardly moved.
+        Empty if the robot hardly moved.
         """
         if ended in TOUCHED:
             return [one for one in self.samples if one.travelled_m <= self.travelled_m - UNCERTAIN_M]

@@ -42,4 +42,4 @@ def check_log(path: Path, settings: SimSettings) -> None:
         "drive.mixed_light": settings.drive.mixed_light,
     }
     for name in (name for name, on in faults.items() if on):
-        raise InputError(f"--log {path}: {name} is for polar images, and the raw ones of a log do not have it")
+        raise InputError(f"--log {path}: {name} applies to polar images, and a log holds raw ones; leave it out")

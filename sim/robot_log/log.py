@@ -4,11 +4,13 @@ The drive is repeated, since a recording holds only its samples. Worker processe
 stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them.
 """
 
+import fcntl
 import logging
+import os
 import re
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 
@@ -62,29 +64,55 @@ def write_log(
         WorkError: There is no renderer, physics failed, or the disk is full.
     """
     work = path.with_name(f"{path.name}.parts")
-    if holds(path, key):
-        log.warning("%s is complete already", path)
+    with _hold(work, path):
+        if holds(path, key):
+            log.warning("%s is complete already", path)
+            remove_files(work, PARTS)
+            return
+        for orphan in path.parent.glob(f"{escape(path.name)}.*{PART}"):  # of a process that was stopped while it wrote
+            orphan.unlink()
+        _keep_parts(work, key)
+        start = time.perf_counter()
+        world = TracedWorld(settings)
+        build_s = time.perf_counter() - start
+        seen = _drive(world, seed, recording, progress)
+        pictures = PICTURE_BYTES * len(seen.picture_time)  # each is first in a part and then in the log
+        check_space(path, pictures + max(pictures - sum(part.stat().st_size for part in list_files(work, PARTS)), 0))
+        parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
+        with Renderers(draw_part, workers or count_renderers(len(seen.picture_time)), build_s) as renderers:
+            _draw(renderers, parts, progress)
+        topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
+        write_robot(path, settings)
+        write_mcap(path, topics, key, lambda *done: progress("log write", *done))
         remove_files(work, PARTS)
-        return
-    for orphan in path.parent.glob(f"{escape(path.name)}.*{PART}"):  # of a process that was stopped while it wrote
-        orphan.unlink()
-    _claim(work, key)
-    start = time.perf_counter()
-    world = TracedWorld(settings)
-    build_s = time.perf_counter() - start
-    seen = _drive(world, seed, recording, progress)
-    pictures = PICTURE_BYTES * len(seen.picture_time)  # each is first in a part and then in the log
-    check_space(path, pictures + max(pictures - sum(part.stat().st_size for part in list_files(work, PARTS)), 0))
-    parts = list(_lay_out(world.settings, seed, seen.picture_state, work))
-    with Renderers(draw_part, workers or count_renderers(len(seen.picture_time)), build_s) as renderers:
-        _draw(renderers, parts, progress)
-    topics = list_topics(seen, settings, seed, make_base_clock(seed), [part.path for part in parts])
-    write_robot(path, settings)
-    write_mcap(path, topics, key, lambda *done: progress("log write", *done))
-    remove_files(work, PARTS)
 
 
-def _claim(work: Path, key: str) -> None:
+@contextmanager
+def _hold(work: Path, path: Path) -> Iterator[None]:
+    """Lock the folder of an unfinished log against other processes; a dead process holds no lock.
+
+    Raises:
+        InputError: Another process writes this log, or the folder cannot be made.
+    """
+    try:
+        work.mkdir(parents=True, exist_ok=True)
+        folder = os.open(work, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    except OSError as error:
+        raise InputError(f"--log {path}: {work} cannot be made: {error.strerror}") from None
+    try:
+        try:
+            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            same = os.fstat(folder).st_ino == work.stat().st_ino
+        except (BlockingIOError, FileNotFoundError):  # held, or just removed by the process that held it
+            same = False
+        if not same:
+            raise InputError(f"--log {path} is being written by another process")
+        yield
+    finally:
+        os.close(folder)
+
+
+def _keep_parts(work: Path, key: str) -> None:
     """Keep the parts of an interrupted work on the same log, and say so; remove those of another log."""
     mark, held = work / "log.json", None
     with suppress(DamagedError):

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError
+from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
@@ -37,7 +38,7 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
     model, driven_m = scene(), settings.camera_mount.driven_m
     camera, data = Fisheye(model, settings.camera, settings.camera_mount), mujoco.MjData(model)
     room = _build_empty(settings) if settings.deployment.person or settings.deployment.lamp_on else None
-    space = find_free_space(room, PERSON_RADIUS_M, PERSON_HEIGHT_M) if room else None
+    space = _find_floor(room) if room else None
     lamp = place_lamp(space, room, settings.deployment.seed) if space and room and settings.deployment.lamp_on else None
     relight = _open_relight(settings, model, lamp)
 
@@ -63,6 +64,16 @@ def _build_empty(settings: SimSettings) -> mujoco.MjModel:
     if (start := room.site(START)) is not None:
         room.delete(start)
     return room.compile()
+
+
+def _find_floor(room: mujoco.MjModel) -> FreeSpace:
+    """Where a person has room."""
+    try:
+        return find_free_space(room, PERSON_RADIUS_M, PERSON_HEIGHT_M)
+    except InputError as error:
+        raise InputError(
+            f"deployment.person and deployment.lamp_on need floor for a person, {2 * PERSON_RADIUS_M:g} m wide: {error}"
+        ) from None
 
 
 def _open_relight(settings: SimSettings, model: mujoco.MjModel, lamp: np.ndarray | None) -> Relight | None:

@@ -82,7 +82,7 @@ def test_faults_that_are_drawn_for_a_whole_drive_are_refused(fault: str) -> None
 
 
 def test_faults_of_the_camera_are_refused() -> None:
-    with pytest.raises(InputError, match="mount must be as by default: the environment's camera has no faults"):
+    with pytest.raises(InputError, match="mount must keep its default: the environment's camera has no faults"):
         RoomEnvironment(SimSettings(camera_mount=CameraMountSettings(roll_deg=1.0)), np.random.default_rng(0))
 
 

@@ -35,12 +35,13 @@ class SameImages:
         return len(self.runs)
 
     def __call__(self, tell: Tell) -> str | None:
-        """Diagnose them in order; returns why some failed, or None."""
-        sight, reasons = Sight(), []
+        """Diagnose them in order; returns a line for each run that failed, with its name and the reason, or None."""
+        sight, lines = Sight(), []
         for done, (run, folder) in enumerate(zip(self.runs, self.recordings, strict=True), start=1):
-            reasons.append(attempt(partial(_diagnose, run, folder, sight)))
+            if reason := attempt(partial(_diagnose, run, folder, sight)):
+                lines.append(f"{run.name} {reason}")
             tell(done)
-        return "; ".join(filter(None, reasons)) or None
+        return "\n".join(lines) or None
 
 
 def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
@@ -60,8 +61,8 @@ def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failu
     tasks = {images: _plan(group, folder) for images, group in groups.items()}
     failed = do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
     return {
-        plan.run: reason
-        for images, reason in failed.items()
+        plan.run: _find_reason(text, plan.run)
+        for images, text in failed.items()
         for plan in groups[images]
         if read_diagnosis(folder / "runs" / plan.run) is None
     }
@@ -71,6 +72,12 @@ def _diagnose(run: Path, folder: Path, sight: Sight) -> None:
     recording = open_recording(folder)
     run.mkdir(parents=True, exist_ok=True)
     write_diagnosis(run / FILE, diagnose(recording, sight), recording)
+
+
+def _find_reason(text: str, run: str) -> str:
+    """Why a run failed, by what its task returned; if its process died, that is the reason of all its runs."""
+    reasons = dict(line.split(" ", 1) for line in text.splitlines())
+    return reasons.get(run, text)
 
 
 def _name_images(folder: Path) -> str:

@@ -10,6 +10,7 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import to_png
 from deepgps.figures.targets import Figure, tabulate_targets
+from deepgps.learning.trainer import use_threads
 from deepgps.provenance import describe_origin
 from deepgps.run_folder import METRICS
 from deepgps.studies.catalog import PICTURES, REPORTS
@@ -44,9 +45,11 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     """
     report = REPORTS[study.report]
     rows = (load(report.gather) if report.gather else gather)(plans, failures, folder)
-    if report.columns:
-        rows = add_columns(rows, load(report.columns), folder)
     write_table(folder / "table.parquet", rows)
+    if report.columns:
+        with use_threads(1):
+            rows = add_columns(rows, load(report.columns), folder)
+        write_table(folder / "table.parquet", rows)
     text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(_read_environments(plans, folder))}\n"
     write_text(folder / "table.md", text)
     measured = [row for row in rows if row["failure"] is None]

@@ -15,8 +15,8 @@ GOOD, WRONG = (235, 235, 235), (255, 60, 220)
 
 
 def list_yaws(name: str, field: ErrorField, root: str = "world") -> list[str]:
-    """The entity of a method's yaws; empty if it predicts none."""
-    return [] if field.yaw is None else [f"{root}/error_field/{name}/yaw"]
+    """The entity of a method's yaws; empty if it predicts none, or their errors are unknown."""
+    return [] if field.yaw is None or field.yaw_error is None else [f"{root}/error_field/{name}/yaw"]
 
 
 def log_yaws(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:

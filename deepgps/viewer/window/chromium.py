@@ -64,7 +64,8 @@ def open_page(url: str, profile: Path, width_px: int = 1600, height_px: int = 90
     with subprocess.Popen(command, pass_fds=theirs, stdout=quiet, stderr=quiet) as process:
         for end in theirs:
             os.close(end)
-        with os.fdopen(write_here, "wb", buffering=0) as out, os.fdopen(read_here, "rb") as answers:
+        # unbuffered, so that a read returns what is there
+        with os.fdopen(write_here, "wb", buffering=0) as out, os.fdopen(read_here, "rb", buffering=0) as answers:
             numbers, messages = count(1), _read_messages(answers)
 
             def tell(method: str, session: str | None = None, **values: Any) -> dict[str, Any]:

@@ -164,6 +164,15 @@ def test_a_run_of_an_earlier_version_is_aligned_by_evaluating_it(copied: deepgps
 
 
 @pytest.mark.slow
+def test_a_method_is_added_to_a_finished_run(tmp_path: Path):
+    settings = {"landmarks.segments": 40, "learn.train.steps": 20}
+    one = deepgps.simulate("landmarks", tmp_path / "run", ["explicit"], settings, progress=False)
+    weights = (one.folder / "explicit" / "positioner.json").read_bytes()
+    both = deepgps.simulate("landmarks", tmp_path / "run", ["posenet"], settings, progress=False)
+    assert list(both.methods) == ["explicit", "posenet"]
+    assert (one.folder / "explicit" / "positioner.json").read_bytes() == weights
+
+
 def test_an_alignment_of_another_training_is_refused(copied: deepgps.Run):
     path = copied.folder / "deepgps" / "alignment.json"
     write_json(path, {**read_json(path), "positioner": "0" * 64})

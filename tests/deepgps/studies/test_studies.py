@@ -384,6 +384,11 @@ def test_maps_without_a_test_grid_are_neither_folded_nor_not(name):
         ({"report": "curves", "target": {}}, "report curves needs numbers in the last of the study's axes"),
         ({"report": "curves", "target": {}, "axes": {"room.kind": ["office"]}}, "report curves needs numbers"),
         ({"report": "change", "target": {}}, "report change needs drive.mixed_light to vary in cases or axes"),
+        ({"report": "lab", "target": {}}, "tag_camera.mounted False: report lab needs labels from tags"),
+        (
+            {"report": "mds", "target": {}, "methods": ["deepgps", "knn"]},
+            "methods knn: report mds needs methods that train a network",
+        ),
         *(
             (
                 {"report": "diagnose", "target": {}, "cases": [{}], **changes},

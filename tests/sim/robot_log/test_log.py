@@ -179,6 +179,17 @@ def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tm
     assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
 
 
+def test_two_processes_cannot_write_one_log(path, settings, recording, tmp_path):
+    def write_again(stage: str, *_: int) -> None:
+        if stage == "log write":
+            with pytest.raises(InputError, match=r"--log .*a\.mcap is being written by another process"):
+                write_log(tmp_path / "a.mcap", settings, SEED, recording, "other", quiet, workers=1)
+
+    write_log(tmp_path / "a.mcap", settings, SEED, recording, "key", write_again, workers=1)
+    assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
+    assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
+
+
 def test_parts_of_another_log_are_not_used(path, settings, recording, tmp_path, caplog):
     parts = tmp_path / "a.mcap.parts"
     write_arrays(parts / "picture-000000.npz", {"jpeg": np.zeros(3, np.uint8), "end": np.array([3])})
@@ -246,8 +257,8 @@ def test_the_log_of_another_drive_is_refused(settings, recording, tmp_path):
         ("a.mcap", b"holiday", {}, "deepgps did not write it"),
         ("a.mcap", b"\x89MCAP0\r\nby others", {}, "deepgps did not write it"),
         ("a.mcap", None, {"sensor": "lidar"}, "needs world room and sensor fisheye"),
-        ("a.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults is for polar images"),
-        ("a.mcap", None, {"drive": DriveSettings(mixed_light=True)}, "drive.mixed_light is for polar images"),
+        ("a.mcap", None, {"image_faults": ImageFaultSettings(exposure=0.5)}, "image_faults applies to polar images"),
+        ("a.mcap", None, {"drive": DriveSettings(mixed_light=True)}, "drive.mixed_light applies to polar images"),
     ],
 )
 def test_what_cannot_be_logged_is_said_before_any_work(settings, tmp_path, name, content, changes, message):

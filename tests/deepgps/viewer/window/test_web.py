@@ -277,6 +277,29 @@ def test_a_chromium_that_ends_or_hangs_is_one_line_with_a_cure(
         pytest.fail("there is no page")
 
 
+ANSWERS = """
+import base64, json, os
+held = b""
+while part := os.read(3, 1 << 16):
+    held += part
+    *messages, held = held.split(b"\\0")
+    for message in map(json.loads, messages):
+        picture = base64.b64encode(b"picture of " + message["method"].encode()).decode()
+        result = {"targetId": "target", "sessionId": "session", "data": picture}
+        os.write(4, json.dumps({"id": message["id"], "result": result}).encode() + b"\\0")
+"""
+
+
+def test_a_picture_comes_as_soon_as_chromium_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "chromium"
+    program.write_text(f"#!{sys.executable}\n{ANSWERS}")
+    program.chmod(0o755)
+    monkeypatch.setattr(chromium, "find_chromium", lambda: str(program))
+    monkeypatch.setattr(chromium, "ANSWER_S", 20.0)
+    with open_page("about:blank", tmp_path / "profile") as take_picture:
+        assert take_picture() == b"picture of Page.captureScreenshot"
+
+
 def test_a_screenshot_overwrites_no_file_of_someone_else(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
