@@ -13,6 +13,12 @@ def planar_pose(qpos: np.ndarray) -> np.ndarray:
     return np.stack([x, y, np.arctan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))], axis=-1)
 
 
+def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:
+    """Poses (C, H, 3) at points (C, 2) [m], with headings spread evenly from +x."""
+    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
+    return np.concatenate([points[:, None].repeat(headings, axis=1), yaw], axis=-1)
+
+
 def wrap(angle: Angle) -> Angle:
     """The same angles [rad] between -pi and pi."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi

@@ -191,7 +191,7 @@ def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarra
     if kind == "polar_image" and (array.dtype != np.uint8 or array.shape[-1] != 3):
         raise InputError(f"{name} {array.shape} {array.dtype}: must be (N, rings, sectors, 3) uint8 RGB")
     check_observations(array, name)
-    return array if kind == "polar_image" else array.astype(np.float32)
+    return np.ascontiguousarray(array) if kind == "polar_image" else array.astype(np.float32, order="C")
 
 
 def _take_readings(

@@ -109,8 +109,8 @@ def correct(diagnosis: Diagnosis) -> Correction:
 
 def find_faults(diagnosis: Diagnosis) -> list[Finding]:
     """All faults that are certain, the ones that change a map most first."""
-    found = [one(diagnosis, list_smallest(diagnosis), correct(diagnosis)) for one in FAULTS]
-    return [finding for finding in found if finding]
+    least, fix = list_smallest(diagnosis), correct(diagnosis)
+    return [finding for find in FAULTS if (finding := find(diagnosis, least, fix))]
 
 
 def as_stored(diagnosis: Diagnosis) -> dict[str, Any]:

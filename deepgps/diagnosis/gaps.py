@@ -6,6 +6,7 @@ import numpy as np
 
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.plausible_readings import count_left_out
+from deepgps.data.runs import find_stretches
 from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick
 
@@ -87,16 +88,14 @@ def find_stuck(way: np.ndarray, inside: np.ndarray, wheel: int, tick_m: float) -
         wheel: 0 left, 1 right.
         tick_m: Distance that a wheel travels between two counts [m].
     """
-    still = np.concatenate([[False], way[:, wheel] == 0.0, [False]])
-    starts, ends = np.flatnonzero(~still[:-1] & still[1:]), np.flatnonzero(still[:-1] & ~still[1:])
     other = np.abs(way[:, 1 - wheel]) * inside
     found = []
-    for first, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        moved = other[first:end]
+    for first, last in find_stretches(way[:, wheel] == 0.0).tolist():
+        moved = other[first : last + 1]
         if moved.sum() >= max(STUCK_TICKS * tick_m, STUCK_M):
             clear = np.flatnonzero(moved >= LEAST_TICKS * tick_m)
             inner = int(clear[-1] - clear[0]) + 1 if len(clear) else 0
-            found.append(Stretch(wheel, first, end - 1, end - first - inner))
+            found.append(Stretch(wheel, first, last, last + 1 - first - inner))
     return found
 
 

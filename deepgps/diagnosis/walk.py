@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar, root_scalar
 
+from deepgps.data.runs import fill_stretches, find_stretches
 from deepgps.diagnosis.gaps import Gaps
 
 FLOOR_M = 1e-5
@@ -99,17 +100,9 @@ def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
 
 def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
     """Beginning and end of the runs of good gaps, without the first and last gaps of each segment."""
-    used = gaps.inside
-    begins = np.flatnonzero(used & ~np.append(False, used[:-1]))
-    ends = np.flatnonzero(used & ~np.append(used[1:], False)) + 1
-    runs = []
-    for begin, end in zip((begins + first).tolist(), (ends - last).tolist(), strict=True):
-        inner = np.arange(begin, end)
-        inner = inner[gaps.good[inner]]
-        for part in np.split(inner, np.flatnonzero(np.diff(inner) > 1) + 1):
-            if len(part):
-                runs.append((int(part[0]), int(part[-1]) + 1))
-    return runs
+    shorter = (find_stretches(gaps.inside) + np.array([first, -last])).clip(min=-1)  # some end before they begin
+    inner = fill_stretches(shorter.tolist(), len(gaps.inside))
+    return [(begin, end + 1) for begin, end in find_stretches(inner & gaps.good).tolist()]
 
 
 def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], runs: list[tuple[int, int]]) -> Runs:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.alignment import Alignment
+from deepgps.data.field_of_view import check_view, find_view
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import digest_recording
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
@@ -56,6 +57,8 @@ class Tracked:
         path: Path of its files, without their suffix.
         track: The track.
         figures: Contents of its ``.json``.
+        alignment: From the method's frame to the world's; None: evaluation has not placed the map there.
+        start_s: The log's time of the track's time 0 [s since 1970]; 0 for a drive that comes from no log.
         reference: The truth; None: it is not known.
     """
 
@@ -63,6 +66,8 @@ class Tracked:
     path: Path
     track: Track
     figures: dict[str, Any]
+    alignment: Alignment | None
+    start_s: float
     reference: Reference | None
 
 
@@ -96,32 +101,34 @@ def _track_held(run: Path, scenario: Scenario, method: str | None, drive: Path |
         positioner, _ = adapt(trained, recording)
         track = track_drive(positioner, recording, progress)
         causes = find_causes(trained, open_recording(run / "recording"), recording)
-    reference = None if alignment is None else _open_reference(alignment, recording, track)
+    known = alignment is not None and has_truth(recording.folder)
+    reference = _open_reference(alignment, recording, track) if alignment and known else None
     figures = {**_describe(name, len(recording.observation), track, reference), **causes}
     write_track(path.with_suffix(".npz"), track)
     write_json(path.with_suffix(".json"), figures)
-    return Tracked(name, path, track, figures, reference)
+    return Tracked(name, path, track, figures, alignment, 1e-9 * recording.manifest.start_ns, reference)
 
 
 def write_tums(folder: Path, tracked: Tracked) -> list[Path]:
-    """Write each path, and the truth if it is known, as TUM files; in the world's frame where the truth is known.
+    """Write each path, and the truth if it is known, as TUM files, by the log's own time where there is a log.
+
+    Poses are in the world's frame if evaluation has placed the map there, else in the map's own.
 
     Raises:
         InputError: A file of such a name is there that deepgps did not write.
     """
-    reference, track = tracked.reference, tracked.track
+    track, alignment = tracked.track, tracked.alignment
     poses = {
-        name: path.pose if reference is None else take_in_world(path, reference.alignment)
-        for name, path in track.paths.items()
+        name: path.pose if alignment is None else take_in_world(path, alignment) for name, path in track.paths.items()
     }
-    if reference is not None:
-        poses["truth"] = reference.pose
+    if tracked.reference is not None:
+        poses["truth"] = tracked.reference.pose
     paths = [folder / f"{name}.tum" for name in poses]
     for path in paths:
         check_overwrite(path, is_tum)
     seen = track.observation != NO_IMAGE
     for path, pose in zip(paths, poses.values(), strict=True):
-        write_tum(path, track.time[seen], pose[seen])
+        write_tum(path, tracked.start_s + track.time[seen], pose[seen])
     return paths
 
 
@@ -139,6 +146,8 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
     """What the robot sensed, and where its track is written, without a suffix."""
     if drive is not None:
         recording = open_recording(drive)
+        if (view_deg := find_view(recording)) is not None:
+            check_view(view_deg, find_view(open_recording(run / "recording")))
         return keep_plausible(recording), run / FOLDER / f"{method}-{digest_recording(recording)[:8]}"
     recording = open_drive_in_use(open_recording(run / "recording"))
     if recording is None:
@@ -149,10 +158,13 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
 
 
 def _find_alignment(folder: Path, recording: Recording) -> Alignment | None:
-    """The alignment of a method's map with the world; None: the truth of this drive, or of training, is not known."""
-    if not has_truth(recording.folder) or not (has_alignment(folder) or has_truth(folder.parent / "recording")):
-        return None
-    return read_alignment(folder)
+    """The alignment of a method's map with the world; None: there is none.
+
+    Raises:
+        InputError: There should be one, since the truth of this drive and that of training are known.
+    """
+    wanted = has_truth(recording.folder) and has_truth(folder.parent / "recording")
+    return read_alignment(folder) if wanted or has_alignment(folder) else None
 
 
 def _open_reference(alignment: Alignment, recording: Recording, track: Track) -> Reference:

@@ -133,8 +133,8 @@ def judge_segments(place: np.ndarray, recording: Recording, accepted: np.ndarray
     """
     reading = recording.reading
     way = travel(reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    first = np.unique(find_starts(reading[:, 0]))
-    last = find_lasts(find_starts(reading[:, 0]))
+    starts = find_starts(reading[:, 0])
+    first, last = np.unique(starts), find_lasts(starts)
     some = last > first
     first, last = first[some], last[some]
     if not len(first):

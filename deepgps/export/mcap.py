@@ -40,17 +40,11 @@ def write_drives(folder: Path, run: Run, trajectories: Sequence[Trajectory], pro
         trajectories: Poses along its drives.
         progress: Called with the messages done and their number.
     """
-    start_ns = find_start(run.recording)  # all drives of a log count from its start
+    start_ns = run.recording.manifest.start_ns  # all drives of a log count from its start
     for drive, recording in open_drives(run).items():
         topics = [*list_readings(recording, start_ns), *list_images(recording, start_ns)]
         topics += [topic for one in trajectories if one.drive == drive for topic in list_poses(one, start_ns)]
         write_mcap(folder / "mcap" / f"{drive}.mcap", topics, "export", lambda *done: progress("mcap", *done))
-
-
-def find_start(recording: Recording) -> int:
-    """When times of a recording count from [ns since 1970]; 0 unless it is of a log."""
-    log = (recording.manifest.model_extra or {}).get("log", {})
-    return int(log.get("start_ns", 0)) if isinstance(log, dict) else 0
 
 
 def list_readings(recording: Recording, start_ns: int) -> list[Topic]:

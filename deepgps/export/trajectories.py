@@ -44,14 +44,16 @@ class Trajectory:
     Attributes:
         drive: Name of the drive.
         name: Name of the method, or ``TRUTH``.
-        time_s: Time of each pose (n,) [s], never falling.
+        time_s: Time of each pose (n,) [s], never falling, from the beginning of the recording.
         poses: The poses.
+        start_s: When the recording began [s since 1970]; 0 unless it is of a robot's log.
     """
 
     drive: str
     name: str
     time_s: np.ndarray
     poses: Poses
+    start_s: float = 0.0
 
 
 def write_trajectories(folder: Path, trajectories: Sequence[Trajectory], formats: Sequence[Format]) -> None:
@@ -100,11 +102,12 @@ def _follow(
 ) -> Iterator[Trajectory]:
     """Trajectories one after the other; the lean in use is corrected as in evaluation."""
     in_use = drives.get("use")
+    start_s = 1e-9 * run.recording.manifest.start_ns  # all drives of a log count from its start
     for drive, recording in drives.items():
         order, time_s = _put_in_order(recording)
         if has_truth(recording.folder):
             pose = open_truth(recording.folder).pose[order]
-            yield Trajectory(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]))
+            yield Trajectory(drive, TRUTH, time_s, Poses(pose[:, :2], yaw=pose[:, 2]), start_s)
         for method in methods:
             alignment = run.alignment(method, frame or run.choose_frame(method))
             positioner = run.positioner(method)
@@ -112,7 +115,7 @@ def _follow(
             with use_threads(run.scenario.learn.train.threads):
                 poses = find_poses(positioner, recording.observation)
             poses = poses if alignment is None else poses.align(alignment)
-            yield Trajectory(drive, method, time_s, poses.take(order))
+            yield Trajectory(drive, method, time_s, poses.take(order), start_s)
 
 
 def _put_in_order(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
@@ -128,7 +131,7 @@ def _put_in_order(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 def write_path(path: Path, one: Trajectory) -> None:
     """Write a trajectory as a TUM file."""
     yaw = np.full(len(one.time_s), np.nan) if one.poses.yaw is None else one.poses.yaw
-    write_tum(path, one.time_s, np.column_stack([one.poses.position, yaw]))
+    write_tum(path, one.start_s + one.time_s, np.column_stack([one.poses.position, yaw]))
 
 
 def write_table(path: Path, one: Trajectory) -> None:
@@ -139,7 +142,7 @@ def write_table(path: Path, one: Trajectory) -> None:
             parts[COLUMNS[field.name]] = part
     text = StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    times = [f"{time:.6f}" for time in one.time_s]
+    times = [f"{time:.6f}" for time in one.start_s + one.time_s]
     writer.writerow(["time_s", *parts])
     writer.writerows(zip(times, *(map(_write_value, part.tolist()) for part in parts.values()), strict=True))
     write_text(path, text.getvalue())

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.error_field import MEASURE_AGAIN
+from deepgps.figures import markdown
 from deepgps.figures.verdict import judge_run
 from deepgps.figures.without_truth import print_without_truth, write_hundredths
 from deepgps.methods.catalog import folder_of, title_of
@@ -138,9 +139,7 @@ def describe_errors(metrics: Mapping[str, Any]) -> str:
 
 def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> str:
     """The methods' figures as a Markdown table."""
-    headings, rows = tabulate(metrics, columns)
-    align = ["---", *["---:"] * (len(headings) - 1)]
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (headings, align, *rows))
+    return markdown.tabulate(*tabulate(metrics, columns))
 
 
 def markdown_report(metrics: Mapping[str, Any]) -> str:

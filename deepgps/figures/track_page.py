@@ -50,7 +50,10 @@ def print_track(tracked: Tracked, console: Console) -> None:
     if "causes" in figures:
         console.print(f"{describe_causes(figures['causes'])}\n", highlight=False, soft_wrap=True)
     if "paths" not in figures:
-        console.print("The truth is not known, so there are no errors.", soft_wrap=True)
+        frame = "map's own frame" if tracked.alignment is None else "world's frame"
+        console.print(
+            f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.", soft_wrap=True
+        )
         return
     table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for index, heading in enumerate(("path", *(one[0] for one in COLUMNS))):

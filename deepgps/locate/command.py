@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import BinaryIO
 
 from deepgps.api.run import Frame, Run
+from deepgps.data.field_of_view import find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.locate.locate import Located, Step, find_shape, locate
-from deepgps.locate.log_source import Odometry, check_shape, open_source
+from deepgps.locate.log_source import Odometry, check_camera, open_source
 from deepgps.locate.pictures import open_pictures
 from deepgps.locate.tracker import Tracker
 from deepgps.locate.unwrapping import Unwrapper
@@ -72,8 +73,9 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
         if wish.circle is not None:
             raise InputError("--centre and --radius-px: a log's camera is described by --config")
         mirrored = wish.track and is_mirrored(run, wish.method)
-        with open_source(Path(source), wish.config, wish.track, progress) as log:
-            check_shape(log.polar, shape)
+        view_deg = find_view(run.recording)
+        with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
+            check_camera(log.polar, shape, view_deg)
             step = None if log.odometry is None else make_step(mirrored, log.odometry)
             yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step, watch)
 

@@ -8,6 +8,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
+from deepgps.data.field_of_view import check_view
 from deepgps.locate.pictures import Picture
 from deepgps.logs.containers import Log, open_log
 from deepgps.logs.drive import Drive, find_drive
@@ -56,12 +57,15 @@ class LogSource:
 
 
 @contextmanager
-def open_source(path: Path, config: Path, with_odometry: bool, progress: Report) -> Iterator[LogSource]:
+def open_source(
+    path: Path, config: Path, field_of_view_deg: float | None, with_odometry: bool, progress: Report
+) -> Iterator[LogSource]:
     """Open a log for reading.
 
     Args:
         path: The log.
         config: The ``robot.yaml`` with which it would be imported.
+        field_of_view_deg: Full angle of the polar images, where the configuration does not set it; None: unknown.
         with_odometry: Whether its wheels are read, too.
         progress: Called with what is done before the first image.
 
@@ -72,7 +76,8 @@ def open_source(path: Path, config: Path, with_odometry: bool, progress: Report)
     with open_log(path) as log:
         listed = open_images(log, robot.camera.topic)
         drive = _read(log, robot, listed, with_odometry, progress)
-        polar = open_polar(log, robot.camera)
+        view = {"field_of_view_deg": robot.camera.field_of_view_deg or field_of_view_deg}
+        polar = open_polar(log, robot.camera.model_copy(update=view))
         yield LogSource(polar, listed, None if drive is None else _follow(robot, drive, polar, progress))
 
 
@@ -95,15 +100,22 @@ def _follow(robot: RobotConfig, drive: Drive, polar: PolarSource, progress: Repo
     lag_s = robot.wheels.lag_s
     if lag_s == "estimate":
         with TemporaryFile() as file:
-            lag_s, _ = choose_lag(lag_s, measure_lag(polar, drive, file, progress))
+            lag_s, _ = choose_lag(lag_s, measure_lag(polar, drive, file, progress)[0])
     time_s = np.nan_to_num(drive.image_s, nan=-np.inf) + float(lag_s)
     angle = drive.wheels.at(time_s)
     angle[1:][np.diff(drive.wheels.count_breaks(time_s)) != 0] = np.nan  # the motion since the image before is unknown
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
 
 
-def check_shape(polar: PolarSource, shape: tuple[int, ...]) -> None:
-    """Raise InputError if a log's polar images are not of the shape that a run has learned from."""
+def check_camera(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
+    """Raise InputError if a log's polar images are not like those that a run has learned from.
+
+    Args:
+        polar: The log's images.
+        shape: Rings, sectors and colours of the run's.
+        field_of_view_deg: Their full angle; None: unknown.
+    """
     made = (polar.unwrap.rings, polar.unwrap.sectors, 3)
     if made != shape:
         raise InputError(f"camera.rings and camera.sectors {made[:2]}: the run has learned from {shape[:2]}")
+    check_view(float(np.degrees(2 * polar.lens.half_angle)), field_of_view_deg)

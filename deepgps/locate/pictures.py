@@ -7,6 +7,7 @@ from typing import BinaryIO, NamedTuple
 import cv2
 import numpy as np
 
+from deepgps.logs.images import decode_file
 from sim.errors import InputError, one_line
 from sim.user_input import read_file, shorten
 
@@ -89,8 +90,8 @@ def read_stream(stream: BinaryIO) -> Iterator[Picture]:
 def decode(name: str, data: bytes) -> Picture:
     """The image that some bytes encode, in any format of OpenCV."""
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error as error:
+        image = decode_file(data)
+    except (InputError, cv2.error) as error:
         return Picture(name, None, one_line(error))
     if image is None:
         return Picture(name, None, "it is no image that OpenCV can read")

@@ -93,15 +93,16 @@ def read_info(message: Any) -> RawCamera | None:
 
 def _read_info(log: Log, topic: str) -> RawCamera:
     log.check_topic(topic, "camera.info", [INFO])
+    why = f"{topic} holds no message"
     for sample, part in log.read([topic]):
         try:
             camera = read_info(part.decode(sample))
         except InputError as error:
             raise InputError(f"{topic}: {error}") from None
-        if camera is None:
-            raise InputError(f"{topic}: the camera is not calibrated (K is 0); give camera.file or camera.intrinsics")
-        return camera
-    raise InputError(f"{topic} holds no message")
+        if camera is not None:
+            return camera
+        why = f"{topic}: the camera is not calibrated (K is 0); give camera.file or camera.intrinsics"
+    raise InputError(why)
 
 
 def read_calibration(path: Path) -> RawCamera:

@@ -117,9 +117,10 @@ def _list_files(path: Path) -> list[Path]:
     """Storage files of a log, in the order in which they were written."""
     if path.is_file():
         if path.suffix not in SUFFIXES:
-            raise InputError(f"{shorten(str(path), 300)}: a log is a .bag, .mcap or .db3 file, or a folder")
+            hint = "; a killed recorder left this one: copy it without .active" if path.suffix == ".active" else ""
+            raise InputError(f"{shorten(str(path), 300)}: a log is a .bag, .mcap or .db3 file, or a folder{hint}")
         return [path]
-    files = [file for file in path.iterdir() if file.suffix in SUFFIXES and file.is_file()]
+    files = [file for file in path.iterdir() if file.suffix in SUFFIXES and _holds_something(file)]
     if not files and not (path / METADATA).is_file():
         zipped = any(file.suffix == ZSTD for file in path.iterdir())
         hint = f"; files compressed as {ZSTD} need their metadata.yaml" if zipped else ""
@@ -127,6 +128,11 @@ def _list_files(path: Path) -> list[Path]:
             f"{shorten(str(path), 300)} holds no log: neither .bag, .mcap or .db3 files nor images and wheels.csv{hint}"
         )
     return sorted(files, key=lambda file: [int(part) if part.isdigit() else part for part in _split(file.name)])
+
+
+def _holds_something(file: Path) -> bool:
+    """Whether a file of a folder is a part of its log: not what a killed recorder or macOS left beside it."""
+    return file.is_file() and file.stat().st_size > 0 and not file.name.startswith("._")
 
 
 def _split(name: str) -> list[str]:

@@ -64,7 +64,8 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         if config.pose.use == "truth" and (lacking := int(np.isnan(pose[:, 0]).sum())):
             notes.append(f"{config.pose.topic}: {lacking} images have no pose within half a second and are left out")
     if wheel_log.without:
-        notes.append(f"{config.wheels.topic}: {wheel_log.without} messages hold neither wheel")
+        why = f"are left out: {UNUSABLE}" if wheel_log.from_odometry else "hold neither wheel"
+        notes.append(f"{config.wheels.topic}: {wheel_log.without} messages {why}")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
     notes += [*wheels.notes, *_doubt_direction(config.wheels.topic, motions, path)]

@@ -90,6 +90,19 @@ def decode_raw(message: Any) -> np.ndarray:
     return pixels if encoding.code is None else cv2.cvtColor(pixels, encoding.code)
 
 
+def decode_file(data: bytes, how: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
+    """Pixels (height, width[, 3]) uint8, BGR or grey, of the bytes of an image file; None: OpenCV cannot read it.
+
+    Raises:
+        InputError: It has more than 8 bits a channel, of which it is not known which ones matter.
+    """
+    depth = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), how | depth) if data else None
+    if pixels is not None and pixels.dtype != np.uint8:
+        raise InputError(f"a picture of {8 * pixels.dtype.itemsize} bits a channel: must be 8")
+    return pixels
+
+
 def decode_compressed(message: Any) -> np.ndarray:
     """The image (height, width, 3) uint8 RGB of a ``CompressedImage``, recognised by its first bytes.
 
@@ -101,8 +114,7 @@ def decode_compressed(message: Any) -> np.ndarray:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
     mosaic = ENCODINGS.get(str(message.format).partition(";")[0].strip().lower())
     mosaic = mosaic if mosaic and "bayer" in str(message.format).lower() else None
-    how = cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = decode_file(data, cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR)
     if pixels is None:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")
     code = mosaic.code if mosaic and mosaic.code is not None else cv2.COLOR_BGR2RGB

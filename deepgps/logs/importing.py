@@ -14,6 +14,7 @@ import numpy as np
 
 from deepgps.api.record import check_place, write_aside, write_recording
 from deepgps.logs.containers import Log, open_log
+from deepgps.logs.cover import note_cover, note_reach
 from deepgps.logs.drive import Drive, find_drive
 from deepgps.logs.joints import WheelLog, open_wheels
 from deepgps.logs.matching import Images, Plan, plan_recording
@@ -35,8 +36,7 @@ MOST_DAMAGED = 0.05
 """Share of damaged images from which a log is refused."""
 FEWEST_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
-MOST = 0.95
-"""Part of the drive that images must cover; otherwise it is noted."""
+
 ROUNDS = 3
 """Attempts at a choice of images without damaged ones."""
 WRITTEN_LAST = ("schema", "sha256", "checksum")
@@ -90,10 +90,10 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
         drive = find_drive(config, *_read(log, config, progress))
         source = open_polar(log, config.camera)
         with TemporaryFile(dir=out.parent) as file:
-            lag = measure_lag(source, drive, file, progress)
+            lag, doubts = measure_lag(source, drive, file, progress)
         lag_s, notes = choose_lag(config.wheels.lag_s, lag)
         about = {"name": path.name, "config_sha256": config_sha256, "lag_s": lag_s}
-        notes = [*log.notes, *drive.notes, *_note_cover(source.topic, drive), *notes]
+        notes = [*log.notes, *drive.notes, *note_reach(source), *note_cover(source.topic, drive), *doubts, *notes]
         return _write(config, source, drive, about, notes, out, progress)
 
 
@@ -157,7 +157,7 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
     train = plan_recording(drive.motions, range(end), wheels, path, images, spacing_m, ticks)
     if not len(train.motions):
         found = {kind: sum(one.kind == kind for one in drive.motions) for kind in KINDS}
-        hint = next(iter(wheels.notes), "do their times overlap, and do both wheels count forward?")
+        hint = next(iter(drive.notes), "do their times overlap, and do both wheels count forward?")
         raise InputError(
             f"{config.wheels.topic}, {source.topic}: no straight segment with two images was found (motions: "
             f"{', '.join(f'{count} {kind}' for kind, count in found.items())}; images at known angles: "
@@ -179,18 +179,6 @@ def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float)
     order, wheel_s, angle = order[good], wheel_s[good], angle[good]
     path = find_path(angle, config.wheels.radius_m, config.wheels.track_m)
     return Images(order, drive.image_s[order], wheel_s, angle, path)
-
-
-def _note_cover(topic: str, drive: Drive) -> list[str]:
-    """A note if the camera began late or stopped early: the rest of the drive is not used."""
-    begin_s, end_s = drive.wheels.time_s[[0, -1]]
-    seen_s = np.clip(drive.image_s[np.isfinite(drive.image_s)], begin_s, end_s)
-    if not len(seen_s) or np.ptp(seen_s) >= MOST * (end_s - begin_s):
-        return []
-    return [
-        f"{topic}: images cover {np.ptp(seen_s):.0f} of {end_s - begin_s:.0f} s of the drive, from {seen_s.min():.1f} "
-        f"to {seen_s.max():.1f} s; the rest is not used"
-    ]
 
 
 def _describe_damage(source: PolarSource, drive: Drive) -> str:

@@ -36,6 +36,8 @@ class Seen:
         stamp_ns: Its stamp (n,) [ns]; 0: none.
         details: What its first messages say.
         names: Names of joints.
+        calibrated: Whether there is a calibration that can be used.
+        size: Width and height of the first image [px]; empty: there is none.
     """
 
     kind: str
@@ -44,6 +46,7 @@ class Seen:
     details: dict[str, None] = field(default_factory=dict)
     names: dict[str, None] = field(default_factory=dict)
     calibrated: bool = False
+    size: tuple[int, ...] = ()
 
 
 def look(path: Path, progress: Report) -> str:
@@ -84,6 +87,7 @@ def _take_details(one: Seen, message: Any) -> None:
         try:
             height, width = decoder(one.kind)(message).shape[:2]
             one.details[f"{said}, {width} x {height} px"] = None
+            one.size = width, height
         except InputError as error:
             one.details[f"{said}: {error}"] = None
 
@@ -140,8 +144,9 @@ def _propose(log: Log, seen: dict[str, Seen], plain: bool) -> list[str]:
     if info:
         lines += [f"  info: {info}"]
     else:
-        lines += ["  circle_px: 240  # no calibration is in the log: radius of the round picture; or file, intrinsics"]
-        lines += ["  field_of_view_deg: 185  # of the lens"]
+        radius = min(seen[camera].size) // 2 if camera and seen[camera].size else 240
+        lines += [f"  circle_px: {radius}  # no calibration is in the log: radius of the round picture"]
+        lines += ["  field_of_view_deg: 185  # of the lens; or give file or intrinsics for both"]
     lines += ["  height_m: 0.35  # of the lens above the floor", "  forward_deg: 0  # the robot's front in the image"]
     if pose:
         lines += ["pose:", f"  topic: {pose}", "  use: truth"]

@@ -2,12 +2,13 @@
 
 ``wheels.csv`` has the columns time_s, left_rad, right_rad; ``poses.csv`` time_s, x_m, y_m, yaw_rad. An image's time is
 in ``images.csv`` (time_s, file), or its name is its time: seconds, or nanoseconds if it has at least 16 digits. Times
-beyond the year 2255, and names that are microseconds since 1970, are refused.
+beyond the year 2255, and names that are microseconds since 1970 or mere numbers, are refused. Values that are empty or
+nan, as motion capture writes them where it sees nothing, and a last line that was cut off, are left out.
 """
 
 import csv
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -62,7 +63,9 @@ class PlainFolder:
             else:
                 for values in _read_table(self.folder / topic):
                     ns = _read_ns(values[0])
-                    yield Sample(topic, ns, ns, tuple(map(float, values[1:])))
+                    yield Sample(
+                        topic, ns, ns, tuple(float(value) if value.strip() else math.nan for value in values[1:])
+                    )
 
     def decode(self, sample: Sample) -> Any:
         if sample.topic == IMAGES:
@@ -87,7 +90,19 @@ def _list_images(folder: Path) -> list[tuple[int, str]]:
     if (folder / TIMES).is_file():
         return sorted((_read_ns(time), name) for time, name in _read_table(folder / TIMES))
     names = [file.name for file in (folder / IMAGES).iterdir() if file.suffix.lower() in SUFFIXES]
+    _refuse_numbers(folder, names)
     return sorted((_read_name(folder, name), name) for name in names)
+
+
+def _refuse_numbers(folder: Path, names: Sequence[str]) -> None:
+    """Raise InputError if images are named by their numbers: these are no times."""
+    stems = sorted((name.rpartition(".")[0] for name in names), key=lambda stem: (len(stem), stem))
+    numbers = [int(stem) for stem in stems if stem.isdigit()]
+    if len(numbers) == len(stems) > 2 and sorted(numbers) in (list(range(len(stems))), list(range(1, len(stems) + 1))):
+        raise InputError(
+            f"{folder / IMAGES}: images are named by their numbers, {stems[0]} to {stems[-1]}, which are no times; "
+            f"list times and names in {TIMES} ({','.join(COLUMNS[TIMES])})"
+        )
 
 
 def _read_name(folder: Path, name: str) -> int:
@@ -119,19 +134,26 @@ def _read_table(path: Path) -> Iterator[list[str]]:
     columns = COLUMNS[path.name]
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.reader(file)
-        if tuple(name.strip() for name in next(rows, [])) != columns:
-            raise InputError(f"{path}: its first line must be {','.join(columns)}")
+        try:
+            head = next(rows, [])
+        except UnicodeDecodeError:
+            raise InputError(f"{path} must be text in UTF-8") from None
+        if tuple(name.strip() for name in head) != columns:
+            raise InputError(f"{path}: its first line must be {','.join(columns)}, and is {quote(','.join(head))}")
+        wrong = None
         for row in filter(None, rows):
+            if wrong:
+                raise InputError(wrong)
             try:
-                numbers = [float(value) for value in (row[:1] if "file" in columns else row)]
-                if len(row) != len(columns) or not all(map(math.isfinite, numbers)):
+                numbers = [float(value) for value in (row[:1] if "file" in columns else row) if value.strip()]
+                if len(row) != len(columns) or not row[0].strip() or math.isinf(numbers[0]):
                     raise ValueError
-            except ValueError:
-                raise InputError(
-                    f"{path}: line {rows.line_num} must be {','.join(columns)}, and is {quote(row)}"
-                ) from None
+            except ValueError:  # a last line was cut off; any other is an error
+                wrong = f"{path}: line {rows.line_num} must be {','.join(columns)}, and is {quote(row)}"
+                continue
             if abs(numbers[0]) > LATEST_S:
                 raise InputError(
                     f"{path}: line {rows.line_num}: time_s {quote(row[0])} must be seconds; is it in ms or ns?"
                 )
-            yield row
+            if not math.isnan(numbers[0]):
+                yield row

@@ -1,5 +1,6 @@
 """The polar images of a log, drawn from its raw images one at a time into a file."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import IO
@@ -16,7 +17,7 @@ from sim.sensors.lens import Lens
 from sim.sensors.raw_camera import RawCamera, Unwrapping
 
 FIRST = 20
-"""Images of which the first that can be decoded tells the size of all."""
+"""Images of which most have the size of all; some cameras begin with another one."""
 
 
 @dataclass
@@ -72,16 +73,18 @@ class PolarSource:
 
 
 def open_polar(log: Log, config: CameraConfig) -> PolarSource:
-    """Find the calibration, for the size of the first image that can be decoded.
+    """Find the calibration, for the size of most of the first images that can be decoded.
 
     Raises:
         InputError: There is no such image, or no calibration for it.
     """
     problems = dict[int, str]()
-    image = next((image for _, image in take_images(log, config.topic, range(FIRST), problems)), None)
-    if image is None:
+    sizes = Counter(
+        (image.shape[1], image.shape[0]) for _, image in take_images(log, config.topic, range(FIRST), problems)
+    )
+    if not sizes:
         why = next(iter(problems.values()), "there is none")
         raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {why}")
-    camera = find_camera(log, config, (image.shape[1], image.shape[0]))
+    camera = find_camera(log, config, sizes.most_common(1)[0][0])
     unwrap, lens = prepare_unwrapping(camera, config)
     return PolarSource(log, config.topic, camera, unwrap, lens)

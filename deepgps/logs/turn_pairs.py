@@ -24,12 +24,16 @@ NO_RADIANS = 10.0
 """How many times as far as the images the wheels turn at least if their angles are in degrees or ticks."""
 FEW_SEEN = 0.2
 """Share of the wheels' turns below which images seem not to turn. Good logs have nearly all."""
+TURNING_RAD = 0.15
+"""Turn of the wheels between two images that images show whatever their lag [rad]."""
+MOST_STILL = 0.2
+"""Share of such turns in which images may stand still without a note."""
 DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
 """Motions that a turn in place becomes by wheels of which one counts backward."""
 
 
-def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> Lag | None:
-    """How much later than the images the wheels are; None: no turn shows it.
+def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> tuple[Lag | None, list[str]]:
+    """How much later than the images the wheels are, None: no turn shows it; and a note if many images do not turn.
 
     Args:
         source: Images of the log.
@@ -41,8 +45,28 @@ def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Re
         InputError: Images turn where the wheels drive, and not where they turn: one wheel counts backward.
     """
     pairs = _measure_pairs(source, _pair_images(drive, ("turn",), AROUND_S), drive, file, progress)
-    _refuse_reversed(pairs, source, drive, file, progress)
-    return estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
+    by_wheels = _turn_by_wheels(pairs, drive)
+    _refuse_reversed(pairs, by_wheels, source, drive, file, progress)
+    lag = estimate_lag(pairs, drive.wheels.time_s, drive.path.yaw)
+    return lag, _doubt_images(pairs, by_wheels, source.topic)
+
+
+def _turn_by_wheels(pairs: Pairs, drive: Drive) -> np.ndarray:
+    """Turns by the wheels between the two images of pairs (p,) [rad]."""
+    time_s, yaw = drive.wheels.time_s, drive.path.yaw
+    return np.interp(pairs.second_s, time_s, yaw) - np.interp(pairs.first_s, time_s, yaw)
+
+
+def _doubt_images(pairs: Pairs, by_wheels: np.ndarray, topic: str) -> list[str]:
+    """A note if images do not turn in many turns of the wheels."""
+    some = np.abs(by_wheels) > TURNING_RAD
+    still = some & (np.abs(pairs.turned) < LEAST_RAD / 2)
+    if some.sum() < FEWEST or still.sum() <= MOST_STILL * some.sum():
+        return []
+    return [
+        f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} looks at turns of the wheels, images do not turn, "
+        f"first at {pairs.first_s[still].min():.1f} s: is the camera frozen or covered there?"
+    ]
 
 
 def _measure_pairs(
@@ -58,13 +82,13 @@ def _measure_pairs(
     return Pairs(drive.image_s[first], drive.image_s[second], np.array(turned))
 
 
-def _refuse_reversed(pairs: Pairs, source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> None:
+def _refuse_reversed(
+    pairs: Pairs, by_wheels: np.ndarray, source: PolarSource, drive: Drive, file: IO[bytes], progress: Report
+) -> None:
     """Raise InputError if the wheels turn against each other where images do not turn, and images where they do not.
 
     Images that show nothing, as of a covered camera, turn nowhere, so they are no reason.
     """
-    time_s, yaw = drive.wheels.time_s, drive.path.yaw
-    by_wheels = np.interp(pairs.second_s, time_s, yaw) - np.interp(pairs.first_s, time_s, yaw)
     turned = pairs.turned[np.abs(by_wheels) > LEAST_RAD]
     if len(turned) < FEWEST or _share_turning(turned) >= FEW_SEEN:
         return

@@ -20,14 +20,7 @@ from deepgps.methods.attempts import remove_leftovers
 from deepgps.methods.catalog import METHODS
 from deepgps.methods.confidence_fit import make_confidence
 from deepgps.methods.heading_fit import make_headings
-from deepgps.methods.positioner import (
-    ArrayPositioner,
-    NeighbourPositioner,
-    NetworkPositioner,
-    Positioner,
-    add_confidence,
-    add_headings,
-)
+from deepgps.methods.positioner import ArrayPositioner, FeaturePositioner, NetworkPositioner, Positioner
 from deepgps.methods.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.progress import Report, ignore
 from deepgps.settings import LearnSettings
@@ -77,13 +70,13 @@ def fit_method(
 
 def learn_headings(positioner: Any, recording: Recording, folder: Path) -> Any:
     """The positioner with a table of headings from its own map, if it takes polar images."""
-    if recording.kind != "polar_image" or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+    if recording.kind != "polar_image" or not isinstance(positioner, FeaturePositioner):
         return positioner
     positions = positioner(recording.observation)  # the camera's, since there is no yaw yet
     if isinstance(positioner, NetworkPositioner) and positioner.upright is not None:
         recording = replace(recording, observation=positioner.upright.copy(recording.observation, folder))
     headings = make_headings(recording, positions)
-    return positioner if headings is None else add_headings(positioner, headings)
+    return positioner if headings is None else replace(positioner, headings=headings)
 
 
 def learn_confidence(
@@ -98,11 +91,11 @@ def learn_confidence(
         undecided: Observations that may lie elsewhere on its map (N,) bool.
         reads_ticks: Whether it learned from the encoders.
     """
-    if not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+    if not isinstance(positioner, FeaturePositioner):
         return positioner
     segments, (camera, features) = read_segments(recording), positioner.locate_with_features(recording.observation)
     if not reads_ticks:  # images are evenly spaced
         segments = replace(segments, distance=torch.arange(segments.index.shape[1]).expand(segments.index.shape))
     map_std = None if mapped is None else mapped.expected / np.sqrt(2.0)
     table = make_confidence(segments, features, camera, map_std, undecided)
-    return positioner if table is None else add_confidence(positioner, table)
+    return positioner if table is None else replace(positioner, confidence=table)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.alignment import Alignment
-from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, Positioner, confidence_of, headings_of
+from deepgps.methods.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of, headings_of
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Poses:
 def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
     """Poses of observations (B, ...) in the method's own frame."""
     table = confidence_of(positioner)
-    if table is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+    if table is None or not isinstance(positioner, FeaturePositioner):
         return _add_yaw(positioner, observations, locate_camera(positioner, observations))
     camera, features = positioner.locate_with_features(observations)
     trust = table.find(features, camera)

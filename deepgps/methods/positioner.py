@@ -186,7 +186,9 @@ class ArrayPositioner:
         return found
 
 
-Positioner = NetworkPositioner | NeighbourPositioner | LandmarkPositioner | ScanPositioner | ArrayPositioner
+FeaturePositioner = NetworkPositioner | NeighbourPositioner
+"""Those that compare features of observations, and so may know yaw, novelty and radii."""
+Positioner = FeaturePositioner | LandmarkPositioner | ScanPositioner | ArrayPositioner
 
 
 class Fitted(NamedTuple):
@@ -209,24 +211,12 @@ class Fitted(NamedTuple):
 
 def headings_of(positioner: Positioner) -> HeadingTable | None:
     """The table from which a positioner finds yaw; None: it gives positions alone."""
-    return positioner.headings if isinstance(positioner, NetworkPositioner | NeighbourPositioner) else None
-
-
-def add_headings(positioner: Positioner, headings: HeadingTable) -> Positioner:
-    """The positioner with a table of headings; the kinds that are not for images are returned as they are."""
-    able = isinstance(positioner, NetworkPositioner | NeighbourPositioner)
-    return replace(positioner, headings=headings) if able else positioner
+    return positioner.headings if isinstance(positioner, FeaturePositioner) else None
 
 
 def confidence_of(positioner: Positioner) -> Confidence | None:
     """The table from which a positioner finds novelty and radii; None: it gives positions without."""
-    return positioner.confidence if isinstance(positioner, NetworkPositioner | NeighbourPositioner) else None
-
-
-def add_confidence(positioner: Positioner, table: Confidence) -> Positioner:
-    """The positioner with a table of confidence; the kinds without features are returned as they are."""
-    able = isinstance(positioner, NetworkPositioner | NeighbourPositioner)
-    return replace(positioner, confidence=table) if able else positioner
+    return positioner.confidence if isinstance(positioner, FeaturePositioner) else None
 
 
 def as_positioner(

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,10 @@ from deepgps.methods.nearest_scan import NAMES, ScanPositioner
 from deepgps.methods.positioner import (
     CPU,
     ArrayPositioner,
+    FeaturePositioner,
     NeighbourPositioner,
     NetworkPositioner,
     Positioner,
-    add_confidence,
-    add_headings,
     confidence_of,
     headings_of,
 )
@@ -82,11 +81,11 @@ def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
         tensors = load_file(folder / WEIGHTS)
         positioner = _put_together(description, tensors, device)
         # earlier versions have none of these tables, nor have all methods
-        if description.get("yaw") is not None:
-            positioner = add_headings(positioner, unpack(_take(tensors, HEADINGS), description["yaw"]))
-        if description.get("confidence") is not None:
+        if isinstance(positioner, FeaturePositioner) and description.get("yaw") is not None:
+            positioner = replace(positioner, headings=unpack(_take(tensors, HEADINGS), description["yaw"]))
+        if isinstance(positioner, FeaturePositioner) and description.get("confidence") is not None:
             table = confidence.unpack(_take(tensors, CONFIDENCE), description["confidence"])
-            positioner = add_confidence(positioner, table)
+            positioner = replace(positioner, confidence=table)
         return positioner
     except DamagedError as error:
         raise DamagedError(f"{error}; delete {folder} and train the method again") from None

@@ -10,7 +10,7 @@ from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import find_in_place, turns_with_images
 from deepgps.methods.confidence import Confidence
 from deepgps.methods.pose import locate_camera
-from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, Positioner, confidence_of
+from deepgps.methods.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of
 from deepgps.monitoring.comparison import Comparison, KnownImages, learn_images
 from deepgps.monitoring.image_checks import ImageLimits, check_images, find_driven, find_limits
 from deepgps.monitoring.rules import (
@@ -95,7 +95,7 @@ class Monitor:
         limits: Limits of single images.
     """
 
-    positioner: NetworkPositioner | NeighbourPositioner
+    positioner: FeaturePositioner
     confidence: Confidence
     upright: Upright | None
     known: KnownImages
@@ -173,7 +173,7 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
     None where observations are no polar images, or the method accepts all.
     """
     confidence = confidence_of(positioner)
-    if confidence is None or not isinstance(positioner, NetworkPositioner | NeighbourPositioner):
+    if confidence is None or not isinstance(positioner, FeaturePositioner):
         return None
     if recording.kind != "polar_image":
         return None

@@ -111,6 +111,12 @@ def write_errors(row: Mapping[str, Any]) -> list[str]:
     return [f"{100 * row[name]:.1f}" for name in ERRORS]
 
 
+def write_ratio(name: str, rows: Sequence[Row], usual: Sequence[Row]) -> str:
+    """The mean of an error in centimetres and, in brackets, over that of the usual rows, if there are any."""
+    value = f"{100 * mean(rows, name):.1f}"
+    return f"{value} ({mean(rows, name) / mean(usual, name):.2f})" if usual else value
+
+
 def choose_accepted(rows: Sequence[Row]) -> dict[str, str]:
     """The headings of ``ACCEPTED``; none if no method in these rows refuses images."""
     return ACCEPTED if any(row.get("accepted") is not None for row in rows) else {}

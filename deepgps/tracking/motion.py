@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sim.errors import InputError
 from sim.geometry import wrap
 
 SCALE_STD, SCALE_M = 0.02, 100.0
@@ -57,7 +58,15 @@ def make_motion(
         turn_rad: Turn to the left [rad].
         step_std_m: Standard deviation of the way along each axis [m].
         turn_std_rad: Standard deviation of the turn [rad].
+
+    Raises:
+        InputError: A number is not finite, or a standard deviation is negative.
     """
+    numbers = {"forward_m": forward_m, "left_m": left_m, "turn_rad": turn_rad}
+    for name, value in numbers.items() | {"step_std_m": step_std_m, "turn_std_rad": turn_std_rad}.items():
+        if not np.isfinite(value) or (value < 0.0 and name not in numbers):
+            allowed = "finite" if name in numbers else "finite and not negative"
+            raise InputError(f"{name} {value}: must be {allowed}; a motion of which nothing is known is None")
     spread = np.array([step_std_m, step_std_m, turn_std_rad])
     return Motion(np.array([forward_m, left_m]), float(turn_rad), np.diag(spread**2))
 

@@ -211,12 +211,6 @@ def choose_heading(
     )
 
 
-def spread_headings(points: np.ndarray, headings: int) -> np.ndarray:
-    """Return poses (C, H, 3) at points (C, 2) [m], with headings spread evenly from +x."""
-    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
-    return np.concatenate([points[:, None].repeat(headings, axis=1), yaw], axis=-1)
-
-
 def count_drive(drive: Drive) -> dict[str, float]:
     """Return the manifest's entries about a drive."""
     number, travelled_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.geometry import spread_headings
 from sim.occupancy import FreeSpace
-from sim.planar.drive import record, spread_headings
+from sim.planar.drive import record
 from sim.recording.format import Report
 from sim.rng import stream
 from sim.settings import SimSettings

@@ -11,8 +11,9 @@ import numpy as np
 from scipy import ndimage
 
 from sim.errors import InputError
+from sim.geometry import spread_headings
 from sim.occupancy import FreeSpace
-from sim.planar.drive import record, spread_headings
+from sim.planar.drive import record
 from sim.recording.format import Report
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles

@@ -19,6 +19,7 @@ import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files import check_space, list_files, remove_files, write_array, write_arrays
+from sim.geometry import spread_headings
 from sim.occupancy import save_free_space
 from sim.recording.assemble import (
     Drive,
@@ -188,20 +189,19 @@ def _record(job: _Job, progress: Report, workers: int | None, build_s: float, st
 def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     """Poses (C, H, 3) of the test grid: every reachable position that no moved furniture blocks, with evenly spread
     headings from +x; raises InputError if there is none."""
-    spacing, headings = settings.grid.spacing_m, settings.grid.headings
+    spacing = settings.grid.spacing_m
     (low_x, low_y), (high_x, high_y) = world.bounds
     x, y = (
         spacing * np.arange(np.ceil(a / spacing - ROUNDED), np.floor(b / spacing + ROUNDED) + 1)
         for a, b in ((low_x, high_x), (low_y, high_y))
     )
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
-    points = points[world.free_space.is_reachable(points[:, 0])]
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    points = points[world.free_space.is_reachable(points)]
     if settings.deployment.moved_m:
-        points = points[RoomWorld(settings, drawn=False).is_free(points[:, 0])]
+        points = points[RoomWorld(settings, drawn=False).is_free(points)]
     if not len(points):
         raise InputError(f"grid.spacing_m {spacing} m must be smaller: it leaves no test position within reach")
-    yaw = np.broadcast_to(2 * np.pi * np.arange(headings)[:, None] / headings, (len(points), headings, 1))
-    return np.concatenate([points.repeat(headings, axis=1), yaw], axis=-1)
+    return spread_headings(points, settings.grid.headings)
 
 
 def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Drive, list[Path]]:

@@ -70,6 +70,12 @@ class Manifest(BaseModel):
         return {**values, "settings": settings, "odometry": odometry, "sensors": _name_sensors_of_schema_1(settings)}
 
     @property
+    def start_ns(self) -> int:
+        """When times of the recording count from [ns since 1970]; 0 unless it is of a robot's log."""
+        log = (self.model_extra or {}).get("log", {})
+        return int(log.get("start_ns", 0)) if isinstance(log, dict) else 0
+
+    @property
     def sensor(self) -> str:
         """The sensor that methods learn from; empty if the manifest names none."""
         return next(iter(self.sensors), "")

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError, one_line
+from sim.rooms.free_space import collides
 from sim.rooms.mjcf_files import Files
 from sim.rooms.mjcf_limits import FARTHEST, MOST, refuse_excess
 from sim.rooms.spec import PREFIX, list_active
@@ -119,9 +120,7 @@ def _find_floors(model: mujoco.MjModel) -> set[mujoco.mjtGeom]:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     found = set()
-    for geom in range(model.ngeom):
-        if not (model.geom_contype[geom] & 1 or model.geom_conaffinity[geom] & 1):
-            continue
+    for geom in np.flatnonzero(collides(model)).tolist():
         kind = mujoco.mjtGeom(int(model.geom_type[geom]))
         up, top = data.geom_xmat[geom].reshape(3, 3)[2], data.geom_xpos[geom, 2]
         if kind == mujoco.mjtGeom.mjGEOM_BOX and np.abs(up).max() > 0.9999:

@@ -40,7 +40,7 @@ class Upright:
         if not any(self.lean):
             return images
         maps = map_pixels(self, *images.shape[1:3])
-        upright = np.empty_like(images)
+        upright = np.empty(images.shape, images.dtype)  # of rows in order, which OpenCV needs
         for image, out in zip(images, upright, strict=True):
             cv2.remap(pad(image), *maps, cv2.INTER_LANCZOS4, dst=out)
         return upright

@@ -13,7 +13,7 @@ from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.scenario import Scenario
 from deepgps.studies.reports.seeds import count_folded
-from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by
+from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by, write_ratio
 from sim.sensors.camera_faults import FAULTS
 
 CLEAN = "no fault"
@@ -63,7 +63,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     for fault, group in faults.items():
         for method, ours in split_by(group, "method").items():
             clean = [row for row in faults.get(Fault(CLEAN, False), ()) if row["method"] == method]
-            errors = [_write(name, ours, clean) for name in ERRORS]
+            errors = [write_ratio(name, ours, clean) for name in ERRORS]
             said = "-" if ours[0]["fold_found"] is None else str(sum(row["fold_found"] for row in ours))
             head = [fault.title, WHEN[fault.in_use], title_of(method), str(len(ours))]
             cells.append([*head, *errors, count_folded(ours), said])
@@ -163,8 +163,3 @@ def _measure_lean(rows: Sequence[Row], varied: Sequence[str]) -> dict[str, Figur
             ratio = mean(group, "median_m") / mean(clean, "median_m")
             figures[f"compass_{name}_{lean:g}_ratio"] = Figure(words, ratio, "")
     return figures
-
-
-def _write(name: str, rows: Sequence[Row], clean: Sequence[Row]) -> str:
-    value = f"{100 * mean(rows, name):.1f}"
-    return f"{value} ({mean(rows, name) / mean(clean, name):.2f})" if clean else value

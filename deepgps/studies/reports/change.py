@@ -11,7 +11,7 @@ from deepgps.figures.style import count_by_decades
 from deepgps.figures.targets import Figure
 from deepgps.methods.catalog import colour_of, title_of
 from deepgps.studies.reports.camera import CLEAN, TITLES, group_faults
-from deepgps.studies.table import ERRORS, Row, find_methods, mean, split_by
+from deepgps.studies.table import ERRORS, Row, find_methods, mean, split_by, write_ratio
 
 LIGHT, VALUES = "drive.mixed_light", "learn.features.values"
 LIGHTS = {False: "one light", True: "several lights"}
@@ -43,7 +43,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
         cells = []
         for change, group in changes.items():
             for method, ours in split_by(group, "method").items():
-                errors = [_write(ours, _pick(changes, method), name) for name in ERRORS]
+                errors = [write_ratio(name, ours, _pick(changes, method)) for name in ERRORS]
                 more = [_write_accepted(ours, name) for name in has]
                 cells.append([change, title_of(method), str(len(ours)), *errors, *more])
         headings = ["change", "method", "runs", *ERRORS.values(), *(ACCEPTED[name][0] for name in has)]
@@ -127,11 +127,6 @@ def _pick(changes: Groups, method: str) -> list[Row]:
 
 def _is_known(rows: Sequence[Row], name: str) -> bool:
     return any(row.get(name) is not None for row in rows)
-
-
-def _write(rows: Sequence[Row], usual: Sequence[Row], name: str) -> str:
-    value = f"{100 * mean(rows, name):.1f}"
-    return f"{value} ({mean(rows, name) / mean(usual, name):.2f})" if usual else value
 
 
 def _write_accepted(rows: Sequence[Row], name: str) -> str:

@@ -26,9 +26,8 @@ from deepgps.methods.catalog import folder_of
 from deepgps.methods.positioner import NetworkPositioner
 from deepgps.methods.stored_positioner import load_positioner
 from deepgps.studies.grouping import choices, describe, group_rows
-from deepgps.studies.reports.compare import mean
 from deepgps.studies.reports.seeds import count_folded
-from deepgps.studies.table import Row
+from deepgps.studies.table import Row, mean
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_recording, open_truth

@@ -13,6 +13,7 @@ import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import read_all_headings
+from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import METRICS
@@ -102,8 +103,8 @@ class LiveView:
         return list(fields)
 
     def _send_steps(self) -> None:
-        rows = [f"| {title_of(label)} | {done:,} | {total:,} |" for label, (done, total) in dict(self.steps).items()]
-        text = "\n".join(["| stage | done | of |", "|---|---|---|", *rows])
+        rows = [[title_of(label), f"{done:,}", f"{total:,}"] for label, (done, total) in dict(self.steps).items()]
+        text = tabulate(["stage", "done", "of"], rows)
         if text == self._text:
             return
         self._text = text

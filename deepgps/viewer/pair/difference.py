@@ -10,6 +10,7 @@ from matplotlib.colors import LinearSegmentedColormap
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.figures.field_plot import SCALE_M
+from deepgps.figures.markdown import tabulate
 from deepgps.figures.run_report import COLUMNS, Column, read_metrics
 from deepgps.methods.catalog import title_of
 from deepgps.run_folder import open_run
@@ -101,24 +102,18 @@ def colours_of_change(share: np.ndarray) -> np.ndarray:
 
 def describe_pair(pair: Pair) -> str:
     """Describe as Markdown both runs, the settings that differ, where which run is better, and both runs' figures."""
-    return "\n".join(
+    sides = [
+        [f"**{letter}**", _name(side.folder), str(side.metrics["scenario"]), str(side.metrics["seed"])]
+        for letter, side in (("A", pair.a), ("B", pair.b))
+    ]
+    return "\n\n".join(
         [
             "# B compared with A",
-            "",
-            "| | run | scenario | seed |",
-            "|---|---|---|---:|",
-            *(
-                f"| **{letter}** | {_name(side.folder)} | {side.metrics['scenario']} | {side.metrics['seed']} |"
-                for letter, side in (("A", pair.a), ("B", pair.b))
-            ),
-            "",
-            *_list_settings(pair),
-            "",
-            *_list_places(pair),
-            "",
+            tabulate(["", "run", "scenario", "seed"], sides),
+            _list_settings(pair),
+            _list_places(pair),
             "Errors [cm] for the worst heading of each test position:",
-            "",
-            *(line for names in TABLES for line in [*_list_figures(pair, names), ""]),
+            *(_list_figures(pair, names) for names in TABLES),
         ]
     )
 
@@ -131,46 +126,41 @@ def _name(folder: Path) -> str:
     return folder.resolve().name
 
 
-def _list_places(pair: Pair) -> list[str]:
+def _list_places(pair: Pair) -> str:
     if not pair.same_floor:
-        return ["**The rooms or test positions differ**, so there is no difference of the fields to show."]
+        return "**The rooms or test positions differ**, so there is no difference of the fields to show."
     rows = []
     for name in pair.methods:
         change = measure_change(pair, name)
         better, worse = int((change < -SAME_M).sum()), int((change > SAME_M).sum())
-        rows.append(f"| {title_of(name)} | {better} | {len(change) - better - worse} | {worse} |")
-    return [
-        f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:",
-        "",
-        "| method | B better | same | B worse |",
-        "|---|---:|---:|---:|",
-        *rows,
-    ]
+        rows.append([title_of(name), str(better), str(len(change) - better - worse), str(worse)])
+    table = tabulate(["method", "B better", "same", "B worse"], rows)
+    return f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:\n\n{table}"
 
 
-def _list_figures(pair: Pair, names: Sequence[str]) -> list[str]:
+def _list_figures(pair: Pair, names: Sequence[str]) -> str:
     """A table with a row for each method: figures of A, of B, and their ratio."""
     columns = [column for column in COLUMNS if column[1] in names]
-    heads = " | ".join(f"{heading.split(' [')[0]} A | B | B / A" for heading, _, _ in columns)
-    rows = (
-        f"| {title_of(method)} | {' | '.join(_compare(pair, method, column) for column in columns)} |"
+    heads = [name for heading, _, _ in columns for name in (f"{heading.split(' [')[0]} A", "B", "B / A")]
+    rows = [
+        [title_of(method), *(cell for column in columns for cell in _compare(pair, method, column))]
         for method in pair.methods
-    )
-    return [f"| method | {heads} |", "|---|" + "---:|" * 3 * len(columns), *rows]
+    ]
+    return tabulate(["method", *heads], rows)
 
 
-def _compare(pair: Pair, method: str, column: Column) -> str:
+def _compare(pair: Pair, method: str, column: Column) -> list[str]:
     _, name, write = column
     a, b = (side.metrics["methods"].get(method, {}).get(name) for side in (pair.a, pair.b))
     ratio = "-" if not a or b is None else f"{b / a:.2f}"
-    return " | ".join([*("-" if value is None else write(value) for value in (a, b)), ratio])
+    return [*("-" if value is None else write(value) for value in (a, b)), ratio]
 
 
-def _list_settings(pair: Pair) -> list[str]:
+def _list_settings(pair: Pair) -> str:
     """A table of the settings that differ, without ``methods``, since only common methods are shown."""
     a, b = (list_settings(open_run(side.folder)) for side in (pair.a, pair.b))
     differ = [name for name in a | b if a.get(name) != b.get(name) and name != "methods"]
     if not differ:
-        return ["Both runs have the same settings."]
-    rows = (f"| {name} | {a.get(name, '-')} | {b.get(name, '-')} |" for name in differ)  # of plugins, one may lack some
-    return ["| different setting | A | B |", "|---|---:|---:|", *rows]
+        return "Both runs have the same settings."
+    rows = [[name, str(a.get(name, "-")), str(b.get(name, "-"))] for name in differ]  # of plugins, one may lack some
+    return tabulate(["different setting", "A", "B"], rows)

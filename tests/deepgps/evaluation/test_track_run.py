@@ -107,15 +107,40 @@ def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path)
     shutil.copytree(use, log, ignore=shutil.ignore_patterns("truth", "scene.glb"))
     manifest = read_json(use / "manifest.json")
     sums = {name: one for name, one in manifest["sha256"].items() if (log / name).is_file()}
-    write_json(log / "manifest.json", {**manifest, "sha256": sums})
-    done = deepgps_here("track", "run", "--drive", "log", "--method", "knn", cwd=tmp_path)
+    write_json(log / "manifest.json", {**manifest, "sha256": sums, "log": {"start_ns": 1_700_000_000_000_000_000}})
+    done = deepgps_here("track", "run", "--drive", "log", "--method", "knn", "--tum", "tum", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "The truth is not known" in done.stdout
+    assert "The truth is not known" in done.stdout and "--tum writes poses in the world's frame" in done.stdout
+    written = np.loadtxt(tmp_path / "tum" / "single.tum")
+    assert written[0, 0] >= 1.7e9
+    (stored,) = (tmp_path / "run" / "tracking").glob("knn-*.npz")
+    track = read_track(stored)
+    place = read_alignment(run / "knn").apply(track.paths["single"].pose[track.observation != NO_IMAGE, :2])
+    np.testing.assert_allclose(written[:, 1:3], place[np.isfinite(place).all(axis=1)], atol=1e-6)
     (path,) = (tmp_path / "run" / "tracking").glob("knn-*.json")
     assert re.fullmatch(r"knn-[0-9a-f]{8}\.json", path.name)
     assert not path.with_suffix(".png").exists()
     figures = read_json(path)
     assert set(figures) == {"method", "images", "tracked", "accepted", "causes"}
+
+
+def test_a_drive_of_another_field_of_view_is_refused(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run")
+    shutil.copytree(run / "recording" / "use", tmp_path / "log")
+    manifest = read_json(tmp_path / "log" / "manifest.json")
+    manifest["settings"]["camera"]["field_of_view_deg"] = 120.0
+    write_json(tmp_path / "log" / "manifest.json", manifest)
+    done = deepgps_here("track", "run", "--drive", "log", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "camera.field_of_view_deg 120: the run has learned from images of 190" in done.stderr
+
+
+def test_a_run_that_is_not_evaluated_is_refused_before_the_work(run: Path, tmp_path: Path):
+    shutil.copytree(run, tmp_path / "run", ignore=shutil.ignore_patterns("alignment.json", "tracking"))
+    done = deepgps_here("track", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "has no alignment.json" in done.stderr and "track:" not in done.stderr
+    assert not (tmp_path / "run" / "tracking").exists()
 
 
 @pytest.mark.parametrize(

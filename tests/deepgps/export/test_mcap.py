@@ -12,7 +12,7 @@ from PIL import Image
 from rosbags.highlevel import AnyReader
 
 import deepgps
-from deepgps.export.mcap import UNKNOWN_M2, UNKNOWN_RAD2, find_start, find_variances, list_poses
+from deepgps.export.mcap import UNKNOWN_M2, UNKNOWN_RAD2, find_variances, list_poses
 from deepgps.export.trajectories import Trajectory
 from deepgps.methods.pose import Poses
 from sim.recording.format import open_truth
@@ -93,7 +93,7 @@ def test_what_is_not_known_has_a_large_variance_and_refused_poses_a_topic_of_the
 
 
 def test_times_count_from_the_beginning_of_an_imported_log(run):
-    assert find_start(run.recording) == 0
+    assert run.recording.manifest.start_ns == 0
     manifest = run.recording.manifest.model_copy()
     logged = type(manifest).model_validate({**manifest.model_dump(by_alias=True), "log": {"start_ns": 7}})
-    assert find_start(replace(run.recording, manifest=logged)) == 7
+    assert logged.start_ns == 7

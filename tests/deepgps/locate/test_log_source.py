@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 import deepgps
+from deepgps.data.field_of_view import find_view
 from deepgps.locate.locate import find_shape
 from deepgps.locate.log_source import open_source
 from deepgps.progress import ignore
@@ -41,7 +42,9 @@ def locate(run: deepgps.Run, folder: Path, *words: str) -> list[dict]:
 
 def test_every_image_is_unwrapped_by_the_calibration_and_located(run: deepgps.Run, folder: Path):
     lines = locate(run, folder)
-    with open_source(folder / "drive.mcap", folder / "robot.yaml", False, ignore) as source:
+    view_deg = find_view(run.recording)
+    with open_source(folder / "drive.mcap", folder / "robot.yaml", view_deg, False, ignore) as source:
+        assert np.degrees(2 * source.polar.lens.half_angle) == pytest.approx(view_deg)
         polar = np.stack([source.polar.unwrap(one.image) for one in source.read() if one.image is not None])
     pose = run.pose(polar, frame="map")
     assert [line["image"] for line in lines] == [str(number) for number in range(len(polar))]

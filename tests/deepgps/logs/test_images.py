@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deepgps.logs.images import RAW, decode_compressed, decode_raw, decoder
+from deepgps.logs.images import COMPRESSED, RAW, decode_compressed, decode_raw, decoder
 from sim.errors import InputError
 from tests.helpers.robot_log import ENCODERS, encode
 
@@ -58,6 +58,12 @@ def test_what_is_no_picture_is_refused(change: dict, message: str, image: np.nda
 def test_a_compressed_picture_is_known_by_its_bytes(kind: str, form: str, image: np.ndarray) -> None:
     found = decode_compressed(as_message({**encode(image, kind), "format": form}))
     assert np.abs(found.astype(int) - image).max() <= (12 if kind == "image/jpeg" else 0)
+
+
+def test_pictures_of_more_than_8_bits_are_refused(image: np.ndarray) -> None:
+    data = cv2.imencode(".png", image.astype(np.uint16) * 16)[1]
+    with pytest.raises(InputError, match="a picture of 16 bits a channel: must be 8"):
+        decoder(COMPRESSED)(SimpleNamespace(format="png", data=data))
 
 
 def test_a_compressed_mosaic_is_no_grey_picture(image: np.ndarray) -> None:

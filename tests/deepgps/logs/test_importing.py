@@ -33,6 +33,7 @@ from tests.helpers.robot_log import (
     TURNS,
     Note,
     change,
+    encode,
     make_notes,
     make_texture,
     replace_pixels,
@@ -58,6 +59,13 @@ def configure(**groups: Any) -> RobotConfig:
     for name, given in groups.items():
         values[name] = {**values.get(name, {}), **given} if isinstance(given, dict) else given
     return RobotConfig.model_validate(values)
+
+
+PLAIN = configure(
+    wheels={"topic": "wheels.csv", "left": "left", "right": "right", "lag_s": 0.0},
+    camera={"topic": "images", "info": None, "circle_px": 38.0, "field_of_view_deg": 136.1},
+    pose={"topic": "poses.csv"},
+)
 
 
 def bring_in(log: Path, tmp_path: Path, config: RobotConfig | None = None) -> tuple[Path, dict[str, Any]]:
@@ -99,16 +107,43 @@ def test_every_container_gives_the_same_recording(form: str, notes: list[Note], 
 
 def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
-    config = configure(
-        wheels={"topic": "wheels.csv", "left": "left", "right": "right", "lag_s": 0.0},
-        camera={"topic": "images", "info": None, "circle_px": 38.0, "field_of_view_deg": 136.1},
-        pose={"topic": "poses.csv"},
-    )
-    folder, _ = bring_in(log, tmp_path, config)
+    folder, _ = bring_in(log, tmp_path, PLAIN)
     check_complete(folder)
-    (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,nan\n")
+    (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,one\n0.1,0.0,0.0\n")
     with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
-        bring_in(log, tmp_path / "again", config)
+        bring_in(log, tmp_path / "again", PLAIN)
+
+
+def test_values_that_are_missing_in_plain_files_are_left_out(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    head, *rows = (log / "wheels.csv").read_text().splitlines()
+    rows[100] = f"{rows[100].partition(',')[0]},nan,"
+    (log / "wheels.csv").write_text("\n".join([head, *rows, "33.4,1"]))
+    head, *rows = (log / "poses.csv").read_text().splitlines()
+    rows[200:203] = [f"{row.partition(',')[0]},nan,nan,nan" for row in rows[200:203]]
+    (log / "poses.csv").write_text("\n".join([head, *rows]))
+    folder, about = bring_in(log, tmp_path, PLAIN)
+    check_complete(folder)
+    assert any("poses.csv: 3 messages are left out" in note for note in about["notes"])
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_images_that_are_named_by_their_numbers_are_refused(first: int, tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    for number, path in enumerate(sorted((log / "images").iterdir(), key=lambda path: float(path.stem)), start=first):
+        path.rename(path.with_name(f"frame{number:06d}.png"))
+    for path in list((log / "images").iterdir()):
+        path.rename(path.with_name(path.name.removeprefix("frame")))
+    with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times; list"):
+        bring_in(log, tmp_path, PLAIN)
+
+
+def test_images_beyond_the_wheels_are_noted(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    rows = (log / "wheels.csv").read_text().splitlines()
+    (log / "wheels.csv").write_text("\n".join(rows[: 3 * len(rows) // 4]))
+    _, about = bring_in(log, tmp_path, PLAIN)
+    assert any("images were taken before or after the wheels were logged" in note for note in about["notes"])
 
 
 def rename_images(log: Path, name: Callable[[float], str]) -> None:
@@ -375,6 +410,69 @@ def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: P
     folder, _ = bring_in(log, tmp_path)
     by_ticks, true = measure(folder)
     np.testing.assert_allclose(by_ticks, true, atol=0.003)
+
+
+def test_a_camera_that_fails_midway_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    some = change(notes, CAMERA, lambda _, note: None if 12.0 < seconds(note) < 18.0 else note)
+    _, about = bring_in(write_log(tmp_path / "log", some, "mcap_lz4"), tmp_path)
+    (note,) = [note for note in about["notes"] if "images cover" in note]
+    assert re.search(r"images cover 27 of 33 s of the drive, from .*, without 6 s from 1[12]\.\d s on; the rest", note)
+
+
+def test_a_frozen_camera_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    images = [note.fields for note in notes if note.topic == CAMERA]
+
+    def freeze(number: int, note: Note) -> Note:
+        return replace(note, fields=images[min(number, 150)])
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, freeze), "mcap_lz4")
+    for lag_s in (0.05, "estimate"):
+        _, about = bring_in(log, tmp_path / str(lag_s), configure(wheels={"lag_s": lag_s}))
+        (note,) = [note for note in about["notes"] if "images do not turn" in note]
+        assert "is the camera frozen or covered there?" in note
+    _, sound = bring_in(write_log(tmp_path / "sound", notes, "mcap_lz4"), tmp_path / "also")
+    assert not any("do not turn" in note for note in sound["notes"])
+
+
+def test_a_field_of_view_beyond_the_image_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    config = configure(camera={"info": None, "circle_px": 240.0, "field_of_view_deg": 185.0})
+    _, about = bring_in(log, tmp_path, config)
+    (note,) = [note for note in about["notes"] if "black in part" in note]
+    assert "images reach 15 deg from the optical axis all around it, and polar images 92" in note
+
+
+def test_a_camera_that_begins_with_another_size_is_read(notes: list[Note], tmp_path: Path) -> None:
+    small = encode(np.zeros((64, 64, 3), np.uint8), "image/jpeg")
+
+    def begin(number: int, note: Note) -> Note:
+        return note if number else replace(note, fields=small)
+
+    folder, _ = bring_in(write_log(tmp_path / "log", change(notes, CAMERA, begin), "mcap_lz4"), tmp_path)
+    check_complete(folder)
+
+
+def test_a_calibration_may_come_late(notes: list[Note], tmp_path: Path) -> None:
+    infos = [note for note in notes if note.topic == CAMERA_INFO]
+    early = set_fields(replace(infos[0], log_ns=infos[0].log_ns - 10**8), focal=0.0)
+    folder, _ = bring_in(write_log(tmp_path / "log", [early, *notes], "mcap_lz4"), tmp_path)
+    check_complete(folder)
+
+
+def test_what_is_left_beside_split_files_is_no_part_of_the_log(notes: list[Note], tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    folder.mkdir()
+    write_log(tmp_path / "one", notes, "mcap_lz4").rename(folder / "drive_0.mcap")
+    (folder / "drive_1.mcap").touch()
+    (folder / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
+    made, _ = bring_in(folder, tmp_path)
+    check_complete(made)
+
+
+def test_a_bag_of_a_killed_recorder_says_how_it_is_read(notes: list[Note], tmp_path: Path) -> None:
+    write_log(tmp_path / "log", notes, "bag").rename(tmp_path / "log.bag.active")
+    with pytest.raises(InputError, match=r"a killed recorder left this one: copy it without \.active"):
+        bring_in(tmp_path / "log.bag.active", tmp_path)
 
 
 def test_a_camera_that_stops_before_the_drive_ends_is_noted(notes: list[Note], tmp_path: Path) -> None:

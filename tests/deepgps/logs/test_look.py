@@ -95,7 +95,7 @@ def test_without_a_calibration_a_circle_is_proposed(tmp_path: Path) -> None:
     notes = change(make_notes("image/jpeg"), CAMERA_INFO, lambda _, note: set_fields(note, focal=0.0))
     said = look(write_log(tmp_path / "log", notes, "mcap_lz4"), ignore)
     assert "not calibrated: K is 0" in said
-    assert RobotConfig.model_validate(yaml.safe_load(said)).camera.circle_px == 240
+    assert RobotConfig.model_validate(yaml.safe_load(said)).camera.circle_px == 40  # half of 80 px
 
 
 def test_a_plain_folder_is_looked_at(tmp_path: Path) -> None:

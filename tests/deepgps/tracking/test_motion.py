@@ -1,10 +1,12 @@
 """Motions of the plane: a group, with covariances that sampling confirms."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.tracking.motion import Motion, compose, invert, make_motion, move
+from sim.errors import InputError
 
 NUMBERS = st.floats(-3.0, 3.0)
 
@@ -14,6 +16,19 @@ def motions(draw: st.DrawFn) -> Motion:
     forward, left, turn = (draw(NUMBERS) for _ in range(3))
     root = np.array([[draw(NUMBERS) for _ in range(3)] for _ in range(3)])
     return Motion(np.array([forward, left]), turn, root @ root.T)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ({"forward_m": float("nan")}, "forward_m nan: must be finite; a motion of which nothing is known is None"),
+        ({"forward_m": 0.1, "turn_rad": float("inf")}, "turn_rad inf: must be finite"),
+        ({"forward_m": 0.1, "step_std_m": -0.1}, "step_std_m -0.1: must be finite and not negative"),
+    ],
+)
+def test_numbers_that_no_robot_can_mean_are_refused(numbers: dict[str, float], message: str):
+    with pytest.raises(InputError, match=message):
+        make_motion(**numbers)
 
 
 @given(motions())

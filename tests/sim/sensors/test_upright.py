@@ -43,6 +43,13 @@ def test_a_rendered_image_of_a_leaning_camera_becomes_the_upright_one():
     assert after < 0.25 * before
 
 
+def test_the_order_of_the_images_in_memory_changes_nothing():
+    images, upright = np.concatenate([paint((0.0, 0.0)), paint((0.1, 0.0))]), Upright(LENS, (0.1, 0.0))
+    np.testing.assert_array_equal(upright(np.asfortranarray(images)), upright(images))
+    turned = np.ascontiguousarray(images.transpose(0, 3, 1, 2)).transpose(0, 2, 3, 1)
+    np.testing.assert_array_equal(upright(turned), upright(images))
+
+
 def test_without_a_lean_images_stay_as_they_are_and_a_copy_on_disk_is_the_same(tmp_path: Path):
     images = np.concatenate([paint((0.0, 0.0)), paint((0.1, 0.0))])
     assert Upright(LENS, (0.0, 0.0))(images) is images
