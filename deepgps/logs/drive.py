@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from deepgps.logs.clocks import align, find_starts, list_offsets, take_times
+from deepgps.logs.coarse_encoders import fill_counts
 from deepgps.logs.joints import UNUSABLE, WheelLog
 from deepgps.logs.pictures import ImageList
 from deepgps.logs.poses import PoseLog, find_poses
@@ -55,6 +56,7 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
     wheels = clean_wheels(
         time_s[config.wheels.topic], wheel_log.angle, config.wheels.ticks_per_rev, config.wheels.topic, image_s
     )
+    wheels = fill_counts(wheels, config.wheels.topic)
     path = find_path(wheels.angle, config.wheels.radius_m, config.wheels.track_m)
     motions = find_motions(wheels, path, config.wheels.track_m)
     if config.pose and pose_log is not None:

@@ -34,8 +34,8 @@ JOIN_RAD = np.radians(1.0)
 """Heading that may change where a segment speeds up or brakes, or rests in between [rad]."""
 JOIN_M = 0.03
 """Way of a motion that is too short to count, between two that do [m]."""
-SHORTEST_M = 0.03
-"""Shortest segment [m]."""
+SHORTEST_M, SHORTEST_BACK_M = 0.03, 0.015
+"""Shortest segment and shortest way back [m]; what is shorter is an arc. Wheels that come to rest do not back off."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
 def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
     """Divide a drive into motions, in order; together they cover it."""
     path = _take_off_usual(wheels, path)
-    motions = _group(_judge(wheels, path, track_m))
+    motions = _leave_out_short(_group(_judge(wheels, path, track_m)), "back", SHORTEST_BACK_M, path)
     motions = [part for motion in motions for part in _divide_bent(motion, path)]
     return _join(motions, path)
 
@@ -156,9 +156,14 @@ def _join(motions: list[Motion], path: Path) -> list[Motion]:
         joined.append(motion)
         while (shorter := _absorb(joined, path)) is not None:
             joined = shorter
+    return _leave_out_short(joined, "straight", SHORTEST_M, path)
+
+
+def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
+    """The motions with those of a kind that are shorter than ``least_m`` as arcs."""
     return [
-        Motion("arc", one.first, one.last) if one.kind == "straight" and path.find_way(one) < SHORTEST_M else one
-        for one in joined
+        Motion("arc", one.first, one.last) if one.kind == kind and path.find_way(one) < least_m else one
+        for one in motions
     ]
 
 
@@ -169,6 +174,9 @@ def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
         if before.kind == "straight" and last.kind == "arc" and _is_slight(last, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
         if before.kind == "arc" and last.kind == "straight" and _is_slight(before, path):
+            return [*motions[:-2], Motion("straight", before.first, last.last)]
+        short = min(path.find_way(before), path.find_way(last)) < SHORTEST_M
+        if before.kind == last.kind == "straight" and short and _is_one_line(before, last, path):
             return [*motions[:-2], Motion("straight", before.first, last.last)]
     if len(motions) >= 3:
         before, between, last = motions[-3:]
