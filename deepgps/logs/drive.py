@@ -70,6 +70,8 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: {wheel_log.without} messages {why}")
     if wheel_log.from_odometry:
         notes.append(f"{config.wheels.topic}: wheels are computed from the odometry, so they cannot be diagnosed")
+    if wheel_log.goes_sideways:
+        notes.append(f"{config.wheels.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
     notes += [*wheels.notes, *_doubt_direction(config.wheels.topic, motions, path)]
     offsets = list_offsets(times, starts)
     return Drive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)

@@ -9,6 +9,9 @@ import numpy as np
 from sim.errors import InputError, one_line
 from sim.user_input import quote
 
+# what OpenCV says of a damaged picture is in our own message
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # pyright: ignore[reportAttributeAccessIssue]
+
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
 """How JPEG and PNG begin; what a message says of its format differs between drivers."""

@@ -19,6 +19,8 @@ JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 KINDS = (JOINT_STATE, ODOMETRY)
 LEAST_LENGTH = 1e-6
 """Length of a quaternion up to which it tells no orientation."""
+MOST_SIDEWAYS = 0.2
+"""Part of an odometry's path that may go sideways; more, and its orientation is wrong."""
 UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"
 """Why a message of a pose is left out."""
 
@@ -63,6 +65,11 @@ class WheelLog:
         self.log_ns.append(sample.log_ns)
         self.stamp_ns.append(sample.stamp_ns)
         self.values.extend((left, right))
+
+    @property
+    def goes_sideways(self) -> bool:
+        """Whether an odometry's path goes sideways by more than its noise does."""
+        return self._path is not None and self._path.sideways_m > MOST_SIDEWAYS * self._path.way_m
 
     def check(self) -> None:
         """Raise InputError unless there are positions of both wheels."""
@@ -116,12 +123,18 @@ def _take(message: Any, wanted: str, topic: str) -> float:
 
 
 class OdometryPath:
-    """Angles of wheels that drive an odometry's path; each step is projected on the mean heading of its ends."""
+    """Angles of wheels that drive an odometry's path; each step is projected on the mean heading of its ends.
+
+    Attributes:
+        way_m: Length of the path [m].
+        sideways_m: What of it goes sideways, as no two wheels can drive [m].
+    """
 
     def __init__(self, radius_m: float, track_m: float) -> None:
         self._radius_m, self._track_m = radius_m, track_m
         self._before: tuple[float, float, float] | None = None
         self._travelled = self._turned = 0.0
+        self.way_m = self.sideways_m = 0.0
 
     def follow(self, x: float, y: float, yaw: float) -> tuple[float, float]:
         """Angles of the left and of the right wheel [rad] at the next pose [m], [rad]; NaN if it is not finite."""
@@ -130,8 +143,11 @@ class OdometryPath:
         if self._before is not None:
             turn = float(wrap(yaw - self._before[2]))
             heading = self._before[2] + turn / 2
-            self._travelled += (x - self._before[0]) * math.cos(heading) + (y - self._before[1]) * math.sin(heading)
+            step_x, step_y = x - self._before[0], y - self._before[1]
+            self._travelled += step_x * math.cos(heading) + step_y * math.sin(heading)
             self._turned += turn
+            self.way_m += math.hypot(step_x, step_y)
+            self.sideways_m += abs(step_y * math.cos(heading) - step_x * math.sin(heading))
         self._before = x, y, yaw
         ahead, apart = self._travelled / self._radius_m, self._turned * self._track_m / 2 / self._radius_m
         return ahead - apart, ahead + apart

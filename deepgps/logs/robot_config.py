@@ -9,7 +9,7 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.scenario import describe_problems
 from sim.errors import InputError
 from sim.settings import Group
-from sim.user_input import shorten
+from sim.user_input import quote, shorten
 
 
 class WheelConfig(Group):
@@ -27,14 +27,14 @@ class WheelConfig(Group):
     """Distance between the wheels [m]."""
     ticks_per_rev: int = Field(default=4096, ge=4, le=2**24)
     """Ticks of a revolution of the wheel (TurtleBot3: 4096), to which angles are rounded."""
-    lag_s: float | Literal["estimate"] = Field(default=0.0, union_mode="left_to_right")
+    lag_s: float | str = Field(default=0.0, union_mode="left_to_right")
     """How much older than their stamps the angles are, against the images [s] (TurtleBot3: 0.05); estimate: it is
     measured from the turns that both the wheels and the images see."""
 
     @model_validator(mode="after")
     def _lag_is_short(self) -> "WheelConfig":
-        if self.lag_s != "estimate" and not -1.0 <= self.lag_s <= 1.0:
-            raise ValueError(f"lag_s {self.lag_s:g}: must be from -1 to 1 s, or estimate")
+        if self.lag_s != "estimate" and (isinstance(self.lag_s, str) or not -1.0 <= self.lag_s <= 1.0):
+            raise ValueError(f"lag_s {quote(self.lag_s)}: must be from -1 to 1 s, or estimate")
         return self
 
 

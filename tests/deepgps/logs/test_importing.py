@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.logs.containers import open_log
@@ -15,7 +16,7 @@ from deepgps.logs.drive import find_drive
 from deepgps.logs.importing import import_log
 from deepgps.logs.joints import open_wheels
 from deepgps.logs.pictures import open_images
-from deepgps.logs.robot_config import RobotConfig
+from deepgps.logs.robot_config import RobotConfig, load_config
 from deepgps.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth
@@ -505,6 +506,22 @@ def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
     assert not can_diagnose(recording)
     with pytest.raises(InputError, match="its wheels were computed from an odometry, which cannot be diagnosed"):
         diagnose(recording)
+
+
+def test_an_odometry_without_orientation_is_noted(tmp_path: Path) -> None:
+    def forget(_: int, note: Note) -> Note:
+        return set_fields(note, pose=np.array([*note.fields["pose"][:2], 0.0]))
+
+    notes = change(make_notes("image/jpeg", odometry=True), JOINTS, forget)
+    _, about = bring_in(write_log(tmp_path / "log", notes, "mcap_lz4"), tmp_path)
+    assert any("the odometry goes sideways, as no wheels can" in note for note in about["notes"])
+
+
+@pytest.mark.parametrize("lag_s", ["estimated", 2.0])
+def test_a_lag_that_none_can_be_is_refused_in_plain_words(lag_s: str | float, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**CONFIG, "wheels": {**CONFIG["wheels"], "lag_s": lag_s}}))
+    with pytest.raises(InputError, match=rf"wheels: lag_s '?{lag_s}'?: must be from -1 to 1 s, or estimate$"):
+        load_config(tmp_path / "robot.yaml")
 
 
 def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
