@@ -1,9 +1,9 @@
 """What a log does not say of its robot: ``robot.yaml``, checked at once."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from deepgps.plain_yaml import read_yaml
 from deepgps.scenario import describe_problems
@@ -27,15 +27,17 @@ class WheelConfig(Group):
     """Distance between the wheels [m]."""
     ticks_per_rev: int = Field(default=4096, ge=4, le=2**24)
     """Ticks of a revolution of the wheel (TurtleBot3: 4096), to which angles are rounded."""
-    lag_s: float | str = Field(default=0.0, union_mode="left_to_right")
+    lag_s: float | Literal["estimate"] = Field(default=0.0, union_mode="left_to_right")
     """How much older than their stamps the angles are, against the images [s] (TurtleBot3: 0.05); estimate: it is
     measured from the turns that both the wheels and the images see."""
 
-    @model_validator(mode="after")
-    def _lag_is_short(self) -> "WheelConfig":
-        if self.lag_s != "estimate" and (isinstance(self.lag_s, str) or not -1.0 <= self.lag_s <= 1.0):
-            raise ValueError(f"lag_s {quote(self.lag_s)}: must be from -1 to 1 s, or estimate")
-        return self
+    @field_validator("lag_s", mode="before")
+    @classmethod
+    def _lag_is_short(cls, value: Any) -> Any:
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if value != "estimate" and not (number and -1.0 <= value <= 1.0):
+            raise ValueError(f"{quote(value)} must be from -1 to 1 s, or estimate")
+        return value
 
 
 class Intrinsics(Group):

@@ -107,7 +107,7 @@ def test_a_plain_folder_is_looked_at(tmp_path: Path) -> None:
     ("values", "message"),
     [
         ({"wheels": {"radius_m": 0.0}}, r"wheels\.radius_m 0\.0: must be greater than 0\.001"),
-        ({"wheels": {"lag_s": 7.0}}, r"lag_s 7.0: must be from -1 to 1 s, or estimate"),
+        ({"wheels": {"lag_s": 7.0}}, r"wheels.lag_s: 7.0 must be from -1 to 1 s, or estimate"),
         ({"camera": {"topic": "/c"}}, "without info, file or intrinsics, field_of_view_deg and circle_px are needed"),
         ({"camera": {"topic": "/c", "info": "/i", "file": "x.yaml"}}, "info and file: give one of them"),
         ({"pose": {"topic": "/p", "use": "both"}}, r"pose\.use 'both': must be 'truth' or 'labels'"),
