@@ -48,13 +48,15 @@ class PlainFolder:
 
     Attributes:
         types: Type of each topic.
+        counts: Number of images, and of rows of the tables, by topic.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.types = {name: kind for name, kind in TYPES.items() if (folder / name).exists()}
-        self.counts: dict[str, int] = {}
         self._images = _list_images(folder)
+        tables = {name: _count_rows(folder / name) for name in self.types if name != IMAGES}
+        self.counts = {IMAGES: len(self._images), **tables}
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         for topic in topics:
@@ -127,6 +129,11 @@ def _read_ns(text: str) -> int:
     if fraction.isdigit() and seconds.isdigit():
         return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
     return round(float(text) * 1e9)
+
+
+def _count_rows(path: Path) -> int:
+    with path.open("rb") as file:
+        return max(sum(1 for _ in file) - 1, 0)
 
 
 def _read_table(path: Path) -> Iterator[list[str]]:
