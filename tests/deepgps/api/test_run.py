@@ -165,7 +165,7 @@ def test_a_run_of_an_earlier_version_is_aligned_by_evaluating_it(copied: deepgps
 
 @pytest.mark.slow
 def test_a_method_is_added_to_a_finished_run(tmp_path: Path):
-    settings = {"landmarks.segments": 40, "learn.train.steps": 20}
+    settings = {"landmarks.segments": 40, "learn.train.steps": 20, "grid.spacing_m": 0.2}
     one = deepgps.simulate("landmarks", tmp_path / "run", ["explicit"], settings, progress=False)
     weights = (one.folder / "explicit" / "positioner.json").read_bytes()
     both = deepgps.simulate("landmarks", tmp_path / "run", ["posenet"], settings, progress=False)

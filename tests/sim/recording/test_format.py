@@ -94,7 +94,7 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
     with pytest.raises(InputError, match=r"time\.npy is missing"):
         open_recording(folder)
     write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "schema": 99})
-    with pytest.raises(InputError, match="schema 99, but this version reads schema 3"):
+    with pytest.raises(InputError, match="schema 99, but this version reads 1, 2, 3"):
         open_recording(folder)
     (folder / "manifest.json").write_text('{"schema"')
     with pytest.raises(InputError, match="is not JSON"):
