@@ -55,22 +55,21 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
         return None
     lines = fit_lines(recording, positions)
     able = np.flatnonzero(lines.std < MOST_RAD)
-    phases = np.zeros((0, 0, 0), np.complex64)
-    if len(able):
-        chunks = np.array_split(able, -(-len(able) // CHUNK))
-        phases = np.concatenate([take_phases(recording.observation[chunk]) for chunk in chunks])
-        seen = np.abs(phases).any(axis=(1, 2))
-        able, phases = able[seen], phases[seen]
+    able = np.concatenate([able[:0], *(part[_show_direction(recording, part)] for part in _split(able))])
     if len(able) < 2:
         return None
     place, heading, std = positions[able], lines.heading[able], lines.std[able]
     entry = thin_out(place, CELL_M)
-    largest = np.maximum(np.abs(phases[entry].real), np.abs(phases[entry].imag)).max(axis=(1, 2), keepdims=True)
-    parts = np.stack([phases[entry].real, phases[entry].imag], axis=-1)
-    spectrum = np.rint(parts / largest[..., None] * 127.0).astype(np.int8)
     distance, around = find_nearest(KDTree(place), place[entry], AROUND)
+    # of a million images, only those of the table and around its entries are in memory
+    used, row = np.unique(np.column_stack([entry, around]), return_inverse=True)
+    row = row.reshape(len(entry), -1)
+    phases = np.concatenate([take_phases(recording.observation[part]) for part in _split(able[used])])
+    own = phases[row[:, 0]]
+    largest = np.maximum(np.abs(own.real), np.abs(own.imag)).max(axis=(1, 2), keepdims=True)
+    spectrum = np.rint(np.stack([own.real, own.imag], axis=-1) / largest[..., None] * 127.0).astype(np.int8)
     angle = np.concatenate(
-        [_turn_to(phases, entry[k : k + CHUNK], around[k : k + CHUNK]) for k in range(0, len(entry), CHUNK)]
+        [_turn_to(phases, row[k : k + CHUNK, 0], row[k : k + CHUNK, 1:]) for k in range(0, len(entry), CHUNK)]
     )
     turned = wrap(heading[around] - heading[entry, None])
     near = (distance < REACH_M) & (around != entry[:, None])
@@ -91,6 +90,16 @@ def make_headings(recording: Recording, positions: np.ndarray) -> HeadingTable |
     others = np.setdiff1d(np.arange(len(able)), entry)
     others = others[:: max(1, len(others) // CHECKED)]
     return _scale_std(table, recording.observation[able[others]], place[others], heading[others])
+
+
+def _split(index: np.ndarray) -> list[np.ndarray]:
+    """Indices (n,) in chunks; none if there are none."""
+    return np.array_split(index, -(-len(index) // CHUNK)) if len(index) else []
+
+
+def _show_direction(recording: Recording, index: np.ndarray) -> np.ndarray:
+    """Whether some images (n,) show any direction: a blank one shows none (n,) bool."""
+    return np.asarray(np.abs(take_phases(recording.observation[index])).any(axis=(1, 2)))
 
 
 def fit_lines(recording: Recording, positions: np.ndarray) -> Lines:
