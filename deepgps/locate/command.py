@@ -10,7 +10,7 @@ from deepgps.api.run import Frame, Run
 from deepgps.data.field_of_view import find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.locate.locate import Located, Step, find_shape, locate
-from deepgps.locate.log_source import Odometry, check_camera, open_source
+from deepgps.locate.log_source import Odometry, check_images, open_source
 from deepgps.locate.pictures import open_pictures
 from deepgps.locate.tracker import Tracker
 from deepgps.locate.unwrapping import Unwrapper
@@ -75,7 +75,7 @@ def locate_source(run: Run, source: str, stdin: BinaryIO, wish: Wish, progress: 
         mirrored = wish.track and is_mirrored(run, wish.method)
         view_deg = find_view(run.recording)
         with open_source(Path(source), wish.config, view_deg, wish.track, progress) as log:
-            check_camera(log.polar, shape, view_deg)
+            check_images(log.polar, shape, view_deg)
             step = None if log.odometry is None else make_step(mirrored, log.odometry)
             yield locate(run, log.read(), log.polar.unwrap, wish.method, wish.frame, step, watch)
 

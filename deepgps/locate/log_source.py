@@ -107,7 +107,7 @@ def _follow(robot: RobotConfig, drive: Drive, polar: PolarSource, progress: Repo
     return find_path(angle, robot.wheels.radius_m, robot.wheels.track_m)
 
 
-def check_camera(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
+def check_images(polar: PolarSource, shape: tuple[int, ...], field_of_view_deg: float | None) -> None:
     """Raise InputError if a log's polar images are not like those that a run has learned from.
 
     Args:

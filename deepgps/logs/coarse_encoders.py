@@ -20,7 +20,7 @@ WAIT_S, SETTLE_S = 0.3, 0.15
 after a count, or begins to turn before the next one [s]."""
 
 COARSEST = 12
-"""Ticks of a revolution below which turns in place are told from drives with luck only; 16 were enough in tests."""
+"""Ticks per revolution below which turns in place are not found reliably; 16 were enough in tests."""
 
 
 def fill_counts(wheels: Wheels, topic: str) -> Wheels:
@@ -57,7 +57,7 @@ def _fill(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     change_s, middle = (time_s[row] + time_s[row + 1]) / 2, (angle[row] + angle[row + 1]) / 2
     begins, ends = np.r_[time_s[0], change_s], np.r_[change_s, time_s[-1]]
     rests = ends - begins > WAIT_S
-    count = angle[np.r_[0, row + 1]][rests]  # that stands in each of the times between
+    count = angle[np.r_[0, row + 1]][rests]  # at which the wheel rests in each of these intervals
     knots_s = np.concatenate([change_s, begins[rests] + SETTLE_S, ends[rests] - SETTLE_S])
     order = np.argsort(knots_s, kind="stable")
     return np.interp(time_s, knots_s[order], np.concatenate([middle, count, count])[order])

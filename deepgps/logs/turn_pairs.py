@@ -64,8 +64,8 @@ def _doubt_images(pairs: Pairs, by_wheels: np.ndarray, topic: str) -> list[str]:
     if some.sum() < FEWEST or still.sum() <= MOST_STILL * some.sum():
         return []
     return [
-        f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} looks at turns of the wheels, images do not turn, "
-        f"first at {pairs.first_s[still].min():.1f} s: is the camera frozen or covered there?"
+        f"{topic}: in {still.sum() / some.sum():.0%} of {some.sum()} pairs taken while the wheels turn, images do not "
+        f"turn, first at {pairs.first_s[still].min():.1f} s: is the camera frozen or covered there?"
     ]
 
 
