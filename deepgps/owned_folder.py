@@ -4,7 +4,6 @@ The mark is a file with a name that nothing else writes. In a marked folder only
 removed; other files that a user puts there stay. A folder that is not empty and has no mark is left alone.
 """
 
-import fcntl
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.errors import InputError
-from sim.files import list_files, read_json, remove_empty, remove_files, write_json
+from sim.files import list_files, lock, read_json, remove_empty, remove_files, write_json
 
 MARK = ".deepgps"
 FRESH = ".deepgps-fresh"
@@ -81,7 +80,8 @@ def hold(folder: Path, kind: Kind) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
     try:
-        _lock(mark, folder)
+        if not lock(mark, folder / MARK):
+            raise InputError(f"--out {folder} is in use by another process")
         try:
             if os.fstat(mark).st_size == 0:
                 os.write(mark, kind.text.encode())
@@ -181,16 +181,6 @@ def discard(folder: Path, place: Path, kind: Kind) -> None:
     remove_files(place, kind.files)
     if place != folder:
         remove_empty(place, folder)
-
-
-def _lock(mark: int, folder: Path) -> None:
-    try:
-        fcntl.flock(mark, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        same = os.fstat(mark).st_ino == (folder / MARK).stat().st_ino
-    except (BlockingIOError, FileNotFoundError):  # held, or just removed by the process that held it
-        same = False
-    if not same:
-        raise InputError(f"--out {folder} is in use by another process")
 
 
 def _read_mark(path: Path) -> str | None:

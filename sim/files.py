@@ -6,6 +6,7 @@ a JSON file or in a file ``<name>.sha256`` next to them.
 """
 
 import errno
+import fcntl
 import hashlib
 import json
 import logging
@@ -276,6 +277,19 @@ def link_file(source: Path, target: Path) -> None:
         write_atomic(target, lambda part: shutil.copyfile(source, part), source.stat().st_size)
     else:
         _sync_folder(target.parent)
+
+
+def lock(handle: int, path: Path) -> bool:
+    """Lock an open file or folder against other processes; a dead process holds no lock.
+
+    Returns:
+        False if another process holds it, or the one that held it has just removed ``path``.
+    """
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return os.fstat(handle).st_ino == path.stat().st_ino
+    except (BlockingIOError, FileNotFoundError):
+        return False
 
 
 def remove_files(folder: Path, ours: re.Pattern[str]) -> None:

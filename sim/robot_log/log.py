@@ -4,7 +4,6 @@ The drive is repeated, since a recording holds only its samples. Worker processe
 stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them.
 """
 
-import fcntl
 import logging
 import os
 import re
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files import PART, check_space, list_files, read_json, remove_files, write_json
+from sim.files import PART, check_space, list_files, lock, read_json, remove_files, write_json
 from sim.recording.assemble import read_part
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
@@ -100,12 +99,7 @@ def _hold(work: Path, path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"--log {path}: {work} cannot be made: {error.strerror}") from None
     try:
-        try:
-            fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            same = os.fstat(folder).st_ino == work.stat().st_ino
-        except (BlockingIOError, FileNotFoundError):  # held, or just removed by the process that held it
-            same = False
-        if not same:
+        if not lock(folder, work):
             raise InputError(f"--log {path} is being written by another process")
         yield
     finally:
