@@ -30,7 +30,8 @@ from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
 from sim.renamed import explain_setting, explain_value
-from sim.settings import LARGEST_MJCF, Group, SimSettings, WithPlugins
+from sim.settings import Group, SimSettings
+from sim.settings.group import WithPlugins
 from sim.user_input import quote, read_file, shorten
 
 
@@ -304,7 +305,7 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     """
     if not isfile(Path(path)):
         return None
-    from sim.rooms.mjcf_files import Files
+    from sim.rooms.mjcf_files import LARGEST_MJCF, Files
 
     used = Files(Path(path), field).list_used()
     return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(

@@ -97,6 +97,7 @@ WITHOUT_MUJOCO = {
         "sim.sensors.encoder_faults",
         "sim.sensors.camera_faults",
     ),
+    *(f"sim.settings.{name}" for name in ("deployment", "drive", "group", "robot", "sensors", "world")),
     *(
         "sim.robot_log.messages",
         "sim.robot_log.mcap_file",

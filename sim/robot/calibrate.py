@@ -9,8 +9,9 @@ import numpy as np
 from sim.robot.chassis import Chassis
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, Body, wheel_speeds
 from sim.robot.own import describe_own
+from sim.rooms.mjcf_files import LARGEST_MJCF
 from sim.rooms.spec import empty_room
-from sim.settings import LARGEST_MJCF, DriveSettings, RobotSettings, SimSettings
+from sim.settings import DriveSettings, RobotSettings, SimSettings
 from sim.user_input import read_file, shorten
 
 RAMP_S = 0.5

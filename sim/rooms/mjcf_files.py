@@ -7,9 +7,10 @@ from os.path import exists, isdir, isfile, realpath
 from pathlib import Path
 
 from sim.errors import InputError
-from sim.settings import LARGEST_MJCF
 from sim.user_input import read_file, shorten
 
+LARGEST_MJCF = 64 * 1024 * 1024
+"""Largest size of each XML file of a user's own room or robot, in bytes."""
 MOST_ELEMENTS = 100_000
 MOST_ATTRIBUTES = 1_000_000
 MOST_FILES = 200

@@ -17,7 +17,8 @@ from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.sensors import gl
 from sim.sensors.fisheye import Fisheye
-from sim.settings import SMALLEST_M, CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+from sim.settings.world import SMALLEST_M
 
 MARK = ("Software", "deepgps")
 """Mark of origin in the picture's metadata, so that no other picture is overwritten."""

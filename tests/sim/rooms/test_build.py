@@ -10,7 +10,8 @@ from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.rooms.plans import PLANS
-from sim.settings import SMALLEST_M, RoomKind, RoomSettings, RoomShape
+from sim.settings import RoomKind, RoomSettings, RoomShape
+from sim.settings.world import SMALLEST_M
 
 RADIUS_M, HEIGHT_M = 0.105, 0.37
 KINDS = [kind for kind in get_args(RoomKind) if kind not in SMALLEST_M]

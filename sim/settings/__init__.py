@@ -1,0 +1,170 @@
+"""Settings of world, robot, sensors and driving."""
+
+import math
+
+from pydantic import model_validator
+
+from sim.settings.deployment import DeploymentMountSettings, DeploymentSettings
+from sim.settings.drive import DriveSettings, GridSettings
+from sim.settings.group import Group
+from sim.settings.robot import EncoderSettings, RobotSettings
+from sim.settings.sensors import (
+    CameraMountSettings,
+    CameraSettings,
+    ImageFaultSettings,
+    LidarSettings,
+    SensorName,
+    TagCameraSettings,
+)
+from sim.settings.world import (
+    LandmarksSettings,
+    ObstaclesSettings,
+    RoomKind,
+    RoomSettings,
+    RoomShape,
+    WorldName,
+)
+from sim.user_input import shorten
+
+__all__ = [
+    "NO_FAULTS",
+    "CameraMountSettings",
+    "CameraSettings",
+    "DeploymentMountSettings",
+    "DeploymentSettings",
+    "DriveSettings",
+    "EncoderSettings",
+    "GridSettings",
+    "Group",
+    "ImageFaultSettings",
+    "LandmarksSettings",
+    "LidarSettings",
+    "ObstaclesSettings",
+    "RobotSettings",
+    "RoomKind",
+    "RoomSettings",
+    "RoomShape",
+    "SensorName",
+    "SimSettings",
+    "TagCameraSettings",
+    "WorldName",
+]
+
+LARGEST_GRID = 250_000_000
+"""Most distances that a test grid in a plane holds: 1 GB."""
+
+
+class SimSettings(Group):
+    """All settings that determine a recording."""
+
+    world: WorldName = "room"
+    """room: a furnished room in MuJoCo; landmarks: a plane with landmarks; obstacles: a plane with obstacles, sensed by
+    a lidar. The planar worlds have neither camera nor physics."""
+    sensor: SensorName = "fisheye"
+    """Sensor in a room. fisheye: the upward camera; lidar: horizontal rays all around, which need no renderer."""
+    room: RoomSettings = RoomSettings()
+    landmarks: LandmarksSettings = LandmarksSettings()
+    obstacles: ObstaclesSettings = ObstaclesSettings()
+    lidar: LidarSettings = LidarSettings()
+    robot: RobotSettings = RobotSettings()
+    camera: CameraSettings = CameraSettings()
+    tag_camera: TagCameraSettings = TagCameraSettings()
+    encoder: EncoderSettings = EncoderSettings()
+    drive: DriveSettings = DriveSettings()
+    grid: GridSettings = GridSettings()
+    image_faults: ImageFaultSettings = ImageFaultSettings()
+    camera_mount: CameraMountSettings = CameraMountSettings()
+    deployment: DeploymentSettings = DeploymentSettings()
+
+    @model_validator(mode="after")
+    def _segments_have_room(self) -> "SimSettings":
+        if self.world == "room":
+            return self
+        side_m = (
+            self.landmarks.side_m
+            if self.world == "landmarks"
+            else self.obstacles.side_m - 2 * self.obstacles.clearance_m
+        )
+        longest = min(side_m, self.drive.longest_m)
+        if 4 * self.drive.spacing_m > longest:
+            raise ValueError(
+                f"drive.spacing_m {self.drive.spacing_m} m must be at most a quarter of the longest segment in the "
+                f"{self.world} world, {longest:g} m"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_test_grid_fits_into_memory(self) -> "SimSettings":
+        if self.world == "room":
+            return self
+        side_m, values = (
+            (self.landmarks.side_m, self.landmarks.count)
+            if self.world == "landmarks"
+            else (self.obstacles.side_m, self.lidar.rays * self.lidar.headings)
+        )
+        least_m = side_m / (math.sqrt(LARGEST_GRID / (values * self.grid.headings)) - 1.0)
+        if self.grid.spacing_m < least_m:
+            raise ValueError(
+                f"grid.spacing_m {self.grid.spacing_m:g} m must be at least {math.ceil(1000 * least_m) / 1000:g} m in "
+                f"a square of {side_m:g} m with grid.headings {self.grid.headings} and {values} distances in an "
+                f"observation: a test grid holds at most {LARGEST_GRID:,} distances"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _a_site_places_the_camera_of_an_own_robot(self) -> "SimSettings":
+        if self.robot.mjcf is not None and self.camera.height_m != CameraSettings().height_m:
+            raise ValueError(
+                f"camera.height_m {self.camera.height_m:g} must be left out with robot.mjcf: its site "
+                f"{shorten(self.robot.camera_site)} places the camera"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _only_a_room_is_seen(self) -> "SimSettings":
+        if self.world != "room" and self.tag_camera.mounted:
+            raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
+        if self.tag_camera.mounted and self.room.mjcf is None and self.room.kind != "lab":
+            raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {self.room.kind} has none")
+        if self.world != "room" and self.grid.held_out:
+            raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
+        if self.world != "room" and self.deployment.drive_samples:
+            raise ValueError(
+                f"deployment.drive_samples {self.deployment.drive_samples} needs world room, and the world is "
+                f"{self.world}"
+            )
+        default = DriveSettings()
+        changed = [name for name in DRIVES_IN_ROOMS if getattr(self.drive, name) != getattr(default, name)]
+        if self.world != "room" and changed:
+            value = getattr(self.drive, changed[0])
+            raise ValueError(f"drive.{changed[0]} {value} needs world room, and the world is {self.world}")
+        return self
+
+    @model_validator(mode="after")
+    def _only_a_camera_has_its_faults(self) -> "SimSettings":
+        if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
+            raise ValueError("drive.mixed_light needs world room and sensor fisheye")
+        changes = self.deployment.model_copy(update={"drive_samples": 0})  # any sensor can be driven with
+        faulty = self.model_copy(update={"deployment": changes})
+        faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]
+        if faults and (self.world != "room" or self.sensor != "fisheye"):
+            raise ValueError(f"{faults[0]} has faults of images, which need world room and sensor fisheye")
+        if changes != DeploymentSettings() and self.grid.held_out:
+            raise ValueError(
+                f"deployment changes the room of the test grid, and grid.held_out {self.grid.held_out} has none"
+            )
+        if self.deployment.moved_m and self.room.mjcf is not None:
+            raise ValueError(
+                "deployment.moved_m needs a room whose furniture is known, and room.mjcf is one of your own"
+            )
+        return self
+
+
+DRIVES_IN_ROOMS = ("strategy", "lengths", "headings", "enter", "search", "arcs", "stop_distance_m")
+"""Settings of the drive that a robot in a plane, which has no range finder, does not use."""
+NO_FAULTS: dict[str, Group] = {
+    "image_faults": ImageFaultSettings(),
+    "camera_mount": CameraMountSettings(),
+    "deployment": DeploymentSettings(),
+}
+"""Groups of image faults with their default values, which are off."""

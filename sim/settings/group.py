@@ -1,0 +1,76 @@
+"""A group of settings: frozen, and checked once when it is created."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, get_args
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+)
+from pydantic_core import PydanticCustomError
+
+
+class Group(BaseModel):
+    """A frozen group of settings; unknown keys, infinities, NaN and true or false in place of a number are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", validate_default=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _true_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
+        if _holds_bool(value) and _takes_only_numbers(cls.model_fields[str(info.field_name)].annotation):
+            raise PydanticCustomError("number_type", "Input should be numeric, not true or false")
+        return value
+
+
+def _holds_bool(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return any(map(_holds_bool, value.values()))
+    return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_bool, value)))
+
+
+def _takes_only_numbers(annotation: Any) -> bool:
+    """Whether a field of this type, or a list or table in it, takes numbers but neither true nor groups that may."""
+    parts = list(_list_types(annotation))
+    groups = any(isinstance(part, type) and issubclass(part, Group) for part in parts)
+    return (int in parts or float in parts) and bool not in parts and Any not in parts and not groups
+
+
+def _list_types(annotation: Any) -> Iterator[Any]:
+    """The types that a type is composed of; those of a Literal are its values."""
+    yield annotation
+    for part in get_args(annotation):
+        yield from _list_types(part)
+
+
+class WithLater(Group):
+    """A group whose later settings are not written while they have their defaults: recordings keep their hash.
+
+    Attributes:
+        later: Names of the settings that are younger than the group.
+    """
+
+    later: ClassVar[frozenset[str]] = frozenset()
+
+    @model_serializer(mode="wrap")
+    def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        usual = {name: type(self).model_fields[name].default for name in self.later}
+        return {name: value for name, value in write(self).items() if name not in usual or value != usual[name]}
+
+
+class WithPlugins(Group):
+    """A group with a dictionary ``plugins``: an empty one is not written, so a run without plugins keeps its hash."""
+
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())  # a dictionary has no hash
+
+    @model_serializer(mode="wrap")
+    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values = write(self)
+        if not values.get("plugins"):
+            values.pop("plugins", None)
+        return values

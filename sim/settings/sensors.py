@@ -1,0 +1,113 @@
+"""Settings of what looks at the world: the lidar, the cameras, and faults of image and mounting."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from sim.settings.group import Group, WithLater
+
+SensorName = Literal["fisheye", "lidar"]
+
+
+class LidarSettings(Group):
+    """The lidar: ordered distances all around the robot in one plane."""
+
+    rays: int = Field(default=256, ge=8, le=4096)
+    """Rays of one scan, evenly spaced, the first straight ahead."""
+    headings: int = Field(default=1, ge=1, le=64)
+    """Scans at each place, each turned from the last by 1 / headings of the angle between two rays. A turn by a full
+    ray only shifts a scan circularly, so that training can draw any of rays x headings."""
+    reach_m: float = Field(default=8.0, ge=0.1, le=1000.0)
+    """Longest distance measured [m] (LDS-02, the TurtleBot3's lidar: 8 m); also the reading if nothing is nearer."""
+    height_m: float = Field(default=0.18, ge=0.02, le=1.5)
+    """Height of the rays above the floor, in rooms [m] (TurtleBot3 Burger: 0.18)."""
+    noise_m: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each distance [m]."""
+
+
+class CameraSettings(Group):
+    """The upward fisheye camera."""
+
+    height_m: float = Field(default=0.35, ge=0.2, le=1.5)
+    """Height of the lens above the floor [m]."""
+    field_of_view_deg: float = Field(default=190.0, ge=60.0, le=190.0)
+    """Full angle of the image cone about the zenith [deg]."""
+    k1: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Kannala-Brandt coefficient of theta^3; all four zero is the equidistant lens."""
+    k2: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Kannala-Brandt coefficient of theta^5."""
+    k3: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Kannala-Brandt coefficient of theta^7."""
+    k4: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Kannala-Brandt coefficient of theta^9."""
+    rings: int = Field(default=32, ge=4, le=256)
+    """Rows of the polar image, from zenith to rim."""
+    sectors: int = Field(default=128, ge=8, le=1024)
+    """Columns of the polar image, once around."""
+    face_px: int = Field(default=96, ge=16, le=512)
+    """Side length of each rendered pinhole face [px]."""
+
+
+class TagCameraSettings(Group):
+    """A horizontal pinhole camera on the robot that sees tags, from which labels are made (Sec. IV-C)."""
+
+    mounted: bool = False
+    """Whether the robot has it; needs a room with tags, as room.kind lab or your own."""
+    field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
+    """Full angle across the image [deg]."""
+    width_px: int = Field(default=960, ge=64, le=4096)
+    """Columns of the image."""
+    height_px: int = Field(default=540, ge=64, le=4096)
+    """Rows of the image."""
+    height_m: float = Field(default=0.28, ge=0.1, le=1.5)
+    """Height of its middle above the floor [m]."""
+    ahead_m: float = Field(default=-0.04, ge=-0.1, le=0.1)
+    """Distance in front of the wheel axle [m]."""
+    yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
+    """Direction of view, left of straight ahead [deg]; backwards by default, as the robot stops at obstacles."""
+    kept: bool = False
+    """Whether the recording keeps its images, 0.5 MB each, in addition to the tags found in them."""
+
+
+class ImageFaultSettings(Group):
+    """Faults of the camera's sensor: they act on finished images, in training and in deployment."""
+
+    exposure: float = Field(default=1.0, gt=0.0, le=16.0)
+    """Exposure time, as a fraction of that of an image without faults; values brighter than white are cut off."""
+    vignetting: float = Field(default=0.0, ge=0.0, le=0.99)
+    """Fraction of the light that is lost at the rim of the image, decreasing to none in the middle."""
+    read_noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each sensor pixel's noise in the dark, as a fraction of white, in linear light."""
+    shot_noise: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Standard deviation of each sensor pixel's photon noise at white, as a fraction of it; it grows with the root of
+    the light. One over the root of the electrons that fill a pixel: 0.01 for 10,000 of them."""
+    sensor_px: int = Field(default=480, ge=16, le=8192)
+    """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
+    turn_deg: float = Field(default=0.0, ge=0.0, le=90.0)
+    """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
+
+
+class MountSettings(WithLater):
+    """A mounting of the camera."""
+
+    later = frozenset({"ahead_m", "left_m", "centre_px"})
+
+
+class CameraMountSettings(MountSettings):
+    """Faults of the camera's mounting and of its motion: they are rendered, in training and in deployment."""
+
+    roll_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
+    """The camera's axis leans to the robot's right by this [deg]."""
+    pitch_deg: float = Field(default=0.0, ge=-30.0, le=30.0)
+    """The camera's axis leans forward by this [deg]."""
+    wobble_deg: float = Field(default=0.0, ge=0.0, le=10.0)
+    """Standard deviation of an additional random lean of each image, to the right and forward [deg]."""
+    driven_m: float = Field(default=0.0, ge=0.0, le=0.5)
+    """Distance that the robot drives while the shutter is open: speed x exposure time [m]."""
+    ahead_m: float = Field(default=0.0, ge=-0.1, le=0.1)
+    """The camera is ahead of the wheel axle by this [m]; positions remain those of the axle's middle."""
+    left_m: float = Field(default=0.0, ge=-0.1, le=0.1)
+    """The camera is to the left of the axle's middle by this [m]."""
+    centre_px: float = Field(default=0.0, ge=-50.0, le=50.0)
+    """The optical centre is this far ahead of where the unwrapping assumes it, for want of a calibration; pixels of a
+    round image with a diameter of 480 [px]."""

@@ -1,0 +1,81 @@
+"""Settings of the world: the room, or one of the paper's planes."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from sim.settings.group import Group, WithLater
+
+WorldName = Literal["room", "landmarks", "obstacles"]
+RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth"]
+RoomShape = Literal["rectangle", "l", "u", "pillar", "two_rooms"]
+SMALLEST_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
+"""Smallest width and depth [m] of the kinds with walls inside, whose only shape is a rectangle."""
+Metres = Annotated[float, Field(ge=2.0, le=30.0)]
+
+
+class RoomSettings(WithLater):
+    """The room to build, or the MJCF file to use instead."""
+
+    later = frozenset({"look_alike"})
+
+    kind: RoomKind = "living_room"
+    """Purpose of the room, which determines its furniture."""
+    shape: RoomShape = "rectangle"
+    """Outline of the walls; two_rooms: a wall between two rooms, with a doorway."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of everything random about the room."""
+    width_m: Metres | None = None
+    """Extent along x [m]; None: the default of the kind."""
+    depth_m: Metres | None = None
+    """Extent along y [m]; None: the default of the kind."""
+    look_alike: bool = False
+    """Places look alike: all walls have the same wallpaper, whose motif repeats, the ceiling has panels with the same
+    lamp at regular distances, and pieces of furniture of one name are the same. In a labyrinth, all walls have one
+    texture in place of two to four."""
+    mjcf: str | None = Field(default=None, max_length=4096, pattern=r"^[^\x00]*$")
+    """Your own room: path of an MJCF file, used instead of kind, shape, seed, size and look_alike."""
+
+    @model_validator(mode="after")
+    def _walls_inside_have_room(self) -> "RoomSettings":
+        if self.kind == "lab" and self.look_alike:
+            raise ValueError("look_alike: a lab has tags that are all different")
+        smallest = SMALLEST_M.get(self.kind)
+        if smallest is None or self.mjcf is not None:
+            return self
+        if self.shape != "rectangle":
+            raise ValueError(f"shape {self.shape}: a {self.kind} has walls of its own inside a rectangle")
+        for name, size in (("width_m", self.width_m), ("depth_m", self.depth_m)):
+            if size is not None and size < smallest:
+                raise ValueError(f"{name} {size:g}: a {self.kind} needs at least {smallest:g} m")
+        return self
+
+
+class LandmarksSettings(Group):
+    """The paper's planar world: a square with landmarks; the robot senses only its distances to them (Sec. IV-A)."""
+
+    count: int = Field(default=128, ge=3, le=4096)
+    """Number of landmarks; they are identifiable, so each distance is assigned to its landmark."""
+    seed: int | None = Field(default=None, ge=0)
+    """Seed of the landmarks' positions; None: the scenario's seed."""
+    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
+    """Side of the square, its middle at the origin [m]."""
+    reach_m: float | None = Field(default=None, gt=0.0, le=1e6)
+    """Farther landmarks are not seen: their distance reads as this [m] (the paper's d_max); None: no limit."""
+    segments: int = Field(default=128, ge=1, le=1_000_000)
+    """Straight segments to drive, each from wall to wall; drive.samples may end the drive earlier."""
+
+
+class ObstaclesSettings(Group):
+    """The paper's lidar maps (its appendix): a walled square with rectangular obstacles along its axes."""
+
+    seed: int | None = Field(default=None, ge=0)
+    """Seed of the obstacles; None: the scenario's seed."""
+    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
+    """Side of the square, its middle at the origin [m]."""
+    count: int = Field(default=20, ge=0, le=1000)
+    """Rectangles with sides of 3 to 20 % of the square's; they may overlap, or leave passages of 6 %."""
+    clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
+    """The robot is a point that keeps this distance from walls and obstacles [m]."""
+    relocate_after: int = Field(default=10, ge=0, le=1_000_000)
+    """Segments after which the robot is relocated at random without being informed; 0: it never is."""
