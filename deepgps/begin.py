@@ -7,8 +7,8 @@ import time
 from multiprocessing import current_process
 from pathlib import Path
 
-from deepgps.command.signals import leave_at_signals
-from deepgps.command.streams import open_streams
+from deepgps.terminal.signals import leave_at_signals
+from deepgps.terminal.streams import open_streams
 
 BEGUN = time.monotonic()
 IS_WORKER = current_process().name != "MainProcess"  # known before parent_process() is

@@ -27,7 +27,7 @@ ORDER = (
     ("sim.planar", "sim.tools", "sim.environment", "sim.robot_log"),
     ("deepgps.methods.catalog",),
     ("deepgps",),
-    ("deepgps.command",),
+    ("deepgps.terminal",),
     ("deepgps.data",),
     ("deepgps.diagnosis",),
     ("deepgps.initial_map",),
@@ -54,7 +54,7 @@ ORDER = (
     ("deepgps.locate",),
     ("deepgps.export",),
     ("deepgps.__init__",),
-    ("deepgps.cli_arguments",),
+    ("deepgps.commands",),
     ("deepgps.cli",),
 )
 """A module takes only what comes earlier; the longest name that it begins with counts. Those side by side are apart."""
@@ -103,9 +103,9 @@ WITHOUT_MUJOCO = {
         "sim.robot_log.mcap_file",
     ),
 }
-ENTRY_POINTS = ("deepgps.cli", "deepgps.stages")
+ENTRY_POINTS = ("deepgps.commands", "deepgps.stages")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl", "sim.robot_log")
-ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.cli_arguments", "ray": "deepgps.studies.engine.ray_cluster"}
+ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.commands", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),
     *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
@@ -346,7 +346,7 @@ def test_package_has_no_import_cycle(package):
         ("sim.sensors.fisheye", "from . import lens", "relative"),
         ("deepgps.learning.trainer", "from deepgps.methods import knn", "comes before deepgps.methods"),
         ("deepgps.learning.trainer", "import rerun", "only deepgps.viewer may"),
-        ("deepgps.learning.trainer", "from tyro import cli", "only deepgps.cli_arguments may"),
+        ("deepgps.learning.trainer", "from tyro import cli", "only deepgps.commands may"),
         ("deepgps.run", "import ray", "only deepgps.studies.engine.ray_cluster may"),
         ("deepgps.learning.trainer", "import mujoco.viewer", "never imports mujoco"),
         ("deepgps.learning.trainer", "def f():\n    import sim.recording.collect", "only the modules without MuJoCo"),
@@ -364,7 +364,7 @@ def test_import_law_allows_what_it_should():
     assert break_import_law("deepgps.viewer.scene", viewer) == []
     assert break_import_law("deepgps.stages", "def f():\n    from sim.recording.collect import collect") == []
     assert break_import_law("sim.sensors.fisheye", "import mujoco, cv2") == []
-    assert break_import_law("deepgps.cli_arguments", "import tyro") == []
+    assert break_import_law("deepgps.commands.parse", "import tyro") == []
 
 
 @pytest.mark.parametrize(

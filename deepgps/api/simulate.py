@@ -115,7 +115,7 @@ def _prepare(undriven: Sequence[Scenario], progress: bool) -> Iterator[Report]:
     choose_renderer_for(undriven)
     try:
         if progress:
-            from deepgps.command.terminal import errors
+            from deepgps.terminal.console import errors
 
             with show_progress(errors) as report:
                 yield report

@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from deepgps.command import terminal
 from deepgps.progress import Lines, show_progress, write_time
+from deepgps.terminal import console
 
 
 class Clock:
@@ -105,12 +105,12 @@ def test_a_label_with_brackets_is_no_markup() -> None:
 def test_errors_and_warnings_are_printed_as_they_are(capsys) -> None:
     for text in ("pattern 'a\\[/x]' :smile: [red]", "ends in \\", "[/]"):
         for kind in ("error", "warning", ""):
-            terminal.print_error(kind, text)
+            console.print_error(kind, text)
             assert capsys.readouterr().err == f"{kind}: {text}\n".removeprefix(": ")
 
 
 def test_warnings_of_all_modules_are_one_line_each(capsys) -> None:
-    with terminal.show_warnings():
+    with console.show_warnings():
         logging.getLogger("sim.recording.collect").warning("%s was damaged\nand is made again", "features")
         logging.getLogger("deepgps.run").info("not said")
         logging.getLogger("elsewhere").info("not said")

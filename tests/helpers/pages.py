@@ -16,7 +16,9 @@ from unittest.mock import patch
 
 import yaml
 
-from deepgps.cli_arguments import StudyArguments, parse, parse_scenario
+from deepgps.commands.parse import parse
+from deepgps.commands.scenario import parse_scenario
+from deepgps.commands.study import StudyArguments
 from deepgps.logs.robot_config import load_config
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import ignore

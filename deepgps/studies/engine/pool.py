@@ -10,9 +10,9 @@ from multiprocessing.connection import Connection, wait
 from subprocess import Popen
 from typing import NamedTuple, Protocol
 
-from deepgps.command.streams import open_streams
-from deepgps.command.terminal import warn_plainly
 from deepgps.studies.engine.worker import Failures
+from deepgps.terminal.console import warn_plainly
+from deepgps.terminal.streams import open_streams
 from sim.errors import InputError, WorkError, one_line
 from sim.processes import start_process
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.command.failures import FAULT, Fault, explain, working_in
-from deepgps.command.signals import Stopped
+from deepgps.terminal.failures import FAULT, Fault, explain, working_in
+from deepgps.terminal.signals import Stopped
 from sim.errors import InputError, WorkError
 from tests.helpers.command import MINI, deepgps, drop_progress, wait_until
 
@@ -90,7 +90,7 @@ SWALLOWING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
 from deepgps import begin
-from deepgps.command.signals import stop_at_signals
+from deepgps.terminal.signals import stop_at_signals
 
 class Loud:
     def __del__(self):
@@ -124,7 +124,7 @@ WAITING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
 from deepgps import begin
-from deepgps.command import signals
+from deepgps.terminal import signals
 
 signals.LIMIT_S = 0.5
 signals.stop_at_signals()

@@ -9,8 +9,8 @@ from typing import get_origin
 
 import pytest
 
-from deepgps.cli import SUMMARIES, main
-from deepgps.command.help import COLUMNS, FIRST
+from deepgps.cli import COMMANDS, main
+from deepgps.commands.short_help import COLUMNS, FIRST
 from deepgps.scenario import Scenario, names_in
 from deepgps.spelling import as_option, find_settings_like, from_option, list_settings
 from sim.paths import SCENARIOS
@@ -67,7 +67,7 @@ def test_a_typing_error_is_one_line_with_a_hint(line: str, hint: str, capsys, tm
 def test_help_lists_every_command(words, capsys):
     code, said, _ = say(words, capsys)
     assert code == 0
-    assert all(f"\n  {name} " in said for name in SUMMARIES)
+    assert all(f"\n  {name} " in said for name in COMMANDS)
     assert max(map(len, said.splitlines())) <= COLUMNS
 
 
@@ -118,7 +118,7 @@ def test_help_names_what_to_write(command, word, capsys):
 
 
 def test_a_switch_needs_no_value():
-    from deepgps.cli_arguments import parse_scenario
+    from deepgps.commands.scenario import parse_scenario
 
     _, source = parse_scenario("run", ["lab", "--tag-camera.kept", "--learn.train.shift", "false"], "")
     scenario = source.scenario
@@ -158,7 +158,7 @@ def test_completion_in_bash(capsys, tmp_path):
 def test_completion_in_other_shells_names_the_same_words(shell, capsys):
     _, script, _ = say(["completion", shell], capsys)
     words = script.replace('"', " ").replace("'", " ").split()
-    assert {*names_in(SCENARIOS), *SUMMARIES} <= set(words)
+    assert {*names_in(SCENARIOS), *COMMANDS} <= set(words)
     assert [name for name in SETTINGS if as_option(name).removeprefix("--") not in script] == []
 
 

@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from deepgps.command.signals import describe_signal, is_interrupt
+from deepgps.terminal.signals import describe_signal, is_interrupt
 from sim.errors import InputError, WorkError, one_line
 
 FULL = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why

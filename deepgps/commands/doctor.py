@@ -1,0 +1,27 @@
+"""The command that checks this machine."""
+
+from collections.abc import Sequence
+
+from deepgps.commands.command import NoArguments
+from deepgps.commands.parse import parse
+from deepgps.terminal.console import console
+from sim.errors import WorkError
+
+
+def doctor_command(words: Sequence[str]) -> None:
+    """Check this machine's renderer, packages, processor and device, and say how to fix what is missing."""
+    parse(NoArguments, "doctor", words, doctor_command.__doc__)
+    from rich.markup import escape
+
+    from deepgps.learning.trainer import describe_device
+    from sim.tools.doctor import diagnose
+
+    findings = diagnose()
+    for finding in findings:
+        mark = "[green]ok[/green]  " if finding.ok else "[red]lack[/red]"
+        console.print(f"{mark} {finding.name:<12} {escape(finding.text)}", soft_wrap=True)
+        if not finding.ok:
+            console.print(f"     {'':<12} cure: {escape(finding.cure)}", soft_wrap=True)
+    console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
+    if not all(finding.ok for finding in findings):
+        raise WorkError("something is missing; the remedies are listed above")

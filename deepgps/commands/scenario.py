@@ -1,0 +1,126 @@
+"""The arguments of the commands that take a scenario: their own, and its settings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, make_dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from deepgps.commands.parse import HELP, OptionalFolder, Plugins, list_options, parse, show_arguments
+from deepgps.commands.short_help import write_help
+from deepgps.plugins import load_plugins
+from deepgps.scenario import Scenario, names_in
+from deepgps.source import Source, find_source
+from deepgps.spelling import as_option, find_group, find_like, find_settings_like, find_type, from_option, suggest
+from sim.errors import InputError
+from sim.paths import SCENARIOS
+from sim.renamed import explain_setting
+from sim.settings import Group
+from sim.user_input import shorten
+
+
+@dataclass(frozen=True)
+class RunArguments:
+    scenario: Annotated[str, tyro.conf.arg(metavar="SCENARIO"), tyro.conf.Positional]
+    """A name in assets/scenarios, the path of a YAML file, or the folder of a run or of a recording."""
+    out: OptionalFolder = None
+    """The run folder itself; default: that of the run, or runs/<scenario>/seed<seed>-<hash>."""
+    fresh: bool = False
+    """Make the run again; the old one is replaced once the new one is complete."""
+    live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
+    """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """Also write the log that a robot would have recorded of the drive, as MCAP: raw pictures, wheels, rays, truth."""
+    plugin: Plugins = ()
+    """Files of plugins, with methods and encoder faults of your own."""
+
+
+def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Source]:
+    """Parse a command's own arguments and its scenario with overrides; ``--help`` shows a short help and exits,
+    ``--help GROUP`` the settings of a group, ``--help-all`` every setting."""
+    if set(HELP) & set(words):
+        _help_with_scenario(command, words, about)
+    own, overrides = _split(words, list_options(RunArguments))
+    if not own or own[0].startswith("-"):
+        what = f"{', '.join(names_in(SCENARIOS))}, a path, or the folder of a run or a recording"
+        raise InputError(f"deepgps {command} needs a scenario first: {what}")
+    arguments = parse(RunArguments, command, own, about)
+    load_plugins(arguments.plugin)
+    return arguments, find_source(arguments.scenario, overrides, arguments.out, arguments.fresh)
+
+
+def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str], dict[str, Any]]:
+    """Separate the command's own words from overrides such as ``--room.seed 3``, which the scenario itself checks."""
+    own, overrides = [], {}
+    flag, values = None, []
+    for word in [*words, "--"]:
+        if not word.startswith("--"):
+            values.append(word)
+            continue
+        if flag is None or flag in own_options:
+            own += [*([flag] if flag else []), *values]
+        elif (kind := find_type(name := from_option(flag), Scenario)) is None:
+            raise InputError(f"{shorten(flag)}: {_explain_unknown(name, own_options)}")
+        elif not values and kind is bool:
+            overrides[name] = True
+        elif not values:
+            raise InputError(f"{flag} needs a value")
+        else:
+            plain = [None if value.lower() in {"none", "null"} else value for value in values]
+            overrides[name] = plain if name == "methods" else plain[0]
+            if len(plain) > 1 and name != "methods":
+                raise InputError(f"{flag} takes one value, not {' '.join(values)}")
+        flag, _, value = word.partition("=")
+        values = [value] if value else []
+    return own, overrides
+
+
+def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
+    """What to say of an option that is no setting."""
+    if renamed := explain_setting(name, as_option):
+        return renamed
+    like = [find_like(as_option(name), own_options)] if "." not in name else []
+    found = [*like, *map(as_option, find_settings_like(name, Scenario))]
+    group = next((field for key, field in _list_groups() if key == name.rpartition(".")[0]), None)
+    if not any(found) and group:
+        settings = (as_option(f"{name.rpartition('.')[0]}.{key}") for key in group.model_fields)
+        return f"there is no such setting; there are {', '.join(settings)}"
+    return f"there is no such setting{suggest(found) or '; deepgps run --help-all lists them'}"
+
+
+def _list_groups() -> list[tuple[str, type[Group]]]:
+    """Groups of a scenario's settings by name, then those inside them."""
+    groups = _list_inner_groups("", Scenario)
+    return [*groups, *(inner for name, group in groups for inner in _list_inner_groups(f"{name}.", group))]
+
+
+def _list_inner_groups(before: str, kind: type[Group]) -> list[tuple[str, type[Group]]]:
+    found = ((before + name, find_group(field.annotation)) for name, field in kind.model_fields.items())
+    return [(name, group) for name, group in found if group]
+
+
+def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -> None:
+    """Print the help that the words ask for, and exit."""
+    asked = next(place for place, word in enumerate(words) if word in HELP)
+    topic = from_option(next(iter(words[asked + 1 :]), ""))
+    if words[asked] == "--help-all" or topic == "all":
+        _show_settings(command, about)
+    if not topic or words[asked + 1].startswith("-"):
+        print(write_help(command, about))
+        raise SystemExit(0)
+    groups = dict(_list_groups())
+    if topic not in groups:
+        hint = suggest([find_like(topic, groups)]) or f"; there are {', '.join(groups)}, all"
+        raise InputError(f"deepgps {command} --help {shorten(topic)}: there is no such group of settings{hint}")
+    shown = Annotated[groups[topic], tyro.conf.arg(name=topic), tyro.conf.FlagConversionOff]
+    settings = make_dataclass("Settings", [("group", shown, groups[topic]())])
+    show_arguments(settings, command, f"Settings of the group {topic}.")
+
+
+def _show_settings(command: str, about: str | None) -> None:
+    @dataclass(frozen=True)
+    class Everything(RunArguments):
+        settings: Annotated[Scenario, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = Scenario()  # noqa: RUF009 (frozen)
+
+    show_arguments(Everything, command, about)
