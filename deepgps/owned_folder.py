@@ -63,25 +63,30 @@ def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
 
 
 @contextmanager
-def hold(folder: Path, kind: Kind) -> Iterator[None]:
+def hold(folder: Path, kind: Kind, named: str = "--out") -> Iterator[None]:
     """Lock an owned folder, or one that becomes owned, against other processes; a dead process holds no lock.
 
     An interrupted replacement is finished first. A folder that holds nothing at the end is left as it was found.
 
+    Args:
+        folder: The folder.
+        kind: Its kind.
+        named: What messages write before its path: the option that gave it, or what it is.
+
     Raises:
         InputError: The folder holds something that is not deepgps's, cannot be written, or is in use.
     """
-    check_owner(folder, kind)
+    check_owner(folder, kind, named)
     created = [path for path in (folder, *folder.parents) if not path.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Whatever has this name, no link is followed and nothing is truncated.
         mark = os.open(folder / MARK, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
     except OSError as error:
-        raise InputError(f"--out {folder} cannot be written: {error.strerror}") from None
+        raise InputError(f"{named} {folder} cannot be written: {error.strerror}") from None
     try:
         if not lock(mark, folder / MARK):
-            raise InputError(f"--out {folder} is in use by another process")
+            raise InputError(f"{named} {folder} is in use by another process")
         try:
             if os.fstat(mark).st_size == 0:
                 os.write(mark, kind.text.encode())
@@ -94,33 +99,33 @@ def hold(folder: Path, kind: Kind) -> Iterator[None]:
         os.close(mark)
 
 
-def check_owner(folder: Path, kind: Kind) -> None:
-    """Raise InputError for a folder that is not empty and has no mark of this kind."""
+def check_owner(folder: Path, kind: Kind, named: str = "--out") -> None:
+    """Raise InputError for a folder that is not empty and has no mark of this kind; ``named`` as in ``hold``."""
     try:
         names = os.listdir(folder) if folder.exists() else []
         if not names:
             return
         text = _read_mark(folder / MARK)
     except NotADirectoryError:
-        raise InputError(f"--out {folder} is a file, and must be a folder") from None
+        raise InputError(f"{named} {folder} is a file, and must be a folder") from None
     except OSError as error:
-        raise InputError(f"--out {folder} cannot be read: {error.strerror}") from None
+        raise InputError(f"{named} {folder} cannot be read: {error.strerror}") from None
     if (text or "").startswith(kind.head) or (text == "" and names == [MARK]):
         return
     if text is not None:
         other = re.match(r"deepgps (\w+) folder", text)
         what = f"says that it is a {other[1]} folder" if other else "is damaged, or not from deepgps"
         raise InputError(
-            f"--out {folder}: its mark {MARK} {what}; choose another folder for a {kind.name}, or, if it is one, "
+            f"{named} {folder}: its mark {MARK} {what}; choose another folder for a {kind.name}, or, if it is one, "
             f"write '{kind.head}' into the mark"
         )
     if is_older(folder, kind):
         raise InputError(
-            f"--out {folder} holds a {kind.name} of an earlier version, which is read but not changed; "
+            f"{named} {folder} holds a {kind.name} of an earlier version, which is read but not changed; "
             "choose another folder"
         )
     raise InputError(
-        f"--out {folder} is neither empty nor a {kind.name} folder of deepgps; nothing in it is touched: "
+        f"{named} {folder} is neither empty nor a {kind.name} folder of deepgps; nothing in it is touched: "
         "choose another folder"
     )
 

@@ -46,7 +46,7 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
     from deepgps.figures.run_figures import draw_figures
     from deepgps.viewer.run.pictures import PICTURES, choose_views, write_pictures
-    from deepgps.viewer.run.recording import find_recording, write_recording
+    from deepgps.viewer.run.recording import find_recording, write_run
 
     path = folder / "run.rrd"
     if is_intact(path):
@@ -65,5 +65,5 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
                 if (pictures := draw_views(scenario, poses)) is not None:
                     write_pictures(folder, observation, pictures)
             progress("show", 2, 3)
-            write_recording(folder)
+            write_run(folder)
             progress("show", 3, 3)

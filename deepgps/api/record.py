@@ -24,8 +24,8 @@ from sim.recording.format import (
     stamp,
     time_file,
     turn_file,
+    write_files,
 )
-from sim.recording.format import write_recording as write_files
 from sim.recording.manifest import DIMENSIONS, ObservationKind
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import check_turns
@@ -293,12 +293,12 @@ def _take_truth(
     tests = _shaped(given[:, None] if given.ndim == 2 else given, wanted, "test_pose")
     if not (np.isfinite(pose).all() and np.isfinite(tests).all()):
         raise InputError("pose and test_pose: must be finite")
-    space = space or find_free_space(np.concatenate([pose, tests.reshape(-1, 3)])[:, :2])
+    space = space or guess_free_space(np.concatenate([pose, tests.reshape(-1, 3)])[:, :2])
     unknown = np.full((len(reading), 2), np.nan)  # only a simulation knows the angles of the wheels
     return Truth(pose, reading[:, :2], unknown, tests, space)
 
 
-def find_free_space(places: np.ndarray) -> FreeSpace:
+def guess_free_space(places: np.ndarray) -> FreeSpace:
     """The floor within ``NEAR_M`` of places (N, 2) [m] where the robot has been, as a map.
 
     Raises:

@@ -14,14 +14,14 @@ def doctor_command(words: Sequence[str]) -> None:
     from rich.markup import escape
 
     from deepgps.learning.trainer import describe_device
-    from sim.tools.doctor import diagnose
+    from sim.tools.doctor import check_all
 
-    findings = diagnose()
-    for finding in findings:
-        mark = "[green]ok[/green]  " if finding.ok else "[red]lack[/red]"
-        console.print(f"{mark} {finding.name:<12} {escape(finding.text)}", soft_wrap=True)
-        if not finding.ok:
-            console.print(f"     {'':<12} cure: {escape(finding.cure)}", soft_wrap=True)
+    checks = check_all()
+    for check in checks:
+        mark = "[green]ok[/green]  " if check.ok else "[red]lack[/red]"
+        console.print(f"{mark} {check.name:<12} {escape(check.text)}", soft_wrap=True)
+        if not check.ok:
+            console.print(f"     {'':<12} cure: {escape(check.cure)}", soft_wrap=True)
     console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
-    if not all(finding.ok for finding in findings):
+    if not all(check.ok for check in checks):
         raise WorkError("something is missing; the remedies are listed above")

@@ -44,7 +44,7 @@ def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[D
     progress("diagnose", 1, 1)
     path = out or (run and run / FILE)
     if run is not None and path == run / FILE:
-        with hold(run, RUN):
+        with hold(run, RUN, "the run"):
             if read_diagnosis(run, recording) != diagnosis:
                 drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
                 (run / "run.rrd").unlink(missing_ok=True)

@@ -57,7 +57,7 @@ def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> N
         path,
         {
             "schema": SCHEMA,
-            "recording": digest_recording(recording),
+            "recording": digest_files(recording),
             "quantities": values,
             "stretches": [vars(one) for one in diagnosis.stretches],
             "turns": diagnosis.turns,
@@ -72,7 +72,7 @@ def read_diagnosis(folder: Path, recording: Recording | None = None) -> Diagnosi
     """The diagnosis in a run's folder; None: there is none, it is damaged, or it is of another recording."""
     try:
         stored = read_json(folder / FILE)
-        if recording is not None and stored["recording"] != digest_recording(recording):
+        if recording is not None and stored["recording"] != digest_files(recording):
             return None
         return Diagnosis(
             **{name: Estimate(**values) for name, values in stored["quantities"].items()},
@@ -85,7 +85,7 @@ def read_diagnosis(folder: Path, recording: Recording | None = None) -> Diagnosi
         return None
 
 
-def digest_recording(recording: Recording) -> str:
+def digest_files(recording: Recording) -> str:
     """Hexadecimal digest of a recording's files and its odometry."""
     manifest = recording.manifest
     named = json.dumps([manifest.sha256, manifest.odometry], sort_keys=True)

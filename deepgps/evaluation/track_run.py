@@ -9,7 +9,7 @@ import numpy as np
 from deepgps.alignment import Alignment
 from deepgps.data.field_of_view import check_view, find_view
 from deepgps.data.plausible_readings import keep_plausible
-from deepgps.diagnosis.store import digest_recording
+from deepgps.diagnosis.store import digest_files
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
@@ -87,7 +87,7 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
     scenario = open_run(run)
     if is_older(run, RUN):
         raise InputError(f"{run} is a run of an earlier version, which is read but not changed")
-    with hold(run, RUN):
+    with hold(run, RUN, "the run"):
         return _track_held(run, scenario, method, drive, progress)
 
 
@@ -148,7 +148,7 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
         recording = open_recording(drive)
         if (view_deg := find_view(recording)) is not None:
             check_view(view_deg, find_view(open_recording(run / "recording")))
-        return keep_plausible(recording), run / FOLDER / f"{method}-{digest_recording(recording)[:8]}"
+        return keep_plausible(recording), run / FOLDER / f"{method}-{digest_files(recording)[:8]}"
     recording = open_drive_in_use(open_recording(run / "recording"))
     if recording is None:
         raise InputError(

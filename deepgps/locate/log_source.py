@@ -11,7 +11,7 @@ import numpy as np
 from deepgps.data.field_of_view import check_view
 from deepgps.locate.pictures import Picture
 from deepgps.logs.containers import Log, open_log
-from deepgps.logs.drive import Drive, find_drive
+from deepgps.logs.drive import LoggedDrive, find_drive
 from deepgps.logs.joints import open_wheels
 from deepgps.logs.pictures import ImageList, open_images, take_images
 from deepgps.logs.polar import PolarSource, open_polar
@@ -81,7 +81,7 @@ def open_source(
         yield LogSource(polar, listed, None if drive is None else _follow(robot, drive, polar, progress))
 
 
-def _read(log: Log, robot: RobotConfig, listed: ImageList, with_wheels: bool, progress: Report) -> Drive | None:
+def _read(log: Log, robot: RobotConfig, listed: ImageList, with_wheels: bool, progress: Report) -> LoggedDrive | None:
     """Read the times of the images and the wheels; None: without wheels."""
     takers = {listed.topic: listed.take}
     wheels = open_wheels(log, robot.wheels) if with_wheels else None
@@ -95,7 +95,7 @@ def _read(log: Log, robot: RobotConfig, listed: ImageList, with_wheels: bool, pr
     return find_drive(robot, wheels, listed, None)
 
 
-def _follow(robot: RobotConfig, drive: Drive, polar: PolarSource, progress: Report) -> Odometry:
+def _follow(robot: RobotConfig, drive: LoggedDrive, polar: PolarSource, progress: Report) -> Odometry:
     """Distance and heading at each image, by the wheels when they were read later by their lag."""
     lag_s = robot.wheels.lag_s
     if lag_s == "estimate":

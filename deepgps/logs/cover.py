@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from deepgps.logs.drive import Drive
+from deepgps.logs.drive import LoggedDrive
 from deepgps.logs.polar import PolarSource
 
 MOST = 0.95
@@ -13,7 +13,7 @@ REACH = 0.9
 """Part of the polar image's angle that the camera must see all around; otherwise it is noted."""
 
 
-def note_cover(topic: str, drive: Drive) -> list[str]:
+def note_cover(topic: str, drive: LoggedDrive) -> list[str]:
     """Notes if images are missing in a part of the drive, which is not used, or were taken outside of it."""
     begin_s, end_s = drive.wheels.time_s[[0, -1]]
     image_s = np.sort(drive.image_s[np.isfinite(drive.image_s)])

@@ -17,7 +17,7 @@ from deepgps.logs.wheels import Wheels, clean_wheels
 
 
 @dataclass(frozen=True)
-class Drive:
+class LoggedDrive:
     """A log's drive, by its wheels and the times of its images.
 
     Attributes:
@@ -43,7 +43,7 @@ class Drive:
     from_odometry: bool
 
 
-def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> Drive:
+def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose_log: PoseLog | None) -> LoggedDrive:
     """Bring everything to one clock and find what the robot did; raises InputError like ``import_log``."""
     logs: list[tuple[str, Any]] = [(config.wheels.topic, wheel_log), (listed.topic, listed)]
     if config.pose and pose_log is not None:
@@ -74,7 +74,7 @@ def find_drive(config: RobotConfig, wheel_log: WheelLog, listed: ImageList, pose
         notes.append(f"{config.wheels.topic}: the odometry goes sideways, as no wheels can: is its orientation right?")
     notes += [*wheels.notes, *_doubt_direction(config.wheels.topic, motions, path)]
     offsets = list_offsets(times, starts)
-    return Drive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)
+    return LoggedDrive(wheels, path, motions, image_s, pose, tuple(notes), offsets, start_ns, wheel_log.from_odometry)
 
 
 def _doubt_direction(topic: str, motions: list[Motion], path: Path) -> list[str]:

@@ -15,7 +15,7 @@ import numpy as np
 from deepgps.api.record import check_place, write_aside, write_recording
 from deepgps.logs.containers import Log, open_log
 from deepgps.logs.cover import note_cover, note_reach
-from deepgps.logs.drive import Drive, find_drive
+from deepgps.logs.drive import LoggedDrive, find_drive
 from deepgps.logs.joints import WheelLog, open_wheels
 from deepgps.logs.matching import Images, Plan, plan_recording
 from deepgps.logs.pictures import ImageList, open_images
@@ -117,7 +117,7 @@ def _read(log: Log, config: RobotConfig, progress: Report) -> tuple[WheelLog, Im
 def _write(
     config: RobotConfig,
     source: PolarSource,
-    drive: Drive,
+    drive: LoggedDrive,
     about: Mapping[str, Any],
     notes: list[str],
     out: Path,
@@ -142,7 +142,7 @@ def _write(
     raise InputError(f"{source.topic}: images were still damaged when they had been chosen {ROUNDS} times")
 
 
-def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Choice:
+def _choose(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s: float) -> Choice:
     """Choose the images; raises InputError if there is no segment."""
     wheels = drive.wheels
     path = drive.path
@@ -167,7 +167,7 @@ def _choose(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float
     return Choice(train, test)
 
 
-def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float) -> Images:
+def _match(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s: float) -> Images:
     """The images that can be used, with the wheels at their times."""
     order = np.argsort(drive.image_s, kind="stable")
     wheel_s = drive.image_s[order] + lag_s
@@ -181,7 +181,7 @@ def _match(config: RobotConfig, source: PolarSource, drive: Drive, lag_s: float)
     return Images(order, drive.image_s[order], wheel_s, angle, path)
 
 
-def _describe_damage(source: PolarSource, drive: Drive) -> str:
+def _describe_damage(source: PolarSource, drive: LoggedDrive) -> str:
     """The first damaged image in one line; empty: there is none."""
     if not source.damaged:
         return ""
@@ -195,7 +195,7 @@ def _describe_damage(source: PolarSource, drive: Drive) -> str:
 def _store(
     config: RobotConfig,
     source: PolarSource,
-    drive: Drive,
+    drive: LoggedDrive,
     choice: Choice,
     images: np.ndarray,
     out: Path,
@@ -218,7 +218,7 @@ def _store(
 def _write_plan(
     config: RobotConfig,
     source: PolarSource,
-    drive: Drive,
+    drive: LoggedDrive,
     plan: Plan,
     observation: np.ndarray,
     turn: np.ndarray,
@@ -243,7 +243,7 @@ def _write_plan(
     )
 
 
-def _take_poses(config: RobotConfig, drive: Drive, choice: Choice) -> dict[str, Any]:
+def _take_poses(config: RobotConfig, drive: LoggedDrive, choice: Choice) -> dict[str, Any]:
     """Poses of observations, as truth or as labels."""
     if drive.pose is None or config.pose is None:
         return {}

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.logs.drive import Drive
+from deepgps.logs.drive import LoggedDrive
 from deepgps.logs.matching import Plan
 from deepgps.logs.polar import PolarSource
 from deepgps.logs.robot_config import RobotConfig
@@ -17,7 +17,7 @@ LEFT_OUT = {"arc": "arcs", "back": "backward motions", "rest": "rests", "unknown
 """Kinds of motion that hold neither segments nor turns, and their names in the plural."""
 
 
-def describe(config: RobotConfig, source: PolarSource, drive: Drive, train: Plan, test: Plan) -> dict[str, Any]:
+def describe(config: RobotConfig, source: PolarSource, drive: LoggedDrive, train: Plan, test: Plan) -> dict[str, Any]:
     """Entries of the manifest on what was imported.
 
     Args:
@@ -64,7 +64,7 @@ def _describe_camera(config: RobotConfig, source: PolarSource) -> dict[str, Any]
     }
 
 
-def _sum_up(drive: Drive, kind: str) -> dict[str, float]:
+def _sum_up(drive: LoggedDrive, kind: str) -> dict[str, float]:
     """Number, duration [s] and distance [m] of the motions of a kind."""
     some = [one for one in drive.motions if one.kind == kind]
     seconds = sum(drive.wheels.time_s[one.last] - drive.wheels.time_s[one.first] for one in some)

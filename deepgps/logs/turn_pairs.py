@@ -5,7 +5,7 @@ from typing import IO
 
 import numpy as np
 
-from deepgps.logs.drive import Drive
+from deepgps.logs.drive import LoggedDrive
 from deepgps.logs.lag import FEWEST, LEAST_RAD, Lag, Pairs, estimate_lag, measure_shift
 from deepgps.logs.polar import PolarSource
 from deepgps.logs.segmentation import Kind
@@ -32,7 +32,9 @@ DRIVES: tuple[Kind, ...] = ("straight", "back", "arc")
 """Motions that a turn in place becomes by wheels of which one counts backward."""
 
 
-def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Report) -> tuple[Lag | None, list[str]]:
+def measure_lag(
+    source: PolarSource, drive: LoggedDrive, file: IO[bytes], progress: Report
+) -> tuple[Lag | None, list[str]]:
     """How much later than the images the wheels are, None: no turn shows it; and a note if many images do not turn.
 
     Args:
@@ -51,7 +53,7 @@ def measure_lag(source: PolarSource, drive: Drive, file: IO[bytes], progress: Re
     return lag, _doubt_images(pairs, by_wheels, source.topic)
 
 
-def _turn_by_wheels(pairs: Pairs, drive: Drive) -> np.ndarray:
+def _turn_by_wheels(pairs: Pairs, drive: LoggedDrive) -> np.ndarray:
     """Turns by the wheels between the two images of pairs (p,) [rad]."""
     time_s, yaw = drive.wheels.time_s, drive.path.yaw
     return np.interp(pairs.second_s, time_s, yaw) - np.interp(pairs.first_s, time_s, yaw)
@@ -70,7 +72,7 @@ def _doubt_images(pairs: Pairs, by_wheels: np.ndarray, topic: str) -> list[str]:
 
 
 def _measure_pairs(
-    source: PolarSource, numbers: tuple[np.ndarray, np.ndarray], drive: Drive, file: IO[bytes], progress: Report
+    source: PolarSource, numbers: tuple[np.ndarray, np.ndarray], drive: LoggedDrive, file: IO[bytes], progress: Report
 ) -> Pairs:
     """The turns by the images between the first and second image of pairs, by their numbers (p,), (p,)."""
     first, second = numbers
@@ -83,7 +85,7 @@ def _measure_pairs(
 
 
 def _refuse_reversed(
-    pairs: Pairs, by_wheels: np.ndarray, source: PolarSource, drive: Drive, file: IO[bytes], progress: Report
+    pairs: Pairs, by_wheels: np.ndarray, source: PolarSource, drive: LoggedDrive, file: IO[bytes], progress: Report
 ) -> None:
     """Raise InputError if the wheels turn against each other where images do not turn, and images where they do not.
 
@@ -105,7 +107,7 @@ def _share_turning(turned: np.ndarray) -> float:
     return float((np.abs(turned) > LEAST_RAD / 2).mean())
 
 
-def _pair_images(drive: Drive, kinds: Collection[Kind], around_s: float) -> tuple[np.ndarray, np.ndarray]:
+def _pair_images(drive: LoggedDrive, kinds: Collection[Kind], around_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the first and second image of pairs in motions of some kinds and shortly before and after them.
 
     The pairs are spread over the drive.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
-class Report:
+class StudyReport:
     """What a report shows. Functions are named "module:function", with modules from ``deepgps.studies.reports``.
 
     Attributes:
@@ -39,9 +39,9 @@ class Report:
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
-REPORTS: dict[str, Report] = {
-    "plain": Report("plain:report"),
-    "rooms": Report(
+REPORTS: dict[str, StudyReport] = {
+    "plain": StudyReport("plain:report"),
+    "rooms": StudyReport(
         "rooms:report",
         {"rooms": "rooms:draw"},
         "rooms:measure",
@@ -59,8 +59,10 @@ REPORTS: dict[str, Report] = {
             *("train_s", "posenet_rms_m", "posenet_median_m", "posenet_max_m"),
         ),
     ),
-    "seeds": Report("seeds:report", {"seeds": "seeds:draw"}, "seeds:measure", ("unfolded", "found", "false_alarms")),
-    "landmarks": Report(
+    "seeds": StudyReport(
+        "seeds:report", {"seeds": "seeds:draw"}, "seeds:measure", ("unfolded", "found", "false_alarms")
+    ),
+    "landmarks": StudyReport(
         "landmarks:report",
         {"landmarks": "landmarks:draw"},
         "landmarks:measure",
@@ -75,8 +77,8 @@ REPORTS: dict[str, Report] = {
             ),
         ),
     ),
-    "compare": Report("compare:report", _COMPARED),
-    "networks": Report(
+    "compare": StudyReport("compare:report", _COMPARED),
+    "networks": StudyReport(
         "networks:report",
         _COMPARED,
         "networks:measure",
@@ -87,14 +89,14 @@ REPORTS: dict[str, Report] = {
         "networks:add_turn_spread",
         varies=("learn.network.architecture",),
     ),
-    "strategies": Report(
+    "strategies": StudyReport(
         "compare:report",
         _COMPARED,
         "strategies:measure",
         ("travel_ratio", "samples_ratio", "way_ratio"),
         varies=("drive.strategy", "drive.samples"),
     ),
-    "mds": Report(
+    "mds": StudyReport(
         "mds:report",
         {"mds": "mds:draw"},
         "mds:measure",
@@ -102,7 +104,7 @@ REPORTS: dict[str, Report] = {
         "mds:add_distances",
         networks=True,
     ),
-    "concave": Report(
+    "concave": StudyReport(
         "concave:report",
         {"concave": "concave:draw", "rooms": "concave:draw_rooms"},
         "concave:measure",
@@ -110,13 +112,13 @@ REPORTS: dict[str, Report] = {
         "concave:add_reach",
         varies=("room.shape",),
     ),
-    "curves": Report(
+    "curves": StudyReport(
         "curves:report",
         {"curves": "curves:draw"},
         "curves:measure",
         ("rms_m", "relative_rms", "relative_median", "knee"),
     ),
-    "encoder": Report(
+    "encoder": StudyReport(
         "encoder:report",
         {"encoder": "encoder_plots:draw", "near": "encoder_plots:draw_near"},
         "encoder_targets:measure",
@@ -127,7 +129,7 @@ REPORTS: dict[str, Report] = {
         ),
         "encoder:add_errors",
     ),
-    "camera": Report(
+    "camera": StudyReport(
         "camera:report",
         {"camera": "camera:draw"},
         "camera:measure",
@@ -136,14 +138,14 @@ REPORTS: dict[str, Report] = {
             *(f"compass_{name}_{lean}_ratio" for name in ("tilted", "knocked") for lean in (2, 8)),
         ),
     ),
-    "change": Report(
+    "change": StudyReport(
         "change:report",
         {"change": "change:draw"},
         "change:measure",
         ("light_0.5_ratio", "light_0.2_ratio", "lamps_0_ratio", "mixed_ratio", "person_ratio"),
         varies=("drive.mixed_light",),
     ),
-    "knowing": Report(
+    "knowing": StudyReport(
         "knowing:report",
         {"knowing": "knowing:draw"},
         "knowing:measure",
@@ -154,14 +156,14 @@ REPORTS: dict[str, Report] = {
         "knowing_drives:add_drives",
         sets=("deployment.drive_samples",),
     ),
-    "corridors": Report(
+    "corridors": StudyReport(
         "corridors:report",
         {"corridors": "corridors:draw"},
         "corridors:measure",
         ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
     ),
-    "maps": Report("maps:report", {"maps": "maps:draw"}, "maps:measure", ("mirrored",)),
-    "diagnose": Report(
+    "maps": StudyReport("maps:report", {"maps": "maps:draw"}, "maps:measure", ("mirrored",)),
+    "diagnose": StudyReport(
         "diagnose:report",
         {"diagnose": "diagnose_plots:draw"},
         "diagnose:measure",
@@ -173,14 +175,14 @@ REPORTS: dict[str, Report] = {
         gather="diagnose:gather_diagnoses",
         fixes=("drive.samples",),
     ),
-    "lidar": Report(
+    "lidar": StudyReport(
         "lidar:report",
         {"lidar": "lidar:draw"},
         "lidar:measure",
         ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
         "lidar:add",
     ),
-    "lab": Report(
+    "lab": StudyReport(
         "lab:report",
         {"lab": "lab:draw_errors", "lab_places": "lab:draw_places"},
         "lab:measure",

@@ -25,7 +25,7 @@ from sim.recording.format import (
     stamp,
     time_file,
     turn_file,
-    write_recording,
+    write_files,
 )
 from sim.recording.manifest import name_sensors
 from sim.recording.turns import FILE as TURNS
@@ -45,7 +45,7 @@ Observe = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
-class Drive:
+class PlanarDrive:
     """A finished drive.
 
     Attributes:
@@ -144,10 +144,10 @@ def record(
         "packages": {name: version(name) for name in PACKAGES},
         "collect_s": round(time.perf_counter() - start, 2),
     }
-    write_recording(folder, arrays, manifest)
+    write_files(folder, arrays, manifest)
 
 
-def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Generator, progress: Report) -> Drive:
+def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Generator, progress: Report) -> PlanarDrive:
     """Drive straight segments from wall to wall, with random headings (paper, Sec. IV-A)."""
     drive, wanted = settings.drive, world.segments
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
@@ -180,7 +180,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
     numbers = np.concatenate(reading)
     kept = numbers[:, 1] < drive.samples
     turns = list_turns(numbers[kept, 0], numbers[kept, 1], kinds)
-    return Drive(
+    return PlanarDrive(
         np.array(pose[: drive.samples]),
         numbers[kept],
         np.concatenate(angles)[kept],
@@ -211,7 +211,7 @@ def choose_heading(
     )
 
 
-def count_drive(drive: Drive) -> dict[str, float]:
+def count_drive(drive: PlanarDrive) -> dict[str, float]:
     """Return the manifest's entries about a drive."""
     number, travelled_m = drive.reading[:, 0], drive.wheel_angle.mean(axis=1) * WHEEL_RADIUS_M
     return {

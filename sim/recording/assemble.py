@@ -26,7 +26,7 @@ JOINED = ("state", "segment", "observation", "wheel_angle", "time", "turn_kind")
 log = logging.getLogger(__name__)
 
 
-class Drive(NamedTuple):
+class CollectedDrive(NamedTuple):
     """The chunks of a drive in order, the file for each chunk's images, and those for images after turns, if any.
 
     A chunk holds ``state`` (n, nq) for its new observations, and for its readings ``segment`` (r,), ``observation``
@@ -40,7 +40,7 @@ class Drive(NamedTuple):
 
 
 def write_drive(
-    folder: Path, settings: SimSettings, drive: Drive, rng: np.random.Generator, wheel_radius_m: float
+    folder: Path, settings: SimSettings, drive: CollectedDrive, rng: np.random.Generator, wheel_radius_m: float
 ) -> dict[str, float]:
     """Write the drive, cut to the number of samples wanted, and return its entries for the manifest.
 
@@ -82,14 +82,14 @@ def write_drive(
     }
 
 
-def take_held_out(settings: SimSettings, drive: Drive) -> np.ndarray:
+def take_held_out(settings: SimSettings, drive: CollectedDrive) -> np.ndarray:
     """Poses (C, 1, 3) of the held-out test samples, which were driven after the training samples."""
     samples = settings.drive.samples
     state = np.concatenate([chunk["state"] for chunk in drive.chunks])[samples : samples + settings.grid.held_out]
     return planar_pose(state)[:, None]
 
 
-def write_observations(folder: Path, settings: SimSettings, seed: int, drive: Drive) -> None:
+def write_observations(folder: Path, settings: SimSettings, seed: int, drive: CollectedDrive) -> None:
     """Write the observations of the drive by all sensors that are kept, as each measures them.
 
     Args:
@@ -124,7 +124,7 @@ def _make_measures(sensor: str, settings: SimSettings, seed: int) -> Measures:
     return load(make_measures)(settings, seed) if make_measures else Measures()
 
 
-def _count_turn_images(drive: Drive, samples: int) -> int:
+def _count_turn_images(drive: CollectedDrive, samples: int) -> int:
     """Number of turns in place before a segment whose first reading is within so many samples."""
     segment, observation, kind = (
         np.concatenate([chunk[name] for chunk in drive.chunks]) for name in ("segment", "observation", "turn_kind")

@@ -22,7 +22,7 @@ from sim.files import check_space, list_files, remove_files, write_array, write_
 from sim.geometry import spread_headings
 from sim.occupancy import save_free_space
 from sim.recording.assemble import (
-    Drive,
+    CollectedDrive,
     count_drawn,
     read_part,
     take_held_out,
@@ -204,7 +204,7 @@ def lay_grid(world: RoomWorld, settings: SimSettings) -> np.ndarray:
     return spread_headings(points, settings.grid.headings)
 
 
-def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Drive, list[Path]]:
+def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[CollectedDrive, list[Path]]:
     """Drive and draw the missing parts; returns the drive, empty if it is another's, and the files of the tests."""
     given = 0
 
@@ -217,7 +217,7 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Driv
     tests = _lay_out_tests(job)
     for part in tests:
         give(part)
-    drive = Drive([], [], []) if job.base else _drive(job, give, progress)
+    drive = CollectedDrive([], [], []) if job.base else _drive(job, give, progress)
     total = len(tests) + len(drive.images)
     parts = total + len(drive.turns)
 
@@ -229,11 +229,11 @@ def _make_parts(renderers: Renderers, job: _Job, progress: Report) -> tuple[Driv
     return drive, [part.path for part in tests]
 
 
-def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> Drive:
+def _drive(job: _Job, give: Callable[[Part], None], progress: Report) -> CollectedDrive:
     """Drive until there are enough samples and hand each chunk over to be drawn; intact existing chunks are read."""
     world, settings, work = job.world, job.world.settings, job.work
     rng, chance = stream(job.seed, "drive"), spawn_streams(job.seed)
-    drive, chunk = Drive([], [], []), None
+    drive, chunk = CollectedDrive([], [], []), None
     driven, wanted = 0, settings.drive.samples + settings.grid.held_out
     while driven < wanted:
         path, images, turns = chunk_files(work, len(drive.chunks))
@@ -288,7 +288,7 @@ def _read_if_whole(path: Path) -> dict[str, np.ndarray] | None:
     return None
 
 
-def _assemble(job: _Job, drive: Drive, tests: list[Path]) -> dict[str, Any]:
+def _assemble(job: _Job, drive: CollectedDrive, tests: list[Path]) -> dict[str, Any]:
     """Write the recording's arrays and return their manifest entries; raises DamagedError for a damaged part."""
     folder, settings, test_pose = job.folder, job.settings, job.test_pose
     if job.base is not None:

@@ -267,7 +267,7 @@ def read_manifest(folder: Path) -> Manifest:
     return manifest
 
 
-def write_recording(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:
+def write_files(folder: Path, arrays: Mapping[str, np.ndarray], manifest: Mapping[str, Any]) -> None:
     """Write a recording's arrays, given by their paths in the folder, then its manifest with their checksums."""
     for name, array in arrays.items():
         write_array(folder / name, array)

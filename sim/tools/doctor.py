@@ -1,4 +1,4 @@
-"""Check of what this machine has and lacks: each finding is one line, and each problem comes with its cure."""
+"""Check of what this machine has and lacks: each check is one line, and each problem comes with its cure."""
 
 import os
 import platform
@@ -31,7 +31,7 @@ except (errors.InputError, errors.WorkError) as error:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Check:
     """The result of one check.
 
     Attributes:
@@ -47,7 +47,7 @@ class Finding:
     cure: str = ""
 
 
-def diagnose(runs: Path = Path("runs")) -> list[Finding]:
+def check_all(runs: Path = Path("runs")) -> list[Check]:
     """Check everything that a run needs, without raising; ``runs`` is where results would be written."""
     return [
         check_python(),
@@ -60,37 +60,37 @@ def diagnose(runs: Path = Path("runs")) -> list[Finding]:
     ]
 
 
-def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Finding:
+def check_python(found: tuple[int, int] = sys.version_info[:2]) -> Check:
     """Check that all packages have a wheel for this Python."""
     ok = (3, 11) <= found < (3, 14)
     text = f"{platform.python_version()} at {sys.executable}"
-    return Finding("python", ok, text, "" if ok else "make setup PYTHON=python3.11 (or 3.12, 3.13)")
+    return Check("python", ok, text, "" if ok else "make setup PYTHON=python3.11 (or 3.12, 3.13)")
 
 
-def check_packages(distribution: str = "deepgps") -> list[Finding]:
+def check_packages(distribution: str = "deepgps") -> list[Check]:
     """Report the versions of what ``distribution`` requires, and one finding for each missing or unfit package."""
     try:
         wanted = _list_requirements(distribution)
     except PackageNotFoundError:
-        return [Finding("packages", False, f"{distribution} itself is not installed", "make setup")]
+        return [Check("packages", False, f"{distribution} itself is not installed", "make setup")]
     found = [f"{one.name} {version(one.name)}" for one in wanted if _is_installed(one)]
-    faults = [Finding("packages", False, fault, _install([one])) for one in wanted if (fault := _find_fault(one))]
-    return [Finding("packages", True, ", ".join(found)), *faults]
+    faults = [Check("packages", False, fault, _install([one])) for one in wanted if (fault := _find_fault(one))]
+    return [Check("packages", True, ", ".join(found)), *faults]
 
 
-def check_extras(distribution: str = "deepgps") -> list[Finding]:
+def check_extras(distribution: str = "deepgps") -> list[Check]:
     """Report each optional group of packages; a group that is not installed is no lack, since a run needs none."""
     try:
         extras = metadata(distribution).get_all("Provides-Extra") or []
     except PackageNotFoundError:
         return []
-    findings = []
+    checks = []
     for extra in extras:
         faults = {fault: one for one in _list_requirements(distribution, extra) if (fault := _find_fault(one))}
         cure = f"if you need it: {_install(faults.values())} (in a checkout: make setup-dev)"
         text = f"{', '.join(faults)}; {cure}" if faults else "installed"
-        findings.append(Finding("extras", True, f"{extra}: {text}"))
-    return findings
+        checks.append(Check("extras", True, f"{extra}: {text}"))
+    return checks
 
 
 def _install(wanted: Iterable[Requirement]) -> str:
@@ -122,7 +122,7 @@ def _find_fault(wanted: Requirement) -> str:
     return "" if wanted.specifier.contains(have, prereleases=True) else f"{wanted.name} {have} does not fit"
 
 
-def check_renderer() -> Finding:
+def check_renderer() -> Check:
     """Report the OpenGL backend and its renderer string, queried in a child process that a driver may crash."""
     try:
         child = subprocess.run(
@@ -135,49 +135,49 @@ def check_renderer() -> Finding:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Finding("renderer", False, "opening an OpenGL context takes more than 60 s", EGL_CURE)
+        return Check("renderer", False, "opening an OpenGL context takes more than 60 s", EGL_CURE)
     if child.returncode == 0:
         backend, renderer = child.stdout.strip().splitlines()[-2:]
         return judge_renderer(backend, renderer)
     complaint = (child.stderr.strip().splitlines() or [""])[-1]
     if child.returncode == 1 and "Traceback" not in child.stderr:
         problem, _, cure = complaint.rpartition(": ")  # the form of the errors of sim/sensors/gl.py
-        return Finding("renderer", False, problem, cure)
+        return Check("renderer", False, problem, cure)
     text = f"opening an OpenGL context ended with code {child.returncode}: {complaint}"
-    return Finding("renderer", False, text, EGL_CURE)
+    return Check("renderer", False, text, EGL_CURE)
 
 
-def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidiactl").exists()) -> Finding:
+def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidiactl").exists()) -> Check:
     """Report a working renderer; EGL silently falls back to software where NVIDIA's own library is missing."""
     text = f"{backend}, {renderer}"
     if any(name in renderer for name in ("llvmpipe", "softpipe", "swrast")):
         text += f" (in software, though an NVIDIA GPU is here: {NVIDIA_CURE})" if nvidia else " (in software)"
-    return Finding("renderer", True, text)
+    return Check("renderer", True, text)
 
 
-def check_machine() -> Finding:
+def check_machine() -> Check:
     """Report the cores that this process may use, and the memory."""
     memory_gb = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9
     text = f"{usable_cores()} cores, {memory_gb:.0f} GB of memory, {platform.platform(terse=True)}"
-    return Finding("machine", True, text)
+    return Check("machine", True, text)
 
 
-def check_folder(runs: Path) -> Finding:
+def check_folder(runs: Path) -> Check:
     """Check that results can be written to ``runs``."""
     try:
         with tempfile.TemporaryFile(dir=_nearest(runs)):
-            return Finding("folder", True, f"{runs.absolute()} can be written")
+            return Check("folder", True, f"{runs.absolute()} can be written")
     except OSError as error:
         text = f"{runs.absolute()} cannot be written ({error.strerror})"
-        return Finding("folder", False, text, "give another with --out DIR")
+        return Check("folder", False, text, "give another with --out DIR")
 
 
-def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Finding:
+def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Check:
     """Check that there is disk space for results."""
     free_gb = shutil.disk_usage(_nearest(runs)).free / 1e9
     ok = free_gb >= least_gb
     cure = "" if ok else f"free {least_gb:g} GB, or give a folder on another disk with --out DIR"
-    return Finding("disk", ok, f"{free_gb:.1f} GB free", cure)
+    return Check("disk", ok, f"{free_gb:.1f} GB free", cure)
 
 
 def _nearest(folder: Path) -> Path:

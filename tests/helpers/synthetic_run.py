@@ -12,7 +12,7 @@ from deepgps.evaluation.error_field import ErrorField, write_fields
 from sim.files import write_arrays, write_json, write_text
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import write_recording
+from sim.recording.format import write_files
 
 WIDTH_M, DEPTH_M, RADIUS_M = 7.0, 4.3, 0.105
 WHEEL_RADIUS_M, TRACK_M, TICKS_PER_REV = 0.033, 0.16, 4096
@@ -205,7 +205,7 @@ def _write_recording(folder, space, pose, reading, time, wheel_angle, test_pose)
         "truth/wheel_angle.npy": wheel_angle,
         "truth/test_pose.npy": test_pose,
     }
-    write_recording(folder, arrays, manifest)
+    write_files(folder, arrays, manifest)
 
 
 def make_images(pose: np.ndarray, rings: int = 32, sectors: int = 128) -> np.ndarray:

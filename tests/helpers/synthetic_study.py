@@ -9,7 +9,7 @@ from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Plan, Study, plan_runs, write_out
 from sim.files import write_arrays, write_json, write_text
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import write_recording
+from sim.recording.format import write_files
 from tests.helpers.synthetic_run import make_free_space, make_grid, make_metrics, make_predictions
 
 NOISES = (0.0, 0.1, 0.3)
@@ -54,7 +54,7 @@ def write_synthetic_outcome(folder: Path, plan: Plan) -> None:
     save_free_space(recording / "truth" / "free_space.npz", space)
     poses = {"truth/pose.npy": np.zeros((2, 3)), "truth/test_pose.npy": test_pose}
     readings = {"truth/reading.npy": np.zeros((2, 2), int), "truth/wheel_angle.npy": np.zeros((2, 2))}
-    write_recording(recording, {**poses, **readings}, {})
+    write_files(recording, {**poses, **readings}, {})
     truth, heading = test_pose[:, 0, :2], test_pose[0, :, 2]
     write_arrays(run / "error_field.npz", {"truth": truth, "heading": heading, **predictions})
     metrics = make_metrics(truth, predictions, samples=200)

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.occupancy import FreeSpace, save_free_space
-from sim.recording.format import Recording, open_recording, write_recording
+from sim.recording.format import Recording, open_recording, write_files
 
 SIZE_M = (3.0, 2.0)
 SPACING_M = 0.08
@@ -40,7 +40,7 @@ def make_toy(folder: Path, samples: int = 1200, endpoint: bool = False, seed: in
         "truth/test_pose.npy": test_pose,
         "truth/state.npy": pose,
     }
-    write_recording(folder, arrays, {"sensors": {"landmarks": "vector"}, "odometry": ODOMETRY})
+    write_files(folder, arrays, {"sensors": {"landmarks": "vector"}, "odometry": ODOMETRY})
     return open_recording(folder)
 
 

@@ -19,7 +19,7 @@ PER_PROCESS = 1000
 
 
 @dataclass(frozen=True)
-class Drive:
+class CollectTask:
     """A drive to collect, perhaps in a worker process. Its size is the number of its samples.
 
     Attributes:
@@ -85,8 +85,8 @@ def collect_all(scenarios: Mapping[str, Scenario], bases: Mapping[str, Path], ho
     return {key: f"recording: {reason}" for key, reason in failed.items()}
 
 
-def _plan(scenario: Scenario, folder: Path, base: Path, at_once: int) -> Drive:
-    return Drive(scenario, folder, base, usable_cores() // at_once if at_once > 1 else None)
+def _plan(scenario: Scenario, folder: Path, base: Path, at_once: int) -> CollectTask:
+    return CollectTask(scenario, folder, base, usable_cores() // at_once if at_once > 1 else None)
 
 
 def count_drives(drives: int, samples: int) -> int:
@@ -94,7 +94,7 @@ def count_drives(drives: int, samples: int) -> int:
     return max(1, min(usable_cores(), drives, 1 + samples // PER_PROCESS))
 
 
-def _collect_in_turn(drives: Mapping[str, Drive], progress: Tell) -> Failures:
+def _collect_in_turn(drives: Mapping[str, CollectTask], progress: Tell) -> Failures:
     """Collect drives in this process."""
     failed, before = Failures(), 0
     for key, drive in drives.items():

@@ -17,7 +17,7 @@ GPU_BYTES = 3 * 2**30
 
 
 @dataclass(frozen=True)
-class Run:
+class RunTask:
     """A run to do in a worker process; see ``do_run``. Its size is the number of training steps that it lacks."""
 
     scenario: Scenario
@@ -54,8 +54,8 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
     return do_all(runs, count_workers(plans), lambda done: progress(f"steps of {len(plans)} runs", done, total))
 
 
-def _make_run(plan: Plan, folder: Path) -> Run:
-    return Run(plan.scenario, folder, plan.recording, count_steps(plan.scenario, folder), list_files())
+def _make_run(plan: Plan, folder: Path) -> RunTask:
+    return RunTask(plan.scenario, folder, plan.recording, count_steps(plan.scenario, folder), list_files())
 
 
 def count_workers(plans: Sequence[Plan]) -> int:

@@ -12,7 +12,7 @@ from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure, share_of, write
 from deepgps.methods.catalog import title_of
 from deepgps.monitoring.rules import TITLES
-from deepgps.studies.reports.knowing_drives import Drive, read_drives
+from deepgps.studies.reports.knowing_drives import JudgedDrive, read_drives
 from deepgps.studies.table import Row, split_by
 
 VALUES, ROOM = "learn.features.values", "room.kind"
@@ -39,7 +39,7 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     return [*blocks, NOTE]
 
 
-def _write(drive: Drive, causes: Sequence[str]) -> list[str]:
+def _write(drive: JudgedDrive, causes: Sequence[str]) -> list[str]:
     shares = [write(drive.shares.get(name, 0.0), "%") for name in causes]
     named = ", ".join(TITLES[name] for name in drive.causes["named"]) or "-"
     figures = [write(drive.figures.get(name), "%") for name in (*RADII, *LARGE)]
@@ -87,7 +87,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     return picture
 
 
-def _draw_matrix(axes: Axes, drives: Sequence[Drive]) -> None:
+def _draw_matrix(axes: Axes, drives: Sequence[JudgedDrive]) -> None:
     names = list(TITLES)
     share = np.array([[drive.shares.get(name, 0.0) for name in names] for drive in drives])
     axes.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")

@@ -41,7 +41,7 @@ SEEN, FEWEST = 0.7, 10
 """Share of the map that is learned for the drive that goes beyond it; with fewer segments it is left out."""
 
 
-class Drive(NamedTuple):
+class JudgedDrive(NamedTuple):
     """What is said of one drive in use.
 
     Attributes:
@@ -87,7 +87,7 @@ def add_drives(run: Path, row: Row) -> Row:
             f"{title_of(row['method'])} does not"
         )
     expected = find_expected(row)
-    own = Drive("", expected, use["accepted"], use["causes"], measure_use(run, row))
+    own = JudgedDrive("", expected, use["accepted"], use["causes"], measure_use(run, row))
     derived = derive_drives(run, row["method"]) if not expected else ()
     return {COLUMN: json.dumps([drive._asdict() for drive in (own, *derived)])}
 
@@ -117,7 +117,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
     }
 
 
-def derive_drives(run: Path, method: str) -> Iterator[Drive]:
+def derive_drives(run: Path, method: str) -> Iterator[JudgedDrive]:
     """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
     recording = keep_plausible(open_recording(run / "recording"))
     drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
@@ -149,15 +149,15 @@ def find_other_rooms(run: Path, recording: Recording) -> Iterator[Recording]:
             return
 
 
-def describe(fault: str, expected: str, causes: Causes) -> Drive:
-    return Drive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
+def describe(fault: str, expected: str, causes: Causes) -> JudgedDrive:
+    return JudgedDrive(fault, expected, float(causes.accepted.mean()), causes.summarise(), {})
 
 
-def read_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[Drive]:
+def read_drives(rows: Sequence[Row], varied: Sequence[str]) -> list[JudgedDrive]:
     """All drives of some rows, each with its fault in words."""
     return [
         drive if drive.fault else drive._replace(fault=change)
         for change, same in group_changes(rows, varied).items()
         for row in same
-        for drive in (Drive(**one) for one in json.loads(row[COLUMN]))
+        for drive in (JudgedDrive(**one) for one in json.loads(row[COLUMN]))
     ]

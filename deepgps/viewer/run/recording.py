@@ -50,7 +50,7 @@ HELP = (
 )
 
 
-def write_recording(run: Path) -> Path:
+def write_run(run: Path) -> Path:
     """Write ``<run>/run.rrd``, of a run of an earlier version in the user's cache; return its path.
 
     Raises InputError if the folder is not a complete run. Equal runs give equal contents: the recording's id is a hash
@@ -107,7 +107,7 @@ def find_recording(run: Path) -> Path:
         read_metrics(run)
     path = run / RECORDING
     if not is_intact(path):
-        return write_recording(run)
+        return write_run(run)
     open_rrd(path)
     return path
 

@@ -98,7 +98,11 @@ def test_a_run_in_which_another_process_works_is_not_tracked(run: Path, tmp_path
     shutil.copytree(run, tmp_path / "run")
     with hold(tmp_path / "run", RUN):
         done = deepgps_here("track", "run", cwd=tmp_path)
-    assert (done.returncode, "run is in use by another process" in done.stderr) == (2, True)
+    assert (done.returncode, "the run " in done.stderr, "run is in use by another process" in done.stderr) == (
+        2,
+        True,
+        True,
+    )
 
 
 def test_other_recordings_without_a_truth_are_tracked(run: Path, tmp_path: Path):

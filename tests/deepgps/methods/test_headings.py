@@ -10,7 +10,7 @@ from deepgps.alignment import fit_alignment
 from deepgps.methods.heading_fit import CELL_M, fit_lines, make_headings
 from deepgps.methods.headings import HeadingTable, Yaws, unpack
 from sim.geometry import wrap
-from sim.recording.format import Recording, open_recording, write_recording
+from sim.recording.format import Recording, open_recording, write_files
 from tests.helpers.synthetic_run import make_drive, make_free_space, make_images
 
 RINGS, SECTORS = 16, 64
@@ -28,7 +28,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, np.ndarr
         "test/fisheye.npy": make_images(pose[:1, None], RINGS, SECTORS),
     }
     folder = tmp_path_factory.mktemp("headings") / "recording"
-    write_recording(folder, arrays, {"sensors": {"fisheye": "polar_image"}, "odometry": ODOMETRY})
+    write_files(folder, arrays, {"sensors": {"fisheye": "polar_image"}, "odometry": ODOMETRY})
     return open_recording(folder), pose
 
 

@@ -15,7 +15,7 @@ from deepgps.methods.pose import find_poses
 from deepgps.methods.positioner import NetworkPositioner
 from deepgps.methods.stored_positioner import load_positioner, save_positioner
 from sim.geometry import wrap
-from sim.recording.format import Recording, open_recording, write_recording
+from sim.recording.format import Recording, open_recording, write_files
 from tests.deepgps.methods.test_headings import ODOMETRY, RINGS, SECTORS, draw_queries
 from tests.deepgps.methods.test_positioner import images, spectral
 from tests.helpers.synthetic_run import make_drive, make_free_space, make_images
@@ -51,7 +51,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Recording, np.ndarr
         "test/fisheye.npy": make_images(pose[:1, None], RINGS, SECTORS),
     }
     folder = tmp_path_factory.mktemp("mount") / "recording"
-    write_recording(folder, arrays, {"sensors": {"fisheye": "polar_image"}, "odometry": ODOMETRY})
+    write_files(folder, arrays, {"sensors": {"fisheye": "polar_image"}, "odometry": ODOMETRY})
     return open_recording(folder), pose
 
 

@@ -12,7 +12,7 @@ from deepgps.commands.doctor import doctor_command
 from sim.errors import WorkError
 from sim.tools import doctor
 from sim.tools.doctor import (
-    Finding,
+    Check,
     check_disk,
     check_extras,
     check_folder,
@@ -59,17 +59,17 @@ def site(monkeypatch, tmp_path):
     return install
 
 
-def lacks(findings: list[Finding]) -> list[tuple[str, str]]:
-    return [(finding.text, finding.cure) for finding in findings if not finding.ok]
+def lacks(checks: list[Check]) -> list[tuple[str, str]]:
+    return [(check.text, check.cure) for check in checks if not check.ok]
 
 
 def test_all_is_well_where_the_tests_run(tmp_path):
-    findings = doctor.diagnose(tmp_path)
-    assert lacks(findings) == []
-    assert {finding.name for finding in findings} == {
+    checks = doctor.check_all(tmp_path)
+    assert lacks(checks) == []
+    assert {check.name for check in checks} == {
         *("python", "packages", "extras", "renderer", "machine", "folder", "disk"),
     }
-    assert all("\n" not in finding.text for finding in findings)
+    assert all("\n" not in check.text for check in checks)
 
 
 def test_versions_are_those_installed():
@@ -81,9 +81,9 @@ def test_versions_are_those_installed():
 def test_missing_and_unfit_packages_are_named_with_their_cure(site):
     site("wheelbarrow", "1.0", "oldpart>=2,<3", "nopart>=1.5", "numpy>=1; python_version < '3'", "evo; extra == 'dev'")
     site("oldpart", "1.9")
-    packages, *_ = findings = check_packages("wheelbarrow")
+    packages, *_ = checks = check_packages("wheelbarrow")
     assert packages.ok and packages.text == "oldpart 1.9"
-    assert lacks(findings) == [
+    assert lacks(checks) == [
         ("oldpart 1.9 does not fit", 'pip install "oldpart<3,>=2"'),
         ("nopart is missing", 'pip install "nopart>=1.5"'),
     ]
@@ -94,9 +94,9 @@ def test_extras_that_are_not_installed_name_their_cure_and_are_no_lack(site):
     site("wheelbarrow", "1.0", *needs, extras=("full", "paint"))
     site("oldpart", "1.9")
     site("newpart", "1.0")
-    findings = check_extras("wheelbarrow")
-    assert lacks(findings) == []
-    assert [finding.text for finding in findings] == [
+    checks = check_extras("wheelbarrow")
+    assert lacks(checks) == []
+    assert [check.text for check in checks] == [
         "full: installed",
         "paint: oldpart 1.9 does not fit, nopaint is missing; "
         'if you need it: pip install "oldpart>=2" "nopaint" (in a checkout: make setup-dev)',
@@ -109,62 +109,62 @@ def test_a_checkout_that_is_not_installed_is_told_to_set_up():
 
 @pytest.mark.parametrize(("found", "ok"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
 def test_only_pythons_with_all_wheels_are_fit(found, ok):
-    finding = check_python(found)
-    assert finding.ok == ok
-    assert ("make setup PYTHON=" in finding.cure) == (not ok)
+    check = check_python(found)
+    assert check.ok == ok
+    assert ("make setup PYTHON=" in check.cure) == (not ok)
 
 
 def test_renderer_is_named(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
-    finding = check_renderer()
-    assert finding.ok and finding.text.startswith("egl, ") and finding.cure == ""
+    check = check_renderer()
+    assert check.ok and check.text.startswith("egl, ") and check.cure == ""
 
 
 @pytest.mark.parametrize("masked", [EGL, OPENGL], ids=["libEGL", "libOpenGL"])
 def test_egl_without_its_libraries_names_the_packages(masked, mask, monkeypatch):
     mask(*masked)
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    finding = check_renderer()
-    assert not finding.ok
-    assert finding.cure.startswith("apt-get install libegl1 ")
-    assert "Traceback" not in finding.text + finding.cure
+    check = check_renderer()
+    assert not check.ok
+    assert check.cure.startswith("apt-get install libegl1 ")
+    assert "Traceback" not in check.text + check.cure
 
 
 def test_osmesa_without_its_library_names_the_package(mask, monkeypatch):
     mask(*OSMESA)
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    finding = check_renderer()
-    assert not finding.ok
-    assert "OSMesa" in finding.text and "apt-get install libosmesa6" in finding.cure
+    check = check_renderer()
+    assert not check.ok
+    assert "OSMesa" in check.text and "apt-get install libosmesa6" in check.cure
 
 
 def test_nothing_to_draw_with_names_the_packages(mask, monkeypatch):
     mask(*EGL, *OSMESA)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    finding = check_renderer()
-    assert not finding.ok and "libegl1" in finding.cure
+    check = check_renderer()
+    assert not check.ok and "libegl1" in check.cure
 
 
 def test_a_wrong_backend_is_an_answer_too(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "directx")
-    finding = check_renderer()
-    assert not finding.ok
-    assert finding.text == "MUJOCO_GL=directx" and "egl or osmesa" in finding.cure
+    check = check_renderer()
+    assert not check.ok
+    assert check.text == "MUJOCO_GL=directx" and "egl or osmesa" in check.cure
 
 
 def test_a_driver_that_kills_the_process_is_an_answer_too(monkeypatch):
     monkeypatch.setattr(doctor, "_DRAW", "import os; os.kill(os.getpid(), 11)")
-    finding = check_renderer()
-    assert not finding.ok
-    assert "code -11" in finding.text and finding.cure == doctor.EGL_CURE
+    check = check_renderer()
+    assert not check.ok
+    assert "code -11" in check.text and check.cure == doctor.EGL_CURE
 
 
 def test_what_a_driver_says_need_not_be_text(monkeypatch):
     monkeypatch.setattr(doctor, "_DRAW", "import os; os.write(2, b'Ger\\xe4t fehlt\\n'); os.abort()")
-    finding = check_renderer()
-    assert not finding.ok
-    assert "code -6" in finding.text and "t fehlt" in finding.text
+    check = check_renderer()
+    assert not check.ok
+    assert "code -6" in check.text and "t fehlt" in check.text
 
 
 def test_software_beside_a_graphics_card_is_said():
@@ -181,14 +181,14 @@ def test_results_folder_need_not_exist_yet(tmp_path):
 
 def test_results_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
-    finding = check_folder(tmp_path / "file")
-    assert not finding.ok
-    assert str(tmp_path / "file") in finding.text and "--out" in finding.cure
+    check = check_folder(tmp_path / "file")
+    assert not check.ok
+    assert str(tmp_path / "file") in check.text and "--out" in check.cure
 
 
 def test_full_disk_is_told(tmp_path):
-    finding = check_disk(tmp_path, least_gb=1e9)
-    assert not finding.ok and "--out" in finding.cure
+    check = check_disk(tmp_path, least_gb=1e9)
+    assert not check.ok and "--out" in check.cure
     assert check_disk(tmp_path, least_gb=0.0).ok
 
 
@@ -213,8 +213,8 @@ def test_command_names_the_device(tmp_path):
 
 def test_command_prints_cures_with_their_brackets(monkeypatch, capsys):
     cure = "pip install 'deepgps[ray]'"
-    findings = [Finding("extras", True, f"ray: {cure}"), Finding("packages", False, "part is missing", cure)]
-    monkeypatch.setattr(doctor, "diagnose", lambda: findings)
+    checks = [Check("extras", True, f"ray: {cure}"), Check("packages", False, "part is missing", cure)]
+    monkeypatch.setattr(doctor, "check_all", lambda: checks)
     with pytest.raises(WorkError):
         doctor_command(())
     assert capsys.readouterr().out.count(cure) == 2

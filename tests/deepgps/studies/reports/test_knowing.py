@@ -12,7 +12,7 @@ from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.reports import knowing
-from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, Drive, add_drives, find_expected
+from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, JudgedDrive, add_drives, find_expected
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.study import load_study, plan_runs
@@ -26,12 +26,12 @@ from tests.helpers.small_study import run_all_here
 LIGHT = "deployment.light"
 
 
-def make_drive(fault: str, expected: str, accepted: float, named: list[str], **shares: float) -> Drive:
+def make_drive(fault: str, expected: str, accepted: float, named: list[str], **shares: float) -> JudgedDrive:
     causes = {"named": named, "shares": shares, "refused": shares, "lean_deg": None, "gain": None}
-    return Drive(fault, expected, accepted, causes, {"large_refused": 0.5} if expected == "furniture" else {})
+    return JudgedDrive(fault, expected, accepted, causes, {"large_refused": 0.5} if expected == "furniture" else {})
 
 
-def make_row(light: float, *drives: Drive) -> Row:
+def make_row(light: float, *drives: JudgedDrive) -> Row:
     return {"method": "deepgps_compass", LIGHT: light, COLUMN: json.dumps([drive._asdict() for drive in drives])}
 
 

@@ -10,7 +10,7 @@ import rerun as rr
 from deepgps.initial_map.stored_map import FILE, StoredMap
 from deepgps.viewer.read import read_entity
 from deepgps.viewer.run.making import ELLIPSES, MAKING, SEEN_M, SIGMAS, enlarge, outline_ellipses
-from deepgps.viewer.run.recording import RECORDING, write_recording
+from deepgps.viewer.run.recording import RECORDING, write_run
 from deepgps.viewer.timeline import MAKING as TIMELINE
 from sim.files import read_arrays, write_arrays
 from tests.helpers.blueprints import find_missing, read_layout
@@ -52,7 +52,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     fields = read_arrays(folder / "error_field.npz")
     write_arrays(folder / "error_field.npz", {**fields, "expected/deepgps": np.full(len(fields["truth"]), 0.02)})
     rr.set_strict_mode(True)
-    write_recording(folder)
+    write_run(folder)
     rr.set_strict_mode(False)
     return folder
 

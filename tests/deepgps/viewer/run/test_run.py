@@ -24,7 +24,7 @@ from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.pictures import choose_views, write_pictures
 from deepgps.viewer.run.place_drawing import PICTURES, turn_picture
 from deepgps.viewer.run.places import find_places
-from deepgps.viewer.run.recording import RECORDING, find_recording, write_recording
+from deepgps.viewer.run.recording import RECORDING, find_recording, write_run
 from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
@@ -44,7 +44,7 @@ ROOT = Path(__file__).parents[4]
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_synthetic_run(tmp_path_factory.mktemp("run"), samples=SAMPLES, spacing_m=0.4)
     rr.set_strict_mode(True)
-    write_recording(folder)
+    write_run(folder)
     rr.set_strict_mode(False)
     return folder
 
@@ -276,7 +276,7 @@ def test_large_pictures_are_shown_where_they_were_drawn(copied: Path) -> None:
     assert len(observation) == len(poses) <= SAMPLES
     picture = np.zeros((32, 32, 3), np.uint8)
     write_pictures(copied, observation, np.repeat(picture[None], len(observation), axis=0))
-    counts = rows_by_entity(write_recording(copied))
+    counts = rows_by_entity(write_run(copied))
     assert counts["/drive/large"] == len(observation)
     assert find_missing(copied / RECORDING) == []
 
@@ -288,7 +288,7 @@ def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(copied: Path)
     manifest["odometry"]["track_m"] *= 1.1
     manifest["settings"]["encoder"] = {"track_error": 0.1}
     write_json(path, manifest)
-    again = read_entity(write_recording(copied), f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
+    again = read_entity(write_run(copied), f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
     np.testing.assert_allclose(again, body)
 
 
@@ -306,7 +306,7 @@ def test_every_view_shows_what_was_logged(run: Path, copied: Path) -> None:
     assert find_missing(run / RECORDING) == []
     for path in copied.glob("*/history.npz"):
         path.unlink()
-    assert find_missing(write_recording(copied)) == []
+    assert find_missing(write_run(copied)) == []
 
 
 def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> None:
@@ -316,7 +316,7 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> No
     drive_s = np.ptp(np.load(path))
     assert drive_s > 3600
     starts = set()
-    for _, ranges in read_layout(write_recording(copied), "VisibleTimeRanges:ranges"):
+    for _, ranges in read_layout(write_run(copied), "VisibleTimeRanges:ranges"):
         begins = {one["timeline"]: one["range"]["start"] for one in ranges}
         if begins[DRIVE_TIME] is not None:
             starts.add(begins[DRIVE_TIME] / 1e9)
@@ -325,7 +325,7 @@ def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> No
 
 
 def test_equal_runs_give_equal_contents(run: Path, copied: Path) -> None:
-    write_recording(copied)
+    write_run(copied)
     pair = [str(folder / RECORDING) for folder in (run, copied)]
     ids = [RrdReader(path).recordings()[0].recording_id for path in pair]
     assert ids[0] == ids[1]
@@ -343,7 +343,7 @@ def test_the_file_verifies(run: Path) -> None:
 
 def test_images_of_a_long_drive_are_thinned(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drive, "IMAGES_AT_MOST", 25)
-    counts = rows_by_entity(write_recording(copied))
+    counts = rows_by_entity(write_run(copied))
     assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
     assert counts[f"/{ROBOT}"] == SAMPLES
 
@@ -448,7 +448,7 @@ def test_the_first_page_begins_with_what_is_wrong(copied: Path) -> None:
     metrics = read_json(copied / "metrics.json")
     metrics["methods"]["deepgps"]["scale"] = 0.5
     write_json(copied / "metrics.json", metrics)
-    write_recording(copied)
+    write_run(copied)
     (text,) = read_entity(copied / RECORDING, "report/figures")["TextDocument:text"].combine_chunks().flatten()
     lines = str(text).splitlines()
     (wrong,) = (place for place, line in enumerate(lines) if line.startswith("- **Not converged: DeepGPS (scale 0.50)"))

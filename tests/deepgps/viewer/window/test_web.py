@@ -23,7 +23,7 @@ from PIL import Image
 from deepgps.cli import main
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
 from deepgps.figures.field_plot import COLOURS, colours_of
-from deepgps.viewer.run.recording import RECORDING, write_recording
+from deepgps.viewer.run.recording import RECORDING, write_run
 from deepgps.viewer.window import chromium, screenshot
 from deepgps.viewer.window.chromium import NAMES, find_chromium, open_page
 from deepgps.viewer.window.connect import HOST, find_free_port
@@ -37,7 +37,7 @@ PICTURE_TIME_S = 300  # the page is 50 MB of WebAssembly, drawn by the processor
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = write_synthetic_run(tmp_path_factory.mktemp("run"), samples=60, spacing_m=0.16)
-    write_recording(folder)
+    write_run(folder)
     return folder
 
 
