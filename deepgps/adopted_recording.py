@@ -9,7 +9,7 @@ from deepgps.inputs import RECORDING, note_inputs, read_inputs
 from deepgps.owned_folder import FRESH
 from deepgps.scenario import Scenario, clean_name, digest, override_scenario
 from sim.errors import InputError
-from sim.files import sha256
+from sim.files.checksums import sha256
 from sim.recording.format import is_whole, read_manifest
 
 MANIFEST = "manifest.json"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from deepgps.scenario import Scenario, list_own_files, read_room
 from sim.errors import InputError
-from sim.files import read_json, write_json
+from sim.files.json_files import read_json, write_json
 from sim.user_input import shorten
 
 FILE, RECORDING = "inputs.json", "recording"

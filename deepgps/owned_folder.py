@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.errors import InputError
-from sim.files import list_files, lock, read_json, remove_empty, remove_files, write_json
+from sim.files.folders import list_files, lock, remove_empty, remove_files
+from sim.files.json_files import read_json, write_json
 
 MARK = ".deepgps"
 FRESH = ".deepgps-fresh"

@@ -10,7 +10,7 @@ from deepgps.run_folder import RUN, claim
 from deepgps.scenario import Scenario
 from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
 from deepgps.timing import timed
-from sim.files import is_intact
+from sim.files.checksums import is_intact
 from sim.recording.format import has_truth, read_manifest
 
 

@@ -13,7 +13,8 @@ from deepgps.plugins import check_plugins
 from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
 from sim import renamed
 from sim.errors import DamagedError, InputError
-from sim.files import check_lines, remove_empty, remove_files, sweep, write_lines
+from sim.files.checksums import check_lines, write_lines
+from sim.files.folders import remove_empty, remove_files, sweep
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"

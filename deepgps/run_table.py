@@ -11,7 +11,8 @@ from deepgps.run_folder import METRICS, RUN, WITHOUT_TRUTH, describe_no_run, lis
 from deepgps.scenario import Scenario, list_settings, load_scenario, names_in
 from deepgps.spelling import as_option
 from sim.errors import InputError
-from sim.files import damaged, read_json
+from sim.files.checksums import damaged
+from sim.files.json_files import read_json
 from sim.paths import SCENARIOS
 from sim.recording.format import is_whole
 from sim.renamed import name_methods

@@ -25,7 +25,7 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.settings import LearnSettings, check_name
 from deepgps.spelling import as_key, find_group, find_like, find_settings_like, suggest
 from sim.errors import InputError
-from sim.files import sha256
+from sim.files.checksums import sha256
 from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors

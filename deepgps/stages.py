@@ -17,7 +17,9 @@ from deepgps.scenario import Scenario, digest_recording
 from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError
-from sim.files import drop_sum, read_arrays, read_json, write_json
+from sim.files.arrays import read_arrays
+from sim.files.checksums import drop_sum
+from sim.files.json_files import read_json, write_json
 from sim.recording.derive import derive
 from sim.recording.format import check_recording, has_truth, is_whole, open_recording
 from sim.renamed import name_methods

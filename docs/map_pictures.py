@@ -23,7 +23,7 @@ from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.methods.stored_positioner import load_positioner, read_training
 from deepgps.viewer.run.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from sim.recording.format import Truth, open_recording, open_truth
 
 PATH, UNDECIDED, BELIEVED, REFUSED = "#5b7fb5", "#ff8c1a", "#1fa37c", "#e8254f"

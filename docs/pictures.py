@@ -34,7 +34,8 @@ from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario
 from deepgps.settings import LearnSettings
 from deepgps.viewer.playback import colours_of_places
-from sim.files import read_arrays, write_bytes
+from sim.files.arrays import read_arrays
+from sim.files.atomic import write_bytes
 from sim.occupancy import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from sim.sensors.gl import choose_backend

@@ -20,7 +20,7 @@ from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import to_png
 from deepgps.methods.catalog import title_of
 from docs.pictures import PICTURES, reduce
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 

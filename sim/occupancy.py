@@ -5,11 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.files import (
-    damaged,
-    read_arrays,
-    write_arrays,
-)
+from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import damaged
 
 
 @dataclass(frozen=True)

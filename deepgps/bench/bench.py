@@ -26,7 +26,8 @@ from deepgps.scenario import Scenario, load_scenario
 from deepgps.stages import collect, train
 from deepgps.timing import stage_times
 from sim.errors import InputError, WorkError
-from sim.files import read_arrays, read_json
+from sim.files.arrays import read_arrays
+from sim.files.json_files import read_json
 from sim.recording.format import open_recording
 from sim.settings import GridSettings, SimSettings
 

@@ -13,7 +13,8 @@ from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
-from sim.files import read_json, write_array, write_json
+from sim.files.arrays import write_array
+from sim.files.json_files import read_json, write_json
 from sim.processes import WORKERS
 from sim.recording.format import Recording, grid_file, observation_file, open_recording
 

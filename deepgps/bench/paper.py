@@ -8,7 +8,7 @@ from deepgps.methods.fit import fit_method
 from deepgps.progress import Report
 from deepgps.run_folder import METRICS
 from deepgps.scenario import Scenario
-from sim.files import read_json
+from sim.files.json_files import read_json
 from sim.recording.format import open_recording
 
 EVERY = 4

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from deepgps.figures.targets import judge
 from sim.errors import InputError
-from sim.files import read_json, write_json
+from sim.files.json_files import read_json, write_json
 
 SCHEMA = 2
 KEPT = Path("runs") / "bench"

@@ -10,7 +10,7 @@ import tyro
 from deepgps.commands.parse import parse
 from deepgps.progress import show_progress
 from deepgps.terminal.console import console, errors, say
-from sim.files import check_overwrite
+from sim.files.atomic import check_overwrite
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def import_command(words: Sequence[str]) -> None:
     from deepgps.logs.importing import import_log
     from deepgps.logs.robot_config import load_config
     from deepgps.logs.summary import write_summary
-    from sim.files import sha256
+    from sim.files.checksums import sha256
 
     config = load_config(arguments.config)
     with show_progress(errors) as progress:

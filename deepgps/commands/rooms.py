@@ -11,7 +11,7 @@ from deepgps.commands.parse import File, parse
 from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, say
 from sim.errors import InputError
-from sim.files import check_overwrite
+from sim.files.atomic import check_overwrite
 from sim.settings import RoomKind
 
 MOST_SEEDS = 100

@@ -11,7 +11,7 @@ from deepgps.commands.parse import Plugins, parse
 from deepgps.plugins import load_plugins
 from deepgps.terminal.console import say
 from sim.errors import InputError
-from sim.files import check_overwrite
+from sim.files.atomic import check_overwrite
 
 
 @dataclass(frozen=True)

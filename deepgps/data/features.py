@@ -29,7 +29,9 @@ from deepgps.data.relit import relight
 from deepgps.data.segments import Segments, subsample_learned
 from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
-from sim.files import check_sha256, read_json, write_bytes, write_json
+from sim.files.atomic import write_bytes
+from sim.files.checksums import check_sha256
+from sim.files.json_files import read_json, write_json
 
 log = logging.getLogger(__name__)
 CHUNK = 64  # fits a processor's cache

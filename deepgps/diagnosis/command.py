@@ -10,7 +10,7 @@ from deepgps.owned_folder import hold, is_older
 from deepgps.progress import Report
 from deepgps.run_folder import RUN, is_study
 from sim.errors import InputError
-from sim.files import drop_sum
+from sim.files.checksums import drop_sum
 from sim.recording.format import open_recording
 from sim.user_input import shorten
 

@@ -17,7 +17,7 @@ from deepgps.diagnosis.diagnosis import (
 from deepgps.diagnosis.findings import as_stored
 from deepgps.diagnosis.mend import mend_stuck
 from sim.errors import DamagedError
-from sim.files import read_json, write_json
+from sim.files.json_files import read_json, write_json
 from sim.recording.format import Recording
 
 FILE = "diagnosis.json"

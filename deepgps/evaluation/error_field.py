@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files import damaged, read_arrays, write_arrays
+from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import damaged
 from sim.geometry import wrap
 from sim.renamed import name_methods
 

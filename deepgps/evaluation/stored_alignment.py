@@ -15,7 +15,8 @@ from deepgps.methods.stored_positioner import INDEX
 from deepgps.owned_folder import is_older
 from deepgps.run_folder import RUN
 from sim.errors import InputError
-from sim.files import damaged, read_json, write_json
+from sim.files.checksums import damaged
+from sim.files.json_files import read_json, write_json
 
 FILE = "alignment.json"
 

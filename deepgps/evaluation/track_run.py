@@ -23,7 +23,8 @@ from deepgps.scenario import Scenario
 from deepgps.tracking.track import Track, track_drive, write_track
 from deepgps.tracking.tum import is_tum, write_tum
 from sim.errors import InputError
-from sim.files import check_overwrite, write_json
+from sim.files.atomic import check_overwrite
+from sim.files.json_files import write_json
 from sim.occupancy import FreeSpace
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE

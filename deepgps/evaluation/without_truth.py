@@ -31,7 +31,7 @@ from deepgps.progress import Report, ignore
 from deepgps.run_folder import WITHOUT_TRUTH
 from deepgps.scenario import Scenario
 from sim.errors import DamagedError, InputError, WorkError
-from sim.files import read_json
+from sim.files.json_files import read_json
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import from_array

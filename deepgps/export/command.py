@@ -12,7 +12,8 @@ from deepgps.export.trajectories import WRITE, Format, find_trajectories, write_
 from deepgps.owned_folder import Kind, hold
 from deepgps.progress import Report
 from sim.errors import InputError
-from sim.files import read_json, sweep, write_json
+from sim.files.folders import sweep
+from sim.files.json_files import read_json, write_json
 from sim.sensors.unwrap import RoundImage
 
 FILES = re.compile(

@@ -19,7 +19,9 @@ from deepgps.alignment import Alignment
 from deepgps.export.deployed import Deployed
 from deepgps.methods.positioner import NetworkPositioner, Positioner
 from sim.errors import InputError, WorkError
-from sim.files import write_arrays, write_atomic, write_json, write_size, write_text
+from sim.files.arrays import write_arrays
+from sim.files.atomic import write_atomic, write_size, write_text
+from sim.files.json_files import write_json
 from sim.sensors.unwrap import RoundImage
 from sim.sensors.upright import map_pixels, pad
 

@@ -16,7 +16,7 @@ from deepgps.methods.pose import Poses, find_poses
 from deepgps.progress import Report
 from deepgps.tracking.tum import write_tum
 from sim.errors import InputError
-from sim.files import write_text
+from sim.files.atomic import write_text
 from sim.recording.format import Recording, has_truth, open_truth
 
 Format = Literal["tum", "csv"]

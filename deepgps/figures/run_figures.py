@@ -18,7 +18,8 @@ from deepgps.figures.risk_plot import draw_risk
 from deepgps.figures.run_report import read_metrics
 from deepgps.figures.style import smooth, to_png
 from deepgps.methods.catalog import METHODS, colour_of, title_of
-from sim.files import read_arrays, write_bytes
+from sim.files.arrays import read_arrays
+from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 from sim.renamed import name_methods

@@ -19,7 +19,7 @@ from deepgps.methods.catalog import folder_of, title_of
 from deepgps.monitoring.words import describe_causes
 from deepgps.run_folder import METRICS
 from sim.errors import DamagedError, InputError
-from sim.files import read_json
+from sim.files.json_files import read_json
 from sim.renamed import name_methods
 
 Row = tuple[str, ...]

@@ -18,7 +18,7 @@ from deepgps.figures.style import PAPER, count_by_decades, to_png
 from deepgps.methods.catalog import title_of
 from deepgps.monitoring.words import describe_causes
 from deepgps.tracking.track import PATHS, Track
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from sim.recording.turns import NO_IMAGE
 
 COLUMNS = (

@@ -11,7 +11,8 @@ import numpy as np
 from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
 from deepgps.initial_map.compass_map import CompassMap
-from sim.files import damaged, read_arrays, write_arrays
+from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import damaged
 
 FILE = "map.npz"
 

@@ -10,7 +10,8 @@ import torch
 from torch import nn
 
 from sim.errors import DamagedError, InputError, one_line
-from sim.files import damaged, write_bytes
+from sim.files.atomic import write_bytes
+from sim.files.checksums import damaged
 
 log = logging.getLogger(__name__)
 NAME = "checkpoint.pt"

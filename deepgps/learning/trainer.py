@@ -26,7 +26,7 @@ from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
 from deepgps.progress import Report, ignore
 from deepgps.settings import TrainSettings
 from sim.errors import InputError, WorkError
-from sim.files import write_arrays
+from sim.files.arrays import write_arrays
 from sim.rng import derive_seed
 
 SNAPSHOT_SAMPLES = 2000

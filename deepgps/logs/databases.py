@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import yaml
 
 from sim.errors import InputError
-from sim.files import check_space
+from sim.files.atomic import check_space
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 SPECIAL = re.compile(r"[#?%]")

@@ -27,7 +27,8 @@ from deepgps.logs.summary import describe
 from deepgps.logs.turn_pairs import choose_lag, measure_lag
 from deepgps.progress import Report
 from sim.errors import InputError
-from sim.files import check_space, read_json
+from sim.files.atomic import check_space
+from sim.files.json_files import read_json
 from sim.recording.format import finish_recording
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.settings import CameraSettings

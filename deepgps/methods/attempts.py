@@ -10,7 +10,8 @@ import numpy as np
 from deepgps.initial_map.fold_detector import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.methods.positioner import NetworkPositioner
-from sim.files import remove_files, write_bytes
+from sim.files.atomic import write_bytes
+from sim.files.folders import remove_files
 
 HISTORY = "history.npz"
 FOLDER = re.compile(r"attempt\d+")

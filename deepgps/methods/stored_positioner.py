@@ -30,7 +30,9 @@ from deepgps.methods.positioner import (
 from deepgps.methods.trilateration import LandmarkPositioner
 from deepgps.settings import FeatureSettings, NetworkSettings
 from sim.errors import DamagedError, InputError, WorkError, one_line
-from sim.files import check_sha256, damaged, read_json, write_bytes, write_json
+from sim.files.atomic import write_bytes
+from sim.files.checksums import check_sha256, damaged
+from sim.files.json_files import read_json, write_json
 from sim.sensors.lens import Lens
 from sim.sensors.upright import Upright
 

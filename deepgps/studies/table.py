@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 from deepgps.figures.run_report import read_metrics
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
-from sim.files import drop_sum, write_bytes, write_sum
+from sim.files.atomic import write_bytes
+from sim.files.checksums import drop_sum, write_sum
 from sim.renamed import translate_row
 
 Row = dict[str, Any]

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.files import write_text
+from sim.files.atomic import write_text
 
 HEAD = "# deepgps: time_s x_m y_m z_m qx qy qz qw"
 

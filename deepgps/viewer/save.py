@@ -14,7 +14,8 @@ from deepgps.owned_folder import is_older
 from deepgps.run_folder import RUN
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
-from sim.files import check_sum, drop_sum, sha256, write_bytes, write_sum
+from sim.files.atomic import write_bytes
+from sim.files.checksums import check_sum, drop_sum, sha256, write_sum
 
 
 def save_recording(

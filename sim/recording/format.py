@@ -17,16 +17,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from sim.errors import DamagedError, InputError, one_line
-from sim.files import (
-    check_sha256,
-    damaged,
-    list_files,
-    read_json,
-    remove_files,
-    sha256,
-    write_array,
-    write_json,
-)
+from sim.files.arrays import write_array
+from sim.files.checksums import check_sha256, damaged, sha256
+from sim.files.folders import list_files, remove_files
+from sim.files.json_files import read_json, write_json
 from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind, describe_problem

@@ -16,7 +16,7 @@ from PIL import Image
 from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from sim.rooms.spec import DRAWN_GROUPS, PREFIX
 
 _JPEG_QUALITY = 85

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from sim.files import link_file
+from sim.files.atomic import link_file
 from sim.recording.format import OF_USE, name_source, read_manifest
 from sim.recording.manifest import SCHEMA, read_settings
 from sim.settings import DeploymentSettings, GridSettings, SimSettings

@@ -3,7 +3,8 @@
 from pathlib import Path
 
 from sim.errors import DamagedError, InputError
-from sim.files import check_lines, check_overwrite
+from sim.files.atomic import check_overwrite
+from sim.files.checksums import check_lines
 from sim.robot_log.mcap_file import check_file
 from sim.settings import ImageFaultSettings, SimSettings
 

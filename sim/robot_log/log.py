@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files import PART, check_space, list_files, lock, read_json, remove_files, write_json
+from sim.files.atomic import PART, check_space
+from sim.files.folders import list_files, lock, remove_files
+from sim.files.json_files import read_json, write_json
 from sim.recording.assemble import read_part
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers

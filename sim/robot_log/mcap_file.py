@@ -9,7 +9,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from sim.errors import InputError
-from sim.files import check_overwrite, write_atomic
+from sim.files.atomic import check_overwrite, write_atomic
 from sim.robot_log.messages import type_store
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import yaml
 
-from sim.files import write_lines
+from sim.files.checksums import write_lines
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot_log.check import ROBOT_HEAD, robot_file
 from sim.robot_log.content import JOINTS

@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room

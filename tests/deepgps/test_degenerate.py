@@ -12,7 +12,7 @@ from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.scenario import Scenario
 from sim.errors import InputError, WorkError
-from sim.files import write_array
+from sim.files.arrays import write_array
 from sim.recording.format import finish_recording, open_recording
 from tests.helpers.synthetic_run import make_images
 from tests.helpers.toy import ODOMETRY, make_toy

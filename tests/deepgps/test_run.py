@@ -17,7 +17,7 @@ from deepgps.run_folder import RUN, claim, open_run
 from deepgps.scenario import Scenario, write_out
 from deepgps.timing import stage_times, timed
 from sim.errors import InputError
-from sim.files import read_json, write_json
+from sim.files.json_files import read_json, write_json
 from sim.recording.format import work_folder
 from sim.settings import SimSettings
 

@@ -19,7 +19,7 @@ from deepgps.scenario import Scenario, write_out
 from deepgps.source import find_source
 from deepgps.stages import STAGES
 from sim.errors import DamagedError, InputError
-from sim.files import write_json
+from sim.files.json_files import write_json
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 OTHER = Scenario(world="landmarks", methods=("posenet",))

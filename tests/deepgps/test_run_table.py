@@ -10,7 +10,7 @@ import pytest
 from deepgps.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work
 from deepgps.run_table import list_differences, write_age
 from deepgps.scenario import Scenario, load_scenario
-from sim.files import write_json
+from sim.files.json_files import write_json
 from tests.helpers.command import deepgps_here
 
 

@@ -9,7 +9,7 @@ from deepgps.scenario import load_scenario
 from deepgps.shared_drive import find_base
 from deepgps.spelling import from_option
 from deepgps.stages import list_undriven
-from sim.files import read_json
+from sim.files.json_files import read_json
 from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here
 

@@ -7,7 +7,9 @@ import numpy as np
 from deepgps.scenario import write_out as write_scenario
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Plan, Study, plan_runs, write_out
-from sim.files import write_arrays, write_json, write_text
+from sim.files.arrays import write_arrays
+from sim.files.atomic import write_text
+from sim.files.json_files import write_json
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import write_files
 from tests.helpers.synthetic_run import make_free_space, make_grid, make_metrics, make_predictions

@@ -10,7 +10,8 @@ from deepgps.run_folder import open_run
 from deepgps.scenario import Scenario, load_scenario, write_out
 from sim import renamed
 from sim.errors import InputError
-from sim.files import read_json, sha256, write_json, write_lines
+from sim.files.checksums import sha256, write_lines
+from sim.files.json_files import read_json, write_json
 from sim.recording.format import open_recording, open_truth
 from sim.recording.manifest import Manifest
 from tests.helpers.toy import make_toy

@@ -27,7 +27,8 @@ from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan, Study, write_out
 from sim.errors import InputError
-from sim.files import sweep, write_lines
+from sim.files.checksums import write_lines
+from sim.files.folders import sweep
 from sim.recording.format import COLLECTING, RECORDING
 from sim.user_input import shorten
 

@@ -21,7 +21,8 @@ from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
 from deepgps.scenario import Scenario
 from deepgps.stages import training_seed
 from sim.errors import InputError
-from sim.files import PART, link_file, list_files, remove_files
+from sim.files.atomic import PART, link_file
+from sim.files.folders import list_files, remove_files
 from sim.recording.derive import NOT_LEARNED
 from sim.recording.format import Recording, open_recording
 

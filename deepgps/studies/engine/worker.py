@@ -13,7 +13,7 @@ from deepgps.run_folder import claim, list_trained
 from deepgps.scenario import Scenario
 from deepgps.stages import evaluate, train
 from sim.errors import InputError, WorkError, one_line
-from sim.files import write_text
+from sim.files.atomic import write_text
 
 FAILURE = "failure.txt"
 Failures = dict[str, str]  # reasons by the hash of the run

@@ -12,7 +12,7 @@ from deepgps.figures.targets import Figure, median_of, share_of
 from deepgps.scenario import Scenario
 from deepgps.studies.study import Plan
 from deepgps.studies.table import Row, read_setting
-from sim.files import read_json
+from sim.files.json_files import read_json
 
 FAULTS = ("radius", "wheel", "track", "slip", "step_noise", "ticks", "dropout", "stuck")
 ALIKE, NONE = "both radii alike", "none"

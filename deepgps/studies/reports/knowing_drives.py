@@ -27,7 +27,7 @@ from deepgps.studies.reports.change import group_changes
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.table import LEVELS, Row
 from sim.errors import InputError
-from sim.files import read_arrays
+from sim.files.arrays import read_arrays
 from sim.recording.format import Recording, open_recording
 
 EXPECTED = {

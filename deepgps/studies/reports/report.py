@@ -17,7 +17,8 @@ from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.study import Plan, Study
 from deepgps.studies.table import Row, gather, write_table
 from sim.errors import InputError
-from sim.files import sha256, write_bytes, write_text
+from sim.files.atomic import write_bytes, write_text
+from sim.files.checksums import sha256
 
 SUMS = "SHA256SUMS"
 """List of published files, in the format of sha256sum."""

@@ -12,7 +12,7 @@ from deepgps.viewer import playback
 from deepgps.viewer.run.drive import ROBOT, ROUND_PX, turn_up
 from deepgps.viewer.scene import LAYER_M, lift
 from sim.errors import DamagedError
-from sim.files import read_arrays
+from sim.files.arrays import read_arrays
 from sim.recording.format import Recording, Truth, chunk_files, work_folder
 from sim.settings import CameraSettings
 

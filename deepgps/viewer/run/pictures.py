@@ -9,7 +9,7 @@ import rerun as rr
 from deepgps.viewer import playback
 from deepgps.viewer.timeline import drive_index
 from sim.errors import DamagedError
-from sim.files import read_arrays, write_arrays
+from sim.files.arrays import read_arrays, write_arrays
 from sim.recording.format import Recording, open_recording, open_truth
 
 PICTURES = "pictures.npz"

@@ -36,7 +36,7 @@ from deepgps.viewer.run.without_truth import write_without_truth
 from deepgps.viewer.run.yaw import list_yaws, log_yaws
 from deepgps.viewer.save import find_home, hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
-from sim.files import is_intact
+from sim.files.checksums import is_intact
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"

@@ -16,7 +16,8 @@ from deepgps.studies.table import Row, read_rows, read_setting
 from deepgps.viewer.save import hash_files
 from deepgps.viewer.study.sliders import Step
 from sim.errors import DamagedError, InputError
-from sim.files import check_lines, check_sum, read_arrays
+from sim.files.arrays import read_arrays
+from sim.files.checksums import check_lines, check_sum
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 from sim.renamed import translate_study

@@ -20,7 +20,7 @@ from deepgps.viewer.study.layout import make_blueprint
 from deepgps.viewer.study.read import count_arrows, hash_study, open_space, own_values, read_step, read_study
 from deepgps.viewer.study.scene import find_frame, log_curves, log_heading, log_rooms
 from deepgps.viewer.study.sliders import Slider, find_sliders
-from sim.files import is_intact
+from sim.files.checksums import is_intact
 
 STUDY = "study.rrd"
 MOST_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out

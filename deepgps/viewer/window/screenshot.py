@@ -21,7 +21,7 @@ from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_
 from deepgps.viewer.window.show import find_shown
 from deepgps.viewer.window.web import choose_ports, serve_recording
 from sim.errors import InputError, WorkError
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 
 SIZE_PX = (1600, 1000)
 MARK = ("Software", "deepgps view --screenshot")

@@ -13,7 +13,8 @@ from deepgps.logs.look import look
 from deepgps.logs.robot_config import RobotConfig, load_config
 from deepgps.progress import ignore
 from sim.errors import InputError
-from sim.files import read_json, sha256
+from sim.files.checksums import sha256
+from sim.files.json_files import read_json
 from sim.recording.format import check_recording
 from tests.helpers.robot_log import (
     CAMERA,

@@ -15,7 +15,7 @@ from deepgps.methods.positioner import NeighbourPositioner, NetworkPositioner, P
 from deepgps.methods.stored_positioner import is_finished, load_positioner, read_training, save_positioner
 from deepgps.settings import NetworkSettings, PixelValues
 from sim.errors import DamagedError, InputError
-from sim.files import read_json, write_json
+from sim.files.json_files import read_json, write_json
 
 SHAPE = (4, 16, 3)
 

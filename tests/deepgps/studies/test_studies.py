@@ -20,7 +20,8 @@ from deepgps.studies.study import Plan, load_study, plan_runs
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.run.recording import find_recording
 from sim.errors import InputError
-from sim.files import read_json, write_arrays, write_json
+from sim.files.arrays import write_arrays
+from sim.files.json_files import read_json, write_json
 from sim.paths import STUDIES
 from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here, drop_progress, wait_until

@@ -12,7 +12,7 @@ from deepgps.studies.reports import corridors
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
-from sim.files import read_json
+from sim.files.json_files import read_json
 from tests.helpers.small_study import run_all_here
 
 VARIED = ["room.kind", "room.seed", "room.look_alike", "room.width_m", "encoder.step_noise"]

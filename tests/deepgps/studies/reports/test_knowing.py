@@ -18,7 +18,7 @@ from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.study import load_study, plan_runs
 from deepgps.studies.table import Row
 from sim.errors import InputError
-from sim.files import write_json
+from sim.files.json_files import write_json
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, check_turns
 from tests.helpers.small_study import run_all_here

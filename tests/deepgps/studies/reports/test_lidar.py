@@ -18,7 +18,7 @@ from deepgps.viewer.read import open_rrd, read_error_field
 from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.recording import RECORDING
 from sim.errors import InputError
-from sim.files import read_json
+from sim.files.json_files import read_json
 
 SMALL = {
     "lidar.rays": 32,

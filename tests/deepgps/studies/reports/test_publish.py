@@ -8,7 +8,7 @@ from deepgps.studies.reports import report
 from deepgps.studies.reports.report import SUMS, publish
 from deepgps.studies.study import Study, load_study
 from sim.errors import InputError
-from sim.files import write_bytes
+from sim.files.atomic import write_bytes
 from tests.helpers.small_study import write_study
 
 

@@ -27,7 +27,8 @@ from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
-from sim.files import sha256, write_text
+from sim.files.atomic import write_text
+from sim.files.checksums import sha256
 from tests.helpers.blueprints import find_missing
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run

@@ -1,0 +1,132 @@
+"""Atomic files: each is written under a temporary name, synced and renamed, so it is either the old or the new one."""
+
+import errno
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from sim.errors import InputError, WorkError
+
+PART = ".deepgps-part"
+"""Suffix of files and folders that are being written: ``<name>.<process>.deepgps-part``."""
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+PROBE = 1 << 20
+"""Bytes per block, and the fewest in all, that are appended to a file to find out whether the disk is full."""
+
+
+def write_atomic(path: Path, write: Callable[[Path], object], size: int = 0) -> None:
+    """Let ``write`` make a file next to ``path``, sync it to disk and rename it to ``path``.
+
+    Args:
+        path: The file.
+        write: Writes to the path that it is given.
+        size: Number of bytes that it will write, if known.
+
+    Raises:
+        WorkError: The disk is full (the message states the space needed and free), or writing fails.
+    """
+    part = path.with_name(f"{path.name}.{os.getpid()}{PART}")  # an orphan of a killed run may still write its file
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(part)
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+        _sync_folder(path.parent)
+    except BaseException as error:  # Ctrl-C too
+        there = part.stat().st_size if part.is_file() else 0
+        lack = _find_lack(part, error, max(size - there, PROBE))
+        with suppress(OSError):
+            part.unlink()
+        if lack:
+            raise WorkError(describe_lack(path, max(size, there), lack)) from None
+        if isinstance(error, OSError) and error.errno and error.filename is None:
+            raise WorkError(f"{path} cannot be written: {error.strerror}") from None
+        raise
+
+
+def check_space(path: Path, needed: int) -> None:
+    """Raise WorkError if ``needed`` bytes cannot be written at ``path``, before anything is written."""
+    place = next(folder for folder in (path.absolute(), *path.absolute().parents) if folder.exists())
+    if shutil.disk_usage(place).free < needed:
+        raise WorkError(describe_lack(path, needed, OSError(errno.ENOSPC, "")))
+
+
+def describe_lack(path: Path, needed: int, error: OSError) -> str:
+    """One-line message about a file without space: its path, the bytes needed and free, and the reason."""
+    place = next(folder for folder in path.absolute().parents if folder.exists())
+    free = shutil.disk_usage(place).free
+    return (
+        f"{path} cannot be written: {os.strerror(error.errno or errno.ENOSPC)}; at least {write_size(needed)} are "
+        f"needed and {write_size(free)} are free; with more space the same command continues"
+    )
+
+
+def write_size(size: int) -> str:
+    """Format a number of bytes with a unit."""
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size} bytes"
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file atomically."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a binary file atomically."""
+    write_atomic(path, lambda part: part.write_bytes(data), len(data))
+
+
+def link_file(source: Path, target: Path) -> None:
+    """Make a file the same as another: a hard link, or a copy where links are impossible."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        write_atomic(target, lambda part: shutil.copyfile(source, part), source.stat().st_size)
+    else:
+        _sync_folder(target.parent)
+
+
+def check_overwrite(path: Path, is_ours: Callable[[bytes], bool], head: int = -1) -> None:
+    """Raise InputError if writing a file would overwrite one that deepgps did not write.
+
+    Args:
+        path: The file.
+        is_ours: Whether deepgps wrote a file with these contents.
+        head: Number of its first bytes that are enough to tell; -1: all are needed.
+    """
+    if path.is_symlink() or (path.exists() and not (path.is_file() and is_ours(_read_head(path, head)))):
+        raise InputError(f"{path} exists, and deepgps did not write it: choose another name, or move it away")
+
+
+def _read_head(path: Path, size: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(size)
+
+
+def _find_lack(part: Path, error: BaseException, size: int) -> OSError | None:
+    """The error of a full disk, if that is why writing failed: many libraries raise their own error instead."""
+    if isinstance(error, InputError | WorkError) or not isinstance(error, Exception):
+        return None
+    if isinstance(error, OSError) and error.errno:
+        return error if error.errno in NO_SPACE else None
+    try:
+        with part.open("ab") as file:
+            for _ in range(0, size, PROBE):
+                file.write(bytes(PROBE))
+    except OSError as found:
+        return found if found.errno in NO_SPACE else None
+    return None
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
