@@ -7,7 +7,8 @@ from typing import Any
 
 from deepgps.inputs import RECORDING, note_inputs, read_inputs
 from deepgps.owned_folder import FRESH
-from deepgps.scenario import Scenario, clean_name, digest, override_scenario
+from deepgps.scenario import Scenario, clean_name, override_scenario
+from deepgps.scenario_digest import digest
 from sim.errors import InputError
 from sim.files.checksums import sha256
 from sim.recording.format import is_whole, read_manifest

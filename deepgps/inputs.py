@@ -6,7 +6,8 @@ They may change while the run exists. It is then not continued: it would be half
 import hashlib
 from pathlib import Path
 
-from deepgps.scenario import Scenario, list_own_files, read_room
+from deepgps.scenario import Scenario
+from deepgps.scenario_digest import list_own_files, read_room
 from sim.errors import InputError
 from sim.files.json_files import read_json, write_json
 from sim.user_input import shorten

@@ -10,7 +10,8 @@ from deepgps.inputs import check_inputs, list_inputs, note_inputs
 from deepgps.methods.catalog import METHODS
 from deepgps.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
 from deepgps.plugins import check_plugins
-from deepgps.scenario import Scenario, check_scenario, digest, read_yaml, write_out
+from deepgps.scenario import Scenario, check_scenario, read_yaml, write_out
+from deepgps.scenario_digest import digest
 from sim import renamed
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import check_lines, write_lines

@@ -1,9 +1,7 @@
 """The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
 
-import hashlib
 import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from itertools import zip_longest
 from os.path import exists, isfile
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,17 +20,16 @@ from pydantic_core import ErrorDetails
 
 from deepgps.methods.catalog import METHODS
 from deepgps.plain_yaml import read_yaml
+from deepgps.setting_problems import DEEPEST, describe_first
 from deepgps.settings import LearnSettings, check_name
-from deepgps.spelling import as_key, find_group, find_like, find_settings_like, suggest
+from deepgps.spelling import as_key, find_like, suggest
 from sim.errors import InputError
-from sim.files.checksums import sha256
 from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
-from sim.recording.manifest import SCHEMA, ObservationKind, name_sensors
-from sim.renamed import explain_setting, explain_value
+from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import Group, SimSettings
 from sim.settings.group import WithPlugins
-from sim.user_input import quote, read_file, shorten
+from sim.user_input import quote, shorten
 
 
 def _check_method(name: str, info: ValidationInfo) -> str:
@@ -51,10 +48,6 @@ MOST_VALUES = 1000
 LONGEST_NAME = 64
 NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
 """Pattern of the names of scenarios and studies, which name folders."""
-DEEPEST = 8
-"""Limit of nested groups in the name of a setting."""
-MOST_PROBLEMS = 5
-"""Number of wrong settings that one message describes; it only counts the others."""
 
 
 class PluginSource(Group):
@@ -239,30 +232,14 @@ def check_scenario(
         problems = error.errors(include_url=False)
         names = [_find_override(problem, overrides) for problem in problems]
         ours = all(name is not None for name in names)
-        text = _describe_all(problems, Scenario, [spell(name) if name else None for name in names])
+        text = describe_first(problems, Scenario, [spell(name) if name else None for name in names])
         raise InputError(text if ours else f"{shorten(str(origin), 300)}: {text}") from None
-
-
-def describe_problems(error: ValidationError, kind: type[Group]) -> str:
-    """The first wrong fields of a group of this kind in one line, each with its value and what is allowed."""
-    return _describe_all(error.errors(include_url=False), kind)
-
-
-def _describe_all(problems: Sequence[ErrorDetails], kind: type[Group], names: Sequence[str | None] = ()) -> str:
-    """The first problems; ``names`` are those of the settings, as the user has written them, where they are known."""
-    known = zip_longest(problems[:MOST_PROBLEMS], names[:MOST_PROBLEMS])
-    return join_problems([_describe(problem, kind, name) for problem, name in known], len(problems))
 
 
 def _find_override(problem: ErrorDetails, overrides: Collection[str]) -> str | None:
     """The override that a problem is about, or in whose list it is."""
     dotted = ".".join(map(str, problem["loc"]))
     return next((name for name in overrides if dotted == name or dotted.startswith(f"{name}.")), None)
-
-
-def join_problems(first: Sequence[str], count: int) -> str:
-    """The first of ``count`` problems in one line, and the number of further ones."""
-    return "; ".join([*first, *([f"and {count - len(first)} more"] if count > len(first) else [])])
 
 
 def write_out(scenario: Scenario) -> str:
@@ -284,57 +261,6 @@ def list_settings(group: BaseModel, before: str = "") -> dict[str, Any]:
     return found
 
 
-def list_own_files(scenario: Scenario) -> dict[str, str]:
-    """The files of an own room and an own robot by the setting that names them."""
-    files = {"room.mjcf": scenario.room.mjcf, "robot.mjcf": scenario.robot.mjcf}
-    return {field: path for field, path in files.items() if path}
-
-
-def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
-    """What tells a room or a robot from others: the bytes of its file, and the checksums of all files that it uses.
-
-    Args:
-        path: Its file.
-        field: The setting that names it, for messages.
-
-    Returns:
-        None if there is no file.
-
-    Raises:
-        InputError: A file cannot be read, or is none that a room can use.
-    """
-    if not isfile(Path(path)):
-        return None
-    from sim.rooms.mjcf_files import LARGEST_MJCF, Files
-
-    used = Files(Path(path), field).list_used()
-    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(
-        bytes.fromhex(sha256(one)) for one in used
-    )
-
-
-def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
-    """Eight hexadecimal digits of the resolved scenario, the schema and the files of an own room or robot.
-
-    Args:
-        scenario: The scenario.
-        read: What ``read_room`` returns; a caller that hashes many scenarios of one room can cache it.
-    """
-    return _hash(scenario.model_dump_json(), scenario, read)
-
-
-def digest_recording(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
-    """The same digest of the settings that determine the recording."""
-    return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario, read)
-
-
-def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
-    state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
-    for field, path in list_own_files(scenario).items():
-        state.update(read(path, field) or b"")
-    return state.hexdigest()[:8]
-
-
 def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:
     """A copy of nested groups in which the field with the path ``names`` is set."""
     name, *inner = names
@@ -347,31 +273,3 @@ def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: An
     if len(inner) > DEEPEST:
         raise InputError(f"{shorten(dotted)}: there is no such setting")
     return {**values, name: _set(group, dotted, inner, value)}
-
-
-def _describe(details: ErrorDetails, kind: type[Group], written: str | None = None) -> str:
-    name = written or ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
-    dotted = ".".join(map(str, details["loc"]))
-    if details["type"] == "extra_forbidden" and (renamed := explain_setting(dotted)):
-        return f"{name}: {renamed}"
-    if details["type"] == "literal_error" and (renamed := explain_value(dotted, details["input"])):
-        return f"{name} {quote(details['input'])}: {renamed}"
-    if details["type"] == "extra_forbidden":
-        return f"{name}: there is no such setting{_suggest(details['loc'], kind)}"
-    if details["type"] == "value_error":
-        message = shorten(details["msg"].removeprefix("Value error, "), 400)
-        return f"{name}: {message}" if name else message
-    message = details["msg"][0].lower() + details["msg"][1:]
-    return f"{name} {quote(details['input'])}: {shorten(message.replace('input should be', 'must be'), 400)}"
-
-
-def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:
-    group: type[Group] | None = kind
-    for part in loc[:-1]:
-        group = find_group(group.model_fields[str(part)].annotation) if group else None
-    if group is None:
-        return ""
-    names = list(group.model_fields)
-    like = find_like(str(loc[-1]), names)
-    found = [like] if like else find_settings_like(".".join(map(str, loc)), kind)
-    return suggest(found) or f"; there are {', '.join(names)}"

@@ -13,7 +13,8 @@ from deepgps.owned_folder import is_older
 from deepgps.progress import Report
 from deepgps.provenance import describe_environment
 from deepgps.run_folder import METRICS, RUN, WITHOUT_TRUTH, find_place
-from deepgps.scenario import Scenario, digest_recording
+from deepgps.scenario import Scenario
+from deepgps.scenario_digest import digest_recording
 from deepgps.shared_drive import find_base, find_training_drive
 from deepgps.timing import stage_times, timed
 from sim.errors import DamagedError, InputError, WorkError

@@ -12,7 +12,8 @@ from scipy.spatial import KDTree
 
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import check_readings
-from deepgps.scenario import Scenario, describe_problems
+from deepgps.scenario import Scenario
+from deepgps.setting_problems import describe_problems
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (

@@ -6,7 +6,7 @@ from typing import Any, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from deepgps.plain_yaml import read_yaml
-from deepgps.scenario import describe_problems
+from deepgps.setting_problems import describe_problems
 from sim.errors import InputError
 from sim.settings import Group
 from sim.user_input import quote, shorten

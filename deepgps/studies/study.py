@@ -18,21 +18,17 @@ from deepgps.plain_yaml import read_yaml
 from deepgps.progress import Report, ignore
 from deepgps.scenario import (
     LONGEST_NAME,
-    MOST_PROBLEMS,
     MOST_VALUES,
     NAME,
     MethodName,
     Scenario,
     clean_name,
-    describe_problems,
-    digest,
-    digest_recording,
     find_settings,
     flatten,
-    join_problems,
     override_scenario,
-    read_room,
 )
+from deepgps.scenario_digest import digest, digest_recording, read_room
+from deepgps.setting_problems import MOST_PROBLEMS, describe_problems, join_problems
 from deepgps.settings import one_of
 from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError

@@ -18,7 +18,8 @@ from deepgps import plugins as module
 from deepgps.methods.catalog import METHODS
 from deepgps.plugins import check_plugins, list_files, load_plugins
 from deepgps.run_folder import claim, open_run
-from deepgps.scenario import Scenario, digest, digest_recording, load_scenario, write_out
+from deepgps.scenario import Scenario, load_scenario, write_out
+from deepgps.scenario_digest import digest, digest_recording
 from sim.errors import InputError, WorkError
 from sim.plugins import ENCODER_FAULTS
 from sim.recording.format import open_recording

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from deepgps.plain_yaml import read_yaml
-from deepgps.scenario import Scenario, check_scenario, digest, digest_recording, load_scenario, names_in, write_out
+from deepgps.scenario import Scenario, check_scenario, load_scenario, names_in, write_out
+from deepgps.scenario_digest import digest, digest_recording
 from deepgps.spelling import list_settings
 from sim.errors import InputError
 from sim.paths import SCENARIOS

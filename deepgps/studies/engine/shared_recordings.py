@@ -9,7 +9,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from deepgps.progress import Report
-from deepgps.scenario import Scenario, digest_recording
+from deepgps.scenario import Scenario
+from deepgps.scenario_digest import digest_recording
 from deepgps.studies.engine.collecting import collect_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.study import Plan

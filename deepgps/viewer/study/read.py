@@ -9,7 +9,8 @@ from pydantic import ValidationError
 
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.run_folder import is_study
-from deepgps.scenario import describe_problems, load_scenario, read_yaml
+from deepgps.scenario import load_scenario, read_yaml
+from deepgps.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_rows, read_setting

@@ -10,7 +10,8 @@ import pytest
 import yaml
 
 from deepgps.progress import Report
-from deepgps.scenario import digest, digest_recording, load_scenario, names_in
+from deepgps.scenario import load_scenario, names_in
+from deepgps.scenario_digest import digest, digest_recording
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
