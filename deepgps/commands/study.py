@@ -42,7 +42,8 @@ class StudyArguments:
 def study_command(words: Sequence[str]) -> None:
     """Run a study: make every missing recording and run, one table of all runs, the report and the figures."""
     from deepgps.studies.catalog import REPORTS
-    from deepgps.studies.study import load_study, plan_runs
+    from deepgps.studies.plan import plan_runs
+    from deepgps.studies.study import load_study
 
     if not words or (words[0].startswith("-") and not set(HELP) & set(words)):
         raise InputError(f"deepgps study needs a study first: {', '.join(names_in(STUDIES))}, or a path")

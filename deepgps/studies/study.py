@@ -1,47 +1,31 @@
-"""The study: one scenario, what varies in it, and the resulting runs, all checked before the first one starts."""
+"""The study: one scenario and what varies in it."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import cache, lru_cache
-from itertools import product
+from collections.abc import Mapping, Sequence
 from os.path import isfile
 from pathlib import Path
-from pkgutil import resolve_name
 from typing import Annotated, Any
 
 import yaml
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from deepgps.methods.catalog import find_method
 from deepgps.plain_yaml import read_yaml
-from deepgps.progress import Report, ignore
 from deepgps.scenario import (
     LONGEST_NAME,
-    MOST_VALUES,
     NAME,
     MethodName,
-    Scenario,
     clean_name,
     find_settings,
     flatten,
-    override_scenario,
 )
-from deepgps.scenario_digest import digest, digest_recording, read_room
-from deepgps.setting_problems import MOST_PROBLEMS, describe_problems, join_problems
+from deepgps.setting_problems import describe_problems
 from deepgps.settings import one_of
 from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError
-from sim.paths import SCENARIOS, STUDIES
+from sim.paths import STUDIES
 from sim.settings import Group
 from sim.user_input import quote, shorten
 
 ReportName = Annotated[str, one_of(REPORTS)]
-MOST_RUNS = 10_000
-MOST_WRONG = 500
-"""Number of invalid runs after which planning stops."""
-STRIDE = 100
-"""Runs planned between two progress reports."""
 Point = Annotated[dict[str, Any], AfterValidator(flatten)]
 
 
@@ -138,23 +122,6 @@ class Study(Variation):
         return self
 
 
-@dataclass(frozen=True)
-class Plan:
-    """One run of a study.
-
-    Attributes:
-        scenario: The scenario to run.
-        varied: Settings that distinguish the run from the study's other runs, by dotted name.
-        run: Hash of everything the run depends on, which names its folder.
-        recording: Hash of everything the recording depends on, which names its folder.
-    """
-
-    scenario: Scenario
-    varied: Mapping[str, Any]
-    run: str
-    recording: str
-
-
 def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     """Read a study.
 
@@ -178,48 +145,6 @@ def load_study(source: str, tiny: bool, full: bool = False) -> Study:
     if tiny:
         study = _shrink(study)
     return _seek_scenarios(study, path.parent)
-
-
-def plan_runs(study: Study, progress: Report = ignore) -> list[Plan]:
-    """Plan every run of a study, in order, and check each one.
-
-    Args:
-        study: The study.
-        progress: Called with the number of runs planned and their total.
-
-    Raises:
-        InputError: There are too many runs, two are the same, two scenarios have one name, or some runs are invalid;
-            the message describes the first problems and says how many more there are.
-    """
-    total = len(study.cases) * math.prod(map(len, study.axes.values())) * len(study.seeds)
-    if total > MOST_RUNS:
-        raise InputError(f"study {study.name} has {_write_count(total)} runs; a study has at most {MOST_RUNS}")
-    points = list(_points(study))
-    total = len(points)
-    plan_one, plans, problems, wrong = _make_planner(study), [], {}, 0
-    for done, (seed, varied) in enumerate(points):
-        if done % STRIDE == 0:
-            progress("plan", done, total)
-        try:
-            plans.append(plan_one(seed, varied))
-        except InputError as error:
-            problems[str(error)] = None
-            wrong += 1
-        if wrong >= MOST_WRONG:
-            break
-    if problems:
-        stopped = f"; only the first {done + 1} of {total} runs were looked at" if wrong >= MOST_WRONG else ""
-        text = join_problems(list(problems)[:MOST_PROBLEMS], len(problems))
-        raise InputError(f"study {study.name}: {text}{stopped}")
-    progress("plan", total, total)
-    _refuse_twins(study, plans)
-    _refuse_namesakes(study, plans)
-    return plans
-
-
-def describe(plan: Plan) -> str:
-    """Describe in words what distinguishes a run."""
-    return ", ".join([*(f"{name} {value}" for name, value in plan.varied.items()), f"seed {plan.scenario.seed}"])
 
 
 def write_out(study: Study) -> str:
@@ -268,77 +193,3 @@ def _seek_scenarios(study: Study, folder: Path) -> Study:
     cases = [{**case, "scenario": seek(case["scenario"])} if "scenario" in case else case for case in study.cases]
     axes = {name: tuple(map(seek, values)) if name == "scenario" else values for name, values in study.axes.items()}
     return study.model_copy(update={"scenario": seek(study.scenario), "cases": tuple(cases), "axes": axes})
-
-
-def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
-    """Make a function that plans one run and that reads each scenario and room only once for all runs."""
-    room = lru_cache(maxsize=4)(read_room)  # few, since a room may take megabytes
-    methods = {} if study.methods is None else {"methods": study.methods}
-
-    @cache
-    def read(source: str) -> tuple[Path, dict[str, Any]] | InputError:
-        try:
-            path = find_settings("scenario", SCENARIOS, source)
-            return path, read_yaml(path, MOST_VALUES)
-        except InputError as error:
-            return error
-
-    def plan(seed: int, varied: Point) -> Plan:
-        settings = {name: value for name, value in varied.items() if name != "scenario"}
-        found = read(varied.get("scenario", study.scenario))
-        if isinstance(found, InputError):
-            raise found
-        path, values = found
-        scenario = override_scenario(values, path, {**study.set, **flatten(settings), **methods, "seed": seed})
-        _check_report_of(study.report, scenario)
-        return Plan(scenario, varied, digest(scenario, room), digest_recording(scenario, room))
-
-    return plan
-
-
-def _check_report_of(name: str, scenario: Scenario) -> None:
-    """Raise InputError if the report could not show a run of this scenario."""
-    report = REPORTS[name]
-    if wrong := [method for method in scenario.methods if report.networks and not find_method(method).in_steps]:
-        raise InputError(f"methods {wrong[0]}: report {name} needs methods that train a network")
-    if report.labels and not scenario.tag_camera.mounted:
-        raise InputError(f"tag_camera.mounted False: report {name} needs labels from tags, so it must be True")
-
-
-def _refuse_twins(study: Study, plans: Sequence[Plan]) -> None:
-    seen: dict[str, Plan] = {}
-    for plan in plans:
-        if plan.run in seen:
-            twins = f"{shorten(describe(plan), 200)} and {shorten(describe(seen[plan.run]), 200)}"
-            raise InputError(f"study {study.name}: two runs are the same: {twins}")
-        seen[plan.run] = plan
-
-
-def _refuse_namesakes(study: Study, plans: Sequence[Plan]) -> None:
-    """Raise InputError if two scenario files have one name: the table would take their runs for those of one."""
-    named = dict.fromkeys((plan.scenario.name, plan.varied.get("scenario", study.scenario)) for plan in plans)
-    first: dict[str, str] = {}
-    for name, source in named:
-        other = first.setdefault(name, source)
-        if _find_file(source) != _find_file(other):
-            both = f"{shorten(other, 200)} and {shorten(source, 200)}"
-            raise InputError(
-                f"study {study.name}: scenarios {both} have the same name, {name}; set name in one of them"
-            )
-
-
-def _find_file(source: str) -> Path:
-    return find_settings("scenario", SCENARIOS, source).resolve()
-
-
-def _write_count(count: int) -> str:
-    return str(count) if count < 10**12 else "more than 10^12"
-
-
-def _points(study: Study) -> Iterator[tuple[int, Point]]:
-    points = (
-        (seed, {**case, **dict(zip(study.axes, values, strict=True))})
-        for case, values, seed in product(study.cases, product(*study.axes.values()), study.seeds)
-    )
-    draw = REPORTS[study.report].draw_runs
-    yield from resolve_name(draw)(study.set, list(points)) if draw else points

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 
 from deepgps.figures.run_report import read_metrics
 from deepgps.scenario import Scenario
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
 from sim.renamed import translate_row

@@ -23,7 +23,8 @@ from deepgps.logs.robot_config import load_config
 from deepgps.plain_yaml import read_yaml
 from deepgps.progress import ignore
 from deepgps.scenario import load_scenario
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.plan import plan_runs
+from deepgps.studies.study import load_study
 from tests.helpers.command import MINI, deepgps_here
 from tests.helpers.live_server import serve_grpc
 

@@ -10,8 +10,9 @@ import yaml
 from deepgps.progress import Report, ignore
 from deepgps.studies.engine.engine import RunAll, carry_out, claim_study
 from deepgps.studies.engine.worker import Failures, do_run
+from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import Plan, load_study, plan_runs
+from deepgps.studies.study import load_study
 from tests.helpers.command import drop_progress
 
 LEARN = "learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}"

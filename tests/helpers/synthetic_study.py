@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.scenario import write_out as write_scenario
+from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import Plan, Study, plan_runs, write_out
+from deepgps.studies.study import Study, write_out
 from sim.files.arrays import write_arrays
 from sim.files.atomic import write_text
 from sim.files.json_files import write_json

@@ -11,7 +11,7 @@ from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
 from deepgps.progress import Report
 from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from sim.errors import InputError
 from sim.processes import usable_cores
 from sim.recording.format import open_recording, read_manifest

@@ -25,7 +25,8 @@ from deepgps.studies.engine import ray_cluster
 from deepgps.studies.engine.diagnosing import diagnose_all
 from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
-from deepgps.studies.study import Plan, Study, write_out
+from deepgps.studies.plan import Plan
+from deepgps.studies.study import Study, write_out
 from sim.errors import InputError
 from sim.files.checksums import write_lines
 from sim.files.folders import sweep

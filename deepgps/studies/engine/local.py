@@ -9,7 +9,7 @@ from deepgps.progress import Look, Report
 from deepgps.scenario import Scenario
 from deepgps.studies.engine.pool import Tell, do_all
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from sim.processes import usable_cores
 
 GPU_BYTES = 3 * 2**30

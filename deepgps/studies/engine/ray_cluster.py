@@ -20,7 +20,7 @@ from typing import Any
 from deepgps.plugins import list_files
 from deepgps.progress import Report, ignore
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from sim.errors import InputError, one_line
 from sim.processes import ENDINGS, usable_cores
 

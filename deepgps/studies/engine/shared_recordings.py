@@ -13,7 +13,7 @@ from deepgps.scenario import Scenario
 from deepgps.scenario_digest import digest_recording
 from deepgps.studies.engine.collecting import collect_all
 from deepgps.studies.engine.worker import Failures
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole

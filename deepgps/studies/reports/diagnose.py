@@ -10,7 +10,7 @@ from deepgps.diagnosis.store import FILE
 from deepgps.figures.markdown import tabulate
 from deepgps.figures.targets import Figure, median_of, share_of
 from deepgps.scenario import Scenario
-from deepgps.studies.study import Plan
+from deepgps.studies.plan import Plan
 from deepgps.studies.table import Row, read_setting
 from sim.files.json_files import read_json
 

@@ -14,7 +14,8 @@ from deepgps.learning.trainer import use_threads
 from deepgps.provenance import describe_origin
 from deepgps.run_folder import METRICS
 from deepgps.studies.catalog import PICTURES, REPORTS
-from deepgps.studies.study import Plan, Study
+from deepgps.studies.plan import Plan
+from deepgps.studies.study import Study
 from deepgps.studies.table import Row, gather, write_table
 from sim.errors import InputError
 from sim.files.atomic import write_bytes, write_text

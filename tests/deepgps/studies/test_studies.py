@@ -16,8 +16,9 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
 from deepgps.studies.engine.worker import Failures
+from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import load, varied_names, write_report
-from deepgps.studies.study import Plan, load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, varied_in
 from deepgps.viewer.run.recording import find_recording
 from sim.errors import InputError

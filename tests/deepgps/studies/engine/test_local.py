@@ -7,7 +7,8 @@ import pytest
 
 from deepgps.progress import ignore
 from deepgps.studies.engine.local import count_workers, run_all
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.plan import plan_runs
+from deepgps.studies.study import load_study
 from sim.processes import start_process
 from tests.helpers.small_study import write_study
 

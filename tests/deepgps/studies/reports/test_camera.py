@@ -10,9 +10,10 @@ from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import camera
 from deepgps.studies.reports.report import report_study, write_report
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.paths import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest

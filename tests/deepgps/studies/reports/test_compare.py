@@ -13,9 +13,10 @@ from deepgps.settings import Architecture, NetworkSettings
 from deepgps.studies import grouping
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import compare, networks, strategies
 from deepgps.studies.reports.report import report_study, write_report
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from tests.helpers.small_study import run_all_here
 

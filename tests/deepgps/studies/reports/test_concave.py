@@ -8,9 +8,10 @@ from deepgps.evaluation.visibility import measure_visible
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.concave import EDGES, add_reach, measure, pool, report
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.recording.format import open_truth
 from tests.helpers.small_study import run_all_here

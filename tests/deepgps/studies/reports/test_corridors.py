@@ -8,9 +8,10 @@ import pytest
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import corridors
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.files.json_files import read_json
 from tests.helpers.small_study import run_all_here

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.studies.catalog import REPORTS
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.curves import KNEE, draw, find_axis, find_knee, measure, report
 from deepgps.studies.reports.report import write_report
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from tests.helpers.command import drop_progress
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from deepgps.studies.diagnose_runs import LIMITS
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.diagnose import confuse, list_set, measure
 from deepgps.studies.reports.diagnose_plots import draw
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from tests.helpers.command import deepgps_here
 

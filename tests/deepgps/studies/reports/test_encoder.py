@@ -11,12 +11,13 @@ from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.encoder import add_errors, choose_encoders, report
 from deepgps.studies.reports.encoder_plots import draw, draw_near
 from deepgps.studies.reports.encoder_sweeps import PERFECT, find_pairs, find_sweeps
 from deepgps.studies.reports.encoder_targets import measure
 from deepgps.studies.reports.report import report_study
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.settings import EncoderSettings
 from tests.helpers.small_study import run_all_here

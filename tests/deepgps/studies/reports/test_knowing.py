@@ -11,11 +11,12 @@ from deepgps.monitoring.rules import TITLES
 from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import knowing
 from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, JudgedDrive, add_drives, find_expected
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.errors import InputError
 from sim.files.json_files import write_json

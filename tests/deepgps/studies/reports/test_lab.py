@@ -11,8 +11,9 @@ from deepgps.run import show
 from deepgps.scenario import load_scenario
 from deepgps.stages import evaluate, make_recording, train
 from deepgps.studies.catalog import REPORTS
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.lab import PAPER, add, draw_places, measure, report
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.run.recording import RECORDING
 from sim.errors import InputError

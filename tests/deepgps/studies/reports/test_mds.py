@@ -13,6 +13,7 @@ from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from deepgps.studies.catalog import REPORTS
+from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import (
     _draw_spectrum,
     add_distances,
@@ -23,7 +24,7 @@ from deepgps.studies.reports.mds import (
     report,
     scale_all,
 )
-from deepgps.studies.study import load_study, plan_runs
+from deepgps.studies.study import load_study
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from tests.helpers.toy import QUICK, make_toy

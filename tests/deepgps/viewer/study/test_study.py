@@ -15,7 +15,8 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deepgps.figures import field_plot
-from deepgps.studies.study import Plan, load_study, plan_runs
+from deepgps.studies.plan import Plan, plan_runs
+from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
 from deepgps.viewer.error_field import PARTS, REFUSED_PART
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
