@@ -54,6 +54,7 @@ class Bars:
         last: Last reading of each bar (B,).
         segment: Segment of each bar (B,).
         scale_std: Standard deviation of the logarithm of each bar's scale (B,).
+        uneven_m2: Expected squared error of each reading's way once its bar's scale is right (r,) [m^2].
         unknown: x, y [m], heading [rad] and logarithm of the scale of each bar (B, 4).
         shared: Curvature [1 / m], camera ahead and to the left of the axle [m] (3,).
     """
@@ -65,6 +66,7 @@ class Bars:
     last: np.ndarray
     segment: np.ndarray
     scale_std: np.ndarray
+    uneven_m2: np.ndarray
     unknown: np.ndarray
     shared: np.ndarray
 
@@ -95,6 +97,12 @@ class Bars:
         """Add a step (count,) to the unknowns."""
         self.unknown = self.unknown + step[:-SHARED].reshape(-1, 4)
         self.shared = self.shared + step[-SHARED:]
+
+    def draw_unevenness(self, samples: int, rng: np.random.Generator) -> np.ndarray:
+        """Samples (r, 2, samples) [m] of what readings err along their bars once the scales of these are right."""
+        ahead = turn(self.heading, np.array([[1.0, 0.0]]))
+        drawn = np.sqrt(self.uneven_m2)[:, None] * rng.standard_normal((len(self.row), samples))
+        return ahead[:, :, None] * drawn[:, None]
 
     def derive(self, reading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Columns and values (n, 2, 6) of the derivatives of cameras' positions, to first order in the curvature."""
@@ -147,14 +155,17 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
     scale_std = (np.sqrt(squared) / length.clip(SHORTEST_M)).clip(RIGID, WRONG)
     if segments.weight is not None:
         scale_std[segments.weight.numpy()[segment] < 0.5] = WRONG
+    along = distance[segment[row], column] - distance[begin][row]
+    grown = variance[segment[row], column] - variance[begin][row]
     bars = Bars(
         row,
         index[segment[row], column],
-        distance[segment[row], column] - distance[begin][row],
+        along,
         last - size + 1,
         last,
         segment,
         scale_std,
+        _expect_unevenness(along / length[row], grown, segments.rounding_m2, last[row]),
         np.zeros((len(span), 4)),
         np.array([curvature, 0.0, 0.0]),
     )
@@ -182,6 +193,23 @@ def _cut(variance: np.ndarray) -> np.ndarray:
     bars = max(min(int(np.ceil(variance[-1] / (2.0 * BENT_M) ** 2)), gaps), 1)
     edges = np.rint(np.linspace(0, gaps, bars + 1)).astype(int)
     return np.stack([edges[:-1], edges[1:]], axis=1)
+
+
+def _expect_unevenness(part: np.ndarray, grown: np.ndarray, rounding_m2: float, last: np.ndarray) -> np.ndarray:
+    """Expected squared errors (r,) [m^2] of readings at these parts of the lengths of their bars, both ends known.
+
+    Errors that add up to a random walk leave a Brownian bridge, ``v (1 - v / v_end)``. The rounding of a reading, with
+    the variance q / 2, adds to that of the ends as it is interpolated.
+
+    Args:
+        part: Of the length of the bar, from 0 to 1 (r,).
+        grown: Variance that has added up since the beginning of the bar (r,) [m^2].
+        rounding_m2: Variance of a distance between two readings by rounding, q [m^2].
+        last: The last reading of the bar of each (r,).
+    """
+    bridge = grown * (1.0 - grown / grown[last].clip(np.finfo(float).tiny))
+    rounding = rounding_m2 / 2.0 * (1.0 + (1.0 - part) ** 2 + part**2)
+    return bridge + np.where((part > 0.0) & (part < 1.0), rounding, 0.0)
 
 
 def follow_arc(way: np.ndarray, curvature: float) -> np.ndarray:

@@ -98,7 +98,9 @@ def link(bars: Bars, closures: Closures, observations: int) -> Links:
         number,
         one[number],
         other[number],
-        (LOOK * step) ** 2 + (LOOK_PER_M * length) ** 2,
+        (LOOK * step) ** 2
+        + (LOOK_PER_M * length) ** 2
+        + (bars.uneven_m2[one[number]] + bars.uneven_m2[other[number]]) / 2.0,
         closures.turn[number],
         np.hypot(TURNED_RAD, TURNED_PER_M * length),
     )

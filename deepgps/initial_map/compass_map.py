@@ -132,7 +132,7 @@ def find_compass_map(
         variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
         segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
         bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
-    return _describe(bars, links, fit, closures, observations)
+    return _describe(bars, links, fit, closures, observations, rng)
 
 
 def _find(
@@ -230,16 +230,19 @@ def _refine(
         left = ROUNDS if grows else left - 1
 
 
-def _describe(bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int) -> CompassMap:
+def _describe(
+    bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int, rng: np.random.Generator
+) -> CompassMap:
     part, belief, samples = fit.part, fit.belief, fit.samples
     main = part[bars.row] == np.bincount(part[bars.row]).argmax()
     places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
     error = np.full((observations, 2, SAMPLES), np.nan)
     seen, first = np.unique(bars.observation[main], return_index=True)  # at a turn: as it was before the turn
     taken = np.flatnonzero(main)[first]
-    camera = bars.camera[taken]
-    places[seen], heading[seen] = camera, bars.heading[taken]
-    error[seen] = align_samples(camera, carry(bars, samples)[taken])
+    camera, heading[seen] = bars.camera[taken], bars.heading[taken]
+    places[seen] = camera
+    uneven = fit.scale.length * bars.draw_unevenness(SAMPLES, rng)
+    error[seen] = align_samples(camera, (carry(bars, samples) + uneven)[taken])
     std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
     undecided = np.zeros(observations, bool)
     undecided[bars.observation] = True  # an observation whose readings were all lost is no part of the map
