@@ -35,8 +35,10 @@ def drive(
     gaps: float = 0.0,
     curvature: float = 0.0,
     mount: tuple[float, float] = (0.0, 0.0),
+    tick_m: float = 0.0,
 ) -> Drive:
-    """Drive; turns are wrong by ``noise`` standard deviations, each gap between readings by the fraction ``gaps``."""
+    """Drive; turns are wrong by ``noise`` standard deviations, each gap between readings by the fraction ``gaps``, and
+    the way driven is known in ticks."""
     rng = np.random.default_rng(seed)
     poses, rows, turned = [np.array([*ROOM_M / 2, 0.0])], [], []
     while len(rows) < segments:
@@ -59,10 +61,13 @@ def drive(
         gap = SPACING_M * (1.0 + gaps * rng.standard_normal(len(row) - 1))
         index[number, : len(row)] = row
         distance[number, 1 : len(row)] = np.cumsum(gap)
+        if tick_m:
+            way = np.floor((distance[number, : len(row)] + rng.uniform(0.0, tick_m)) / tick_m) * tick_m
+            distance[number, : len(row)] = way - way[0]
         variance[number, 1 : len(row)] = (gaps * SPACING_M) ** 2 * np.arange(1, len(row))
     count = torch.tensor([len(row) for row in rows])
     tables = torch.from_numpy(index), torch.from_numpy(distance).float(), count, 0
-    table = Segments(*tables, variance=torch.from_numpy(variance).float())
+    table = Segments(*tables, variance=torch.from_numpy(variance).float(), rounding_m2=tick_m**2 / 6.0)
     angle = np.array(turned[1:]) + noise * ANGLE_STD * rng.standard_normal(segments - 1)
     between = segments - 1
     turns = CompassTurns(angle, np.full(between, ANGLE_STD), np.zeros((between, 2)), np.full(between, JUMP_STD))
@@ -161,14 +166,14 @@ def test_expected_errors_that_are_three_times_too_small_or_large_hardly_change_t
     assert error(other.places, made.place) < 1.1 * error(right.places, made.place) + 0.001
 
 
-@pytest.mark.parametrize("gaps", [0.0, 0.1])
-def test_errors_are_as_large_as_their_standard_deviations(gaps: float):
+@pytest.mark.parametrize(("gaps", "tick_m"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.05)])
+def test_errors_are_as_large_as_their_standard_deviations(gaps: float, tick_m: float):
     ratios = []
     for seed in range(8):
-        made = drive(120, seed, noise=1.0, gaps=gaps)
+        made = drive(120, seed, noise=1.0, gaps=gaps, tick_m=tick_m)
         found = find_map(made)
         ratios.append(error(found.places, made.place) ** 2 / 2.0 / (found.std**2).mean())
-    assert 0.25 < np.mean(ratios) < 2.0
+    assert 0.25 < np.mean(ratios) < 1.5
 
 
 def test_without_loop_closures_errors_are_as_large_as_their_standard_deviations():
