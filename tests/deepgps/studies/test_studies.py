@@ -39,7 +39,10 @@ def finished(tmp_path_factory) -> tuple[Path, Path, str]:
     home = tmp_path_factory.mktemp("study")
     study, out = write_study(home), home / "out"
     process = start(study, out)
-    wait_until(lambda: list(out.glob("recordings/*.collecting/drive-*.npz")), process)
+    # a busy machine may look only after the recording is finished
+    wait_until(
+        lambda: [*out.glob("recordings/*.collecting/drive-*.npz"), *out.glob("recordings/*/manifest.json")], process
+    )
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
     process = start(study, out)
