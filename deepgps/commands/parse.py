@@ -47,6 +47,7 @@ def list_options(kind: Any) -> list[str]:
 
 
 def show_arguments(kind: Any, command: str, about: str | None) -> None:
+    """Print a command's arguments below the description ``about``, and exit."""
     tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about, config=CONFIG)
 
 
