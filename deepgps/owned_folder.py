@@ -100,7 +100,7 @@ def hold(folder: Path, kind: Kind, named: str = "--out") -> Iterator[None]:
         os.close(mark)
 
 
-def check_owner(folder: Path, kind: Kind, named: str = "--out") -> None:
+def check_owner(folder: Path, kind: Kind, named: str) -> None:
     """Raise InputError for a folder that is not empty and has no mark of this kind; ``named`` as in ``hold``."""
     try:
         names = os.listdir(folder) if folder.exists() else []

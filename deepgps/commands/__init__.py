@@ -1,4 +1,4 @@
 """The commands, one file each: its arguments and the function that carries it out.
 
-Packages that take a second to import are imported inside these functions, so that wrong arguments are told at once.
+Slow packages are imported inside these functions, so that wrong arguments are reported at once.
 """

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from deepgps.commands.parse import parse
+from deepgps.commands.parse import OptionalFile, parse
 from deepgps.progress import show_progress
 from deepgps.terminal.console import console, errors, say
 from sim.files.atomic import check_overwrite
@@ -17,7 +17,7 @@ from sim.files.atomic import check_overwrite
 class DiagnoseArguments:
     recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING"), tyro.conf.Positional]
     """The folder of a recording or of a run."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    out: OptionalFile = None
     """The file to write; default: diagnosis.json in the folder of the run, none for a recording without one."""
 
 

@@ -2,13 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
-from deepgps.commands.parse import OptionalFolder, Plugins, parse
-from deepgps.commands.round_image import parse_round_image
+from deepgps.commands.parse import OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
+from deepgps.commands.round_image import Centre, Forward, Radius, parse_round_image
 from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, say
 from deepgps.terminal.failures import working_in
@@ -17,7 +14,7 @@ from sim.errors import InputError
 
 @dataclass(frozen=True)
 class ExportArguments:
-    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    run: RunFolder
     """The folder of a run."""
     out: OptionalFolder = None
     """The folder to write, with a subfolder for each format; default: export/<name of the run's folder>. It must
@@ -30,15 +27,15 @@ class ExportArguments:
     """Write each drive as MCAP with ROS 2 messages: images, wheels, and every method's poses with covariance."""
     onnx: bool = False
     """Write one method as a model in ONNX with an example; needs the extra deepgps[onnx]."""
-    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    method: OptionalMethod = None
     """The method; none: the run's first as ONNX, all as trajectories."""
     frame: Literal["world", "map"] | None = None
     """Frame of the poses: the world's, or the map's own; none: the world's where evaluation has placed the map."""
-    centre: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None
+    centre: Centre = None
     """Optical axis in raw images [px], from which the exported model then takes raw images too."""
-    radius_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    radius_px: Radius = None
     """Radius of the image circle in raw images [px]."""
-    forward_deg: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    forward_deg: Forward = 0.0
     """Direction of the robot's forward axis in raw images, clockwise from the top [deg]."""
     plugin: Plugins = ()
     """Files of plugins that define methods of the run."""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from deepgps.commands.parse import OptionalFolder, parse
+from deepgps.commands.parse import OptionalFile, OptionalFolder, parse
 from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, quote_path, say
 from sim.errors import InputError
@@ -17,7 +17,7 @@ from sim.errors import InputError
 class ImportArguments:
     log: Annotated[Path, tyro.conf.arg(metavar="LOG"), tyro.conf.Positional]
     """A .bag, .mcap or .db3 file, a folder of them, or a folder with images and wheels.csv."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: OptionalFile = None
     """What the log does not say of its robot: robot.yaml, which --look proposes."""
     out: OptionalFolder = None
     """Folder of the recording; must be empty or not exist, and be no link."""

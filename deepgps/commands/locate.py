@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from deepgps.commands.parse import Plugins, parse
-from deepgps.commands.round_image import parse_round_image
+from deepgps.commands.parse import Live, OptionalFile, OptionalMethod, Plugins, RunFolder, parse
+from deepgps.commands.round_image import Centre, Forward, Radius, parse_round_image
 from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, print_error
 from sim.errors import WorkError
@@ -20,28 +20,28 @@ from sim.errors import WorkError
 
 @dataclass(frozen=True)
 class LocateArguments:
-    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    run: RunFolder
     """The folder of a run."""
     source: Annotated[str, tyro.conf.arg(metavar="SOURCE"), tyro.conf.Positional]
     """An image, a folder of images, - for standard input (each image after its length in four bytes, the most
     significant first), or, with --config, a log. Images of the recording's rings and sectors are polar, others raw."""
-    config: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    config: OptionalFile = None
     """The robot.yaml with which a log would be imported."""
     track: bool = False
     """Track the robot by the images so far and the wheels of a log."""
     causes: bool = False
     """Name the cause for which an image is refused or suspicious, by it and the images before."""
-    live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
+    live: Live = None
     """Show poses as they come, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
-    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    method: OptionalMethod = None
     """The method; none: the run's first."""
     frame: Literal["world", "map"] | None = None
     """Frame of the poses: the world's, or the map's own; none: the world's where evaluation has placed the map."""
-    centre: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")] = None
+    centre: Centre = None
     """Optical axis in raw images [px]; none: raw images are square, and the image circle fills them."""
-    radius_px: Annotated[float | None, tyro.conf.arg(metavar="PX")] = None
+    radius_px: Radius = None
     """Radius of the image circle in raw images [px]."""
-    forward_deg: Annotated[float, tyro.conf.arg(metavar="DEG")] = 0.0
+    forward_deg: Forward = 0.0
     """Direction of the robot's forward axis in raw images, clockwise from the top [deg]; needs --centre."""
     plugin: Plugins = ()
     """Files of plugins that define methods of the run."""

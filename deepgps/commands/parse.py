@@ -16,6 +16,10 @@ from sim.user_input import shorten
 
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]
+OptionalFile = Annotated[Path | None, tyro.conf.arg(metavar="FILE")]
+RunFolder = Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+OptionalMethod = Annotated[str | None, tyro.conf.arg(metavar="METHOD")]
+Live = Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")]
 Plugins = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE [FILE ...]")]
 CONFIG = (tyro.conf.FlagCreatePairsOff,)
 HELP = ("-h", "--help", "--help-all")

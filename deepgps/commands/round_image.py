@@ -1,16 +1,20 @@
 """The options that say where the image circle lies in raw images."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
 
 from sim.errors import InputError
 
 if TYPE_CHECKING:
     from sim.sensors.unwrap import RoundImage
 
+Centre = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")]
+Radius = Annotated[float | None, tyro.conf.arg(metavar="PX")]
+Forward = Annotated[float, tyro.conf.arg(metavar="DEG")]
 
-def parse_round_image(
-    centre: tuple[float, float] | None, radius_px: float | None, forward_deg: float
-) -> "RoundImage | None":
+
+def parse_round_image(centre: Centre, radius_px: Radius, forward_deg: Forward) -> "RoundImage | None":
     """Where the image circle is in raw images; None: it is not given."""
     if centre is None and radius_px is None:
         if forward_deg:

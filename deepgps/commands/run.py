@@ -10,6 +10,7 @@ from deepgps.begin import BEGUN
 from deepgps.commands.scenario import RunArguments, parse_scenario
 from deepgps.progress import Report, show_progress
 from deepgps.scenario import Scenario
+from deepgps.source import Source
 from deepgps.terminal.console import console, errors, print_error, quote_path, say
 from deepgps.terminal.failures import working_in
 
@@ -19,14 +20,11 @@ def run_command(words: Sequence[str]) -> None:
     from deepgps.figures.run_report import print_report
     from deepgps.run import run
     from deepgps.run_folder import find_place
-    from deepgps.stages import NO_TESTS, check_log, choose_renderer_for, list_undriven, write_log
+    from deepgps.stages import NO_TESTS, write_log
 
     arguments, source = parse_scenario("run", words, run_command.__doc__)
     scenario, folder = source.scenario, source.folder
-    if arguments.log is not None:
-        check_log(arguments.log, scenario)
-    elif source.recording is None:
-        choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+    _check_before_work(arguments, source)
     place = find_place(folder, arguments.fresh)
     with (
         working_in(folder),
@@ -49,22 +47,11 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
     def command(words: Sequence[str]) -> None:
         from deepgps.adopted_recording import link_recording
         from deepgps.run_folder import claim, find_place
-        from deepgps.stages import (
-            NO_TESTS,
-            STAGES,
-            ask_for_device,
-            check_log,
-            choose_renderer_for,
-            list_undriven,
-            write_log,
-        )
+        from deepgps.stages import NO_TESTS, STAGES, ask_for_device, write_log
 
         arguments, source = parse_scenario(stage, words, about)
         scenario, folder = source.scenario, source.folder
-        if arguments.log is not None:
-            check_log(arguments.log, scenario)
-        elif source.recording is None:
-            choose_renderer_for(list_undriven(scenario, folder, arguments.fresh))
+        _check_before_work(arguments, source)
         place, left_out, done = find_place(folder, arguments.fresh), None, None
         with (
             working_in(folder),
@@ -94,6 +81,16 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
             say(f"{stage} is done: {folder}")
 
     return command
+
+
+def _check_before_work(arguments: RunArguments, source: Source) -> None:
+    """Check what the drive needs: that its log can be written, or that something can render it."""
+    from deepgps.stages import check_log, choose_renderer_for, list_undriven
+
+    if arguments.log is not None:
+        check_log(arguments.log, source.scenario)
+    elif source.recording is None:
+        choose_renderer_for(list_undriven(source.scenario, source.folder, arguments.fresh))
 
 
 def _watch(

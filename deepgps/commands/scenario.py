@@ -2,12 +2,20 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, make_dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from deepgps.commands.parse import HELP, OptionalFolder, Plugins, list_options, parse, show_arguments
+from deepgps.commands.parse import (
+    HELP,
+    Live,
+    OptionalFile,
+    OptionalFolder,
+    Plugins,
+    list_options,
+    parse,
+    show_arguments,
+)
 from deepgps.commands.short_help import write_help
 from deepgps.plugins import load_plugins
 from deepgps.scenario import Scenario, names_in
@@ -28,9 +36,9 @@ class RunArguments:
     """The run folder itself; default: that of the run, or runs/<scenario>/seed<seed>-<hash>."""
     fresh: bool = False
     """Make the run again; the old one is replaced once the new one is complete."""
-    live: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="[HOST:PORT]")] = None
+    live: Live = None
     """Show the run while it is in progress, in a new viewer or in one that listens at HOST:PORT or a rerun+http URL."""
-    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    log: OptionalFile = None
     """Also write the log that a robot would have recorded of the drive, as MCAP: raw pictures, wheels, rays, truth."""
     plugin: Plugins = ()
     """Files of plugins, with methods and encoder faults of your own."""

@@ -2,12 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
 
-import tyro
-
-from deepgps.commands.parse import OptionalFolder, Plugins, parse
+from deepgps.commands.parse import OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
 from deepgps.plugins import load_plugins
 from deepgps.progress import show_progress
 from deepgps.terminal.console import console, errors, say
@@ -15,9 +11,9 @@ from deepgps.terminal.console import console, errors, say
 
 @dataclass(frozen=True)
 class TrackArguments:
-    run: Annotated[Path, tyro.conf.arg(metavar="RUN"), tyro.conf.Positional]
+    run: RunFolder
     """The folder of a run."""
-    method: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    method: OptionalMethod = None
     """A method that is trained in it; none: its first."""
     drive: OptionalFolder = None
     """The folder of another recording of the same robot and room; none: the drive in use."""

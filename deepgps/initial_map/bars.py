@@ -165,7 +165,7 @@ def lay_out(segments: Segments, turns: CompassTurns, curvature: float) -> Bars:
         last,
         segment,
         scale_std,
-        _expect_unevenness(along / length[row], grown, segments.rounding_m2, last[row]),
+        _expect_unevenness(along / length.clip(SHORTEST_M)[row], grown, segments.rounding_m2, last[row]),
         np.zeros((len(span), 4)),
         np.array([curvature, 0.0, 0.0]),
     )
@@ -209,7 +209,8 @@ def _expect_unevenness(part: np.ndarray, grown: np.ndarray, rounding_m2: float, 
     """
     bridge = grown * (1.0 - grown / grown[last].clip(np.finfo(float).tiny))
     rounding = rounding_m2 / 2.0 * (1.0 + (1.0 - part) ** 2 + part**2)
-    return bridge + np.where((part > 0.0) & (part < 1.0), rounding, 0.0)
+    changes = np.diff(last, prepend=-1, append=-1) != 0  # of the bar, before each reading and after the last
+    return bridge + np.where(changes[:-1] | changes[1:], 0.0, rounding)
 
 
 def follow_arc(way: np.ndarray, curvature: float) -> np.ndarray:

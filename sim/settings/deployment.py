@@ -45,7 +45,7 @@ class DeploymentSettings(WithLater):
     exposure: Literal["fixed", "auto"] = "fixed"
     """auto: the camera has automatic exposure and white balance, for each image by itself."""
     person: bool = False
-    """In each image, a person stands at another random free place; physics does not know of it."""
+    """In each image, a person stands at another random free place, without any effect on the physics."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
     """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
     seed: int = Field(default=0, ge=0)

@@ -1,5 +1,7 @@
 """Segments as bars: what the readings between the ends of a bar are expected to err."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -43,6 +45,15 @@ def test_readings_of_a_bar_err_as_expected():
 
 def test_readings_of_a_bar_with_exact_encoders_do_not_err():
     assert not lay_bar(0.0, 0.0).uneven_m2.any()
+
+
+def test_coarse_ticks_may_put_readings_at_the_ends_of_a_bar():
+    tables = torch.arange(4)[None], torch.tensor([[0.0, 0.0, 0.2, 0.2]]), torch.tensor([4]), 0
+    segments = Segments(*tables, variance=torch.zeros(1, 4), rounding_m2=0.01)
+    uneven_m2 = lay_out(segments, NO_TURNS, curvature=0.0).uneven_m2
+    assert np.allclose(uneven_m2, [0.0, 0.01, 0.01, 0.0])
+    still = lay_out(replace(segments, distance=torch.zeros(1, 4)), NO_TURNS, curvature=0.0)
+    assert np.isfinite(still.uneven_m2).all()
 
 
 def test_samples_lie_along_the_bar_and_have_the_expected_variance():
