@@ -100,10 +100,11 @@ def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> Comp
                 on_m = max(first - place - 1, 0) * step_m  # driven after it, before the first reading that arrived
                 jump = jump + (way_m - on_m) * ahead + on_m * _direct(turned + angle[number])
                 jump_squared += BACKED_OFF_M**2 + (UNEVEN * on_m) ** 2
-            elif last < place or first > place:  # readings beside the turn were lost: images are evenly spaced
+            elif first > last:  # readings at the turn were lost
                 share = (place - last) / (first - last)
                 jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
-                jump_squared += (UNEVEN * way_m / (first - last)) ** 2
+                if last < place < first:  # nothing was measured at the turn itself: images are evenly spaced, roughly
+                    jump_squared += (UNEVEN * way_m / (first - last)) ** 2
             turned, squared = turned + angle[number], squared + variance[number]
         if len(run) >= 2:
             if begun:

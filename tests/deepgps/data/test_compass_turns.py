@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.data.compass_turns import BACKED_OFF_M, _join, measure_turns
+from deepgps.data.compass_turns import BACKED_OFF_M, MEETING_M, _join, measure_turns
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.segments import find_runs
 from deepgps.data.turn_images import find_next
+from deepgps.initial_map.bars import turn
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth
@@ -69,6 +70,27 @@ def test_a_recording_without_turns_is_refused_in_one_line(recording: Recording):
         measure_turns(replace(recording, turns=None, turn_observation=None))
 
 
+@pytest.mark.parametrize("lost", ["before", "after", "both"])
+def test_where_the_robot_turned_is_known_from_one_of_the_two_readings_there(lost: str, recording: Recording):
+    assert recording.turns is not None
+    arrived = np.ones(len(recording.reading), bool)
+    for row in recording.turns.after[recording.turns.kind == KINDS.index("in_place")]:
+        arrived[{"before": [row - 1], "after": [row], "both": [row - 1, row]}[lost]] = False
+    left = lose_turns(recording.turns, recording.reading[:, 0], arrived)
+    drive = replace(recording, reading=recording.reading[arrived], turns=left)
+    turns, pose = measure_turns(drive), open_truth(recording.folder).pose
+    runs = [drive.reading[run, 1] for run in find_runs(drive) if len(run) >= 2]
+    apart = np.array([pose[after[0], :2] - pose[before[-1], :2] for before, after in pairwise(runs)])
+    true = turn(-np.array([pose[before[-1], 2] for before in runs[:-1]]), apart)
+    error, known = np.linalg.norm(turns.jump - true, axis=1), turns.jump_std < BACKED_OFF_M
+    assert known.sum() > 10
+    if lost == "both":
+        assert 0.4 < np.sqrt(np.mean((error / turns.jump_std)[known] ** 2) / 2) < 1.3
+    else:
+        np.testing.assert_allclose(turns.jump_std[known], MEETING_M)
+        assert error[known].max() < 5 * MEETING_M
+
+
 @pytest.mark.parametrize("lost", [0.0, 0.3, 0.6])
 def test_where_the_robot_backed_off_the_next_segment_begins_behind_the_last(lost: float, recording: Recording):
     drive, place, heading = drive_backing_off(recording, lost)
@@ -77,9 +99,7 @@ def test_where_the_robot_backed_off_the_next_segment_begins_behind_the_last(lost
     turns = _join(drive, angle, np.full(len(angle), 1e-6))
     ends = [(run[0], run[-1]) for run in find_runs(drive) if len(run) >= 2]
     apart = np.array([place[first] - place[last] for (_, last), (first, _) in pairwise(ends)])
-    yaw = heading[drive.reading[[last for _, last in ends[:-1]], 0]]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    true = np.stack([cos * apart[:, 0] + sin * apart[:, 1], cos * apart[:, 1] - sin * apart[:, 0]], axis=1)
+    true = turn(-heading[drive.reading[[last for _, last in ends[:-1]], 0]], apart)
     known = turns.jump_std < 1.0
     assert known.sum() > 30
     error = np.linalg.norm(turns.jump - true, axis=1)[known] / turns.jump_std[known]
