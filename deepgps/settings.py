@@ -128,7 +128,7 @@ class LearnSettings(Group):
     """Everything that determines how a method learns from a recording."""
 
     seed: int | None = Field(default=None, ge=0)
-    """Seed of weights and random draws; none: the scenario's seed."""
+    """Seed of weights and random draws; None: the scenario's seed."""
     features: FeatureSettings = FeatureSettings()
     network: NetworkSettings = NetworkSettings()
     train: TrainSettings = TrainSettings()

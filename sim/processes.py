@@ -20,12 +20,16 @@ OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 
 
 class Worker(SpawnProcess):
-    """A process that ignores the terminal's signals from its first instruction on."""
+    """A process that ignores the terminal's signals from its first instruction on, and ends with its parent."""
 
     def start(self) -> None:
         _start_tracker()
         with uninterrupted(), _blocked(OF_A_TERMINAL):  # a half-started worker would end with a traceback
             super().start()
+
+    def run(self) -> None:
+        end_with_parent()
+        super().run()
 
 
 class Workers(SpawnContext):

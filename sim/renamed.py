@@ -78,7 +78,9 @@ def translate(values: Mapping[str, Any]) -> dict[str, Any]:
         *groups, last = now.split(".")
         group = made
         for name in groups:
-            group = group.setdefault(name, {})
+            if not isinstance(group.get(name), dict):  # two old names may give a group and a value one name
+                group[name] = {}
+            group = group[name]
         group[last] = value
     if isinstance(made.get("world"), str):
         made["world"] = WORLDS.get(made["world"], made["world"])

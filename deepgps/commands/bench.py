@@ -26,7 +26,7 @@ class BenchArguments:
 
 
 def bench_command(words: Sequence[str]) -> None:
-    """Measure speed, latency, memory and steadiness against naive baselines and targets; takes up to 15 minutes."""
+    """Measure speed, latency, memory and steadiness against naive baselines and targets; takes 15 to 30 minutes."""
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
     from deepgps.stages import choose_renderer
 

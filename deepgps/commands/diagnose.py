@@ -18,7 +18,7 @@ class DiagnoseArguments:
     recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING"), tyro.conf.Positional]
     """The folder of a recording or of a run."""
     out: OptionalFile = None
-    """The file to write; default: diagnosis.json in the folder of the run, none for a recording without one."""
+    """The file to write; default: diagnosis.json in the run's folder; for a recording of no run, no file."""
 
 
 def diagnose_command(words: Sequence[str]) -> None:

@@ -18,10 +18,10 @@ def doctor_command(words: Sequence[str]) -> None:
 
     checks = check_all()
     for check in checks:
-        mark = "[green]ok[/green]  " if check.ok else "[red]lack[/red]"
+        mark = "[green]ok[/green]  " if check.ok else "[red]fail[/red]"
         console.print(f"{mark} {check.name:<12} {escape(check.text)}", soft_wrap=True)
         if not check.ok:
-            console.print(f"     {'':<12} cure: {escape(check.cure)}", soft_wrap=True)
+            console.print(f"     {'':<12} fix: {escape(check.fix)}", soft_wrap=True)
     console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
     if not all(check.ok for check in checks):
         raise WorkError("something is missing; the remedies are listed above")

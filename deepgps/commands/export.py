@@ -32,7 +32,7 @@ class ExportArguments:
     frame: Literal["world", "map"] | None = None
     """Frame of the poses: the world's, or the map's own; none: the world's where evaluation has placed the map."""
     centre: Centre = None
-    """Optical axis in raw images [px], from which the exported model then takes raw images too."""
+    """Optical axis in raw images [px]; with it and --radius-px, the exported folder positions raw images too."""
     radius_px: Radius = None
     """Radius of the image circle in raw images [px]."""
     forward_deg: Forward = 0.0

@@ -20,7 +20,7 @@ class ImportArguments:
     config: OptionalFile = None
     """What the log does not say of its robot: robot.yaml, which --look proposes."""
     out: OptionalFolder = None
-    """Folder of the recording; must be empty or not exist, and be no link."""
+    """Folder for the recording: new or empty, and no symbolic link."""
     look: bool = False
     """Only print what the log holds, and propose a robot.yaml."""
 

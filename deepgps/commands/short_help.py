@@ -11,6 +11,8 @@ OPTIONS = (
     ("--out FOLDER", "run folder; else runs/SCENARIO/seedN-HASH"),
     ("--fresh", "make the run again, then replace the old one"),
     ("--live [HOST:PORT]", "show the run while it is in progress"),
+    ("--log FILE", "also write the drive as a robot's log (MCAP)"),
+    ("--plugin FILE ...", "methods and encoder faults of your own"),
 )
 FIRST = {
     "seed": "seed of driving, sensors and weights",

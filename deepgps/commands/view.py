@@ -25,7 +25,7 @@ class ViewArguments:
     plugin: Plugins = ()
     """Files of plugins, whose methods then have their titles and colours."""
     screenshot: Path | None = None
-    """Write a picture of the first tab as PNG instead of opening a window; needs Chromium, or a display."""
+    """Write a picture of the first tab as PNG instead of opening a window; needs Chromium, a display or xvfb-run."""
 
 
 def view_command(words: Sequence[str]) -> None:

@@ -18,7 +18,7 @@ def describe_causes(causes: Mapping[str, Any]) -> str:
     if "light" in named:
         parts.append(f"pixel values are {causes['gain']:.2f} times those in training")
     if "camera" in named:
-        parts.append(f"the camera leans {causes['lean_deg']:.1f}° otherwise than in training")
+        parts.append(f"the camera's lean differs by {causes['lean_deg']:.1f}° from that in training")
     return f"The drive in use: {'; '.join(parts)}."
 
 

@@ -58,10 +58,11 @@ def describe_lack(path: Path, needed: int, error: OSError) -> str:
     """One-line message about a file without space: its path, the bytes needed and free, and the reason."""
     place = next(folder for folder in path.absolute().parents if folder.exists())
     free = shutil.disk_usage(place).free
-    return (
-        f"{path} cannot be written: {os.strerror(error.errno or errno.ENOSPC)}; at least {write_size(needed)} are "
-        f"needed and {write_size(free)} are free; with more space the same command continues"
-    )
+    why = os.strerror(error.errno or errno.ENOSPC)
+    lack = f"{path} cannot be written: {why}; at least {write_size(needed)} are needed"
+    if error.errno == errno.EFBIG:
+        return f"{lack}; with a higher limit of the size of files (ulimit -f) the same command continues"
+    return f"{lack} and {write_size(free)} are free; with more space the same command continues"
 
 
 def write_size(size: int) -> str:

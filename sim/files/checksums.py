@@ -45,7 +45,10 @@ def write_lines(path: Path, text: str) -> None:
 
 
 def check_lines(path: Path) -> None:
-    """Compare a text file with the checksum in its first line, if there is one; raises DamagedError."""
+    """Compare a text file with the checksum in its first line; raises DamagedError.
+
+    A file that begins with no comment has no checksum; one that begins with another comment is damaged.
+    """
     head, _, text = path.read_bytes().partition(b"\n")
     expected = head.decode(errors="replace").removeprefix(LINES)
     if head.startswith(b"#") and expected != hashlib.sha256(text).hexdigest():

@@ -87,7 +87,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
 def lay_grid(world: LandmarkWorld, settings: SimSettings) -> np.ndarray:
     """Return poses (C, H, 3) of the test grid over the square, walls included, headings spread evenly from +x."""
     low, high = world.bounds[:, 0]
-    side = np.linspace(low, high, round((high - low) / settings.grid.spacing_m) + 1)
+    side = np.linspace(low, high, max(round((high - low) / settings.grid.spacing_m), 1) + 1)
     return spread_headings(np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), settings.grid.headings)
 
 

@@ -111,8 +111,8 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
 def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
     """Place random rectangles in a square of side 1 around the origin; return their lower and upper corners (n, 2, 2).
 
-    Each either overlaps a wall or a placed rectangle, or leaves a passage to it. A rectangle is left out if ``TRIES``
-    draws do neither.
+    Each overlaps every wall and placed rectangle, or leaves a passage to it; one for which ``TRIES`` draws fail is left
+    out.
     """
     placed = np.empty((0, 2, 2))
     for _ in range(count):

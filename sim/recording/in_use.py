@@ -27,8 +27,7 @@ def set_in_use(settings: SimSettings) -> SimSettings:
 
 
 def choose_drive_in_use(settings: SimSettings) -> SimSettings:
-    """Settings of the recording of the drive in use, which is driven in the room as its ``deployment`` changes it, in
-    the light of use."""
+    """Settings of the recording of the drive in use: in the room as ``deployment`` changes it, in the light of use."""
     drive = settings.drive.model_copy(update={"samples": settings.deployment.drive_samples, "mixed_light": False})
     grid = settings.grid.model_copy(update={"held_out": 0})
     return set_in_use(settings).model_copy(update={"drive": drive, "grid": grid})

@@ -73,7 +73,8 @@ class Manifest(BaseModel):
     def start_ns(self) -> int:
         """When times of the recording count from [ns since 1970]; 0 unless it is of a robot's log."""
         log = (self.model_extra or {}).get("log", {})
-        return int(log.get("start_ns", 0)) if isinstance(log, dict) else 0
+        start_ns = log.get("start_ns", 0) if isinstance(log, dict) else 0
+        return start_ns if isinstance(start_ns, int) else 0
 
     @property
     def sensor(self) -> str:

@@ -39,7 +39,7 @@ QUEUED_BYTES = 100_000
 """Largest part that is queued: sending what the pipe cannot hold would wait until the worker has drawn the last."""
 PER_RENDERER = 500
 """Images for which it pays to start one more rendering process, which takes as long as drawing them."""
-CURE = "deepgps doctor checks the renderer"
+FIX = "deepgps doctor checks the renderer"
 log = logging.getLogger(__name__)
 
 
@@ -202,7 +202,7 @@ class Renderers:
         """Replace a worker that drew one image differently twice, and queue its parts again."""
         part = worker.parts.popleft().again()
         if part.differed >= TRIES:
-            raise WorkError(f"{error}, {TRIES} times; {CURE}")
+            raise WorkError(f"{error}, {TRIES} times; {FIX}")
         log.warning("%s; the file is drawn again", error)
         self._waiting.extendleft(reversed([part, *worker.parts]))
         worker.parts.clear()
@@ -220,7 +220,7 @@ class Renderers:
         self.deaths += 1
         why = "a rendering process died" if lost else f"a rendering process gave no sign of life for {limit_s:.0f} s"
         if self.deaths > DEATHS:
-            raise WorkError(f"{why}; {CURE}")
+            raise WorkError(f"{why}; {FIX}")
         log.warning("%s; %d of %d workers are replaced", why, len(lost + hung), len(self._workers))
         for worker in lost + hung:
             self._waiting.extendleft(reversed(worker.parts))

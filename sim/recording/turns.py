@@ -88,7 +88,7 @@ def list_turns(segment: np.ndarray, observation: np.ndarray, kinds: Sequence[int
 
 
 def lose_turns(turns: Turns, segment: np.ndarray, arrived: np.ndarray) -> Turns:
-    """Turns before a segment of which a reading arrives, unless it is the first; ``after`` counts what arrives.
+    """Turns before a segment of which a reading arrives, other than the first of all; ``after`` counts those that do.
 
     Args:
         turns: The turns of a drive whose readings have all arrived.

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sim.errors import InputError
 from sim.robot.chassis import Chassis
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, Body, wheel_speeds
 from sim.robot.own import describe_own
@@ -16,6 +17,8 @@ from sim.user_input import read_file, shorten
 
 RAMP_S = 0.5
 """Time in which a test drive speeds up and slows down [s]."""
+STRAIGHT_M, LEAST_M = 5.0, 4.0
+"""Length of the straight test drive, and what a robot that can be used drives of it at least [m]."""
 
 
 def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]:
@@ -28,12 +31,21 @@ def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]
     Returns:
         Effective wheel radius [m]: distance travelled on a 5 m straight over the mean wheel angle; and effective track
         [m]: difference of the distances of the wheels over the angle turned in four turns in place.
+
+    Raises:
+        InputError: The robot hardly moves.
     """
     world = Chassis(settings, empty_room(), body)
     world.place(np.zeros(3))
-    run(world, settings.drive.speed_mps, 0.0, 5.0 / settings.drive.speed_mps)
-    x, y, _ = world.pose()
-    radius_m = float(np.hypot(x, y) / world.wheel_angle().mean())
+    run(world, settings.drive.speed_mps, 0.0, STRAIGHT_M / settings.drive.speed_mps)
+    driven_m = float(np.hypot(*world.pose()[:2]))
+    if not driven_m > LEAST_M:  # NaN is not
+        raise InputError(
+            f"robot.mjcf {shorten(str(settings.robot.mjcf), 300)}: told to drive {STRAIGHT_M:g} m at drive.speed_mps "
+            f"{settings.drive.speed_mps:g}, it drove {driven_m:.2g} m; its wheels must touch the floor, and its motors "
+            "must be strong and fast enough"
+        )
+    radius_m = float(driven_m / world.wheel_angle().mean())
     world.place(np.zeros(3))
     yaw = run(world, 0.0, settings.drive.turn_rate_rps, 8 * np.pi / settings.drive.turn_rate_rps)
     left, right = world.wheel_angle()

@@ -9,7 +9,8 @@ DIRECTIONS = 720
 def reach_of_geoms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[float, float]:
     """How far the colliding geoms of a robot at the origin reach aside from its axis, and up [m].
 
-    In a direction d, a convex body reaches its largest product with d, and aside it reaches the largest of these.
+    How far a convex body reaches in a direction d is the largest product of its points with d; how far it reaches
+    aside is the largest of these over all level directions.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, DIRECTIONS, endpoint=False)
     level = np.stack([np.cos(angle), np.sin(angle), np.zeros(DIRECTIONS)], axis=1)

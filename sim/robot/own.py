@@ -158,7 +158,10 @@ def _find_servo(spec: mujoco.MjSpec, robot: RobotSettings, joint: str) -> dict[s
     """The properties of the velocity actuator that drives a joint."""
     for actuator in spec.actuators:
         if actuator.target == joint and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
-            kv = actuator.gainprm[0]
+            kv, gear = actuator.gainprm[0], actuator.gear[0]
+            if gear != 1.0:
+                needed = "must be 1, with kv and forcerange those at the wheel"
+                raise _refuse(robot, f"the actuator of its joint {shorten(joint)} has gear {gear:g}: it {needed}")
             if kv > 0.0 and actuator.biasprm[2] == -kv and actuator.biasprm[1] == 0.0:
                 return {name: getattr(actuator, name) for name in _SERVO}
     raise _refuse(

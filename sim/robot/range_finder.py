@@ -84,7 +84,7 @@ class RangeFinder:
 def fan_heights(height_m: float) -> np.ndarray:
     """Return the heights of the fans [m]: the lowest, then evenly from 0.10 m to just below the top of the robot.
 
-    A robot that is lower than that has one fan below its top.
+    A robot too low for a fan at 0.10 m has two: the lowest, and one just below its top.
     """
     top = max(height_m - 0.015, LOWEST_M)
     second = min(0.10, top)

@@ -14,6 +14,8 @@ from sim.furniture.primitives import Footprint
 from sim.rooms.outline import Wall, slabs
 
 CELL_M = 0.05
+SPARE = 0.41
+"""Part of a cell by which a room may be larger than its cells: what stands at a wall is 2 cm away from it."""
 PATH_RADIUS_M = 0.3
 """Half the width that a person needs to walk."""
 CUT_OFF_SHARE = 0.1
@@ -61,7 +63,7 @@ class Layout:
         self.walls = [Wall(a, b) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)]
         self.low = corners.min(axis=0)
         size = corners.max(axis=0) - self.low
-        columns, rows = np.rint(size / CELL_M).astype(int)
+        columns, rows = np.ceil(size / CELL_M - SPARE).astype(int)
         self.inside = np.zeros((rows, columns), bool)
         for left, right, bottom, top in slabs(corners):
             self._cells(left, right, bottom, top, self.inside)[:] = True

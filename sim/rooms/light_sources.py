@@ -38,7 +38,9 @@ class Sources:
 
 
 def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
-    """Find the lamps or the windows of a compiled room: one light for each body that glows, at most ``MOST``.
+    """Find the lamps or the windows of a compiled room: a light for each that glows, the ``MOST`` largest at most.
+
+    What glows in one body is one lamp or window; what is fixed to the world itself is one for each geom.
 
     Args:
         model: The room, with or without a robot.
@@ -51,8 +53,9 @@ def find_sources(model: mujoco.MjModel, source: Source) -> Sources:
     geoms = np.flatnonzero(glows & (pictured == (source == "windows")))
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    bodies = np.unique(model.geom_bodyid[geoms])
-    lights = [_place_light(model, data, geoms[model.geom_bodyid[geoms] == body], source) for body in bodies]
+    body = model.geom_bodyid[geoms]
+    fitting = np.where(body > 0, body, -1 - geoms)
+    lights = [_place_light(model, data, geoms[fitting == one], source) for one in np.unique(fitting)]
     lights = sorted(lights, key=lambda light: -light[2])[:MOST]
     place, facing, size = (np.array([light[k] for light in lights]) for k in range(3))
     strength = size / max(size.sum(), 1e-12)
@@ -68,11 +71,15 @@ def _place_light(
     model: mujoco.MjModel, data: mujoco.MjData, geoms: np.ndarray, source: Source
 ) -> tuple[np.ndarray, np.ndarray, float]:
     """Place (3,), direction (3,) and surface [m2] of the light of a body's glowing geoms."""
-    half = model.geom_aabb[geoms, 3:]
+    plane = model.geom_type[geoms, None] == mujoco.mjtGeom.mjGEOM_PLANE  # its bounding box is endless
+    half = np.where(plane, model.geom_size[geoms], model.geom_aabb[geoms, 3:])
     surface = np.sort(half, axis=1)[:, 1:].prod(axis=1) * 4.0
     place = np.average(data.geom_xpos[geoms], axis=0, weights=surface)
     if source == "lamps":
         return place, np.zeros(3), float(surface.sum())
-    pane = geoms[surface.argmax()]
-    inward = -data.geom_xmat[pane].reshape(3, 3)[:, 1]  # a fitting has the room towards -y
+    pane = surface.argmax()
+    thinnest = int(half[pane].argmin())
+    inward = -data.geom_xmat[geoms[pane]].reshape(3, 3)[:, thinnest]  # our fittings have the room towards -y
+    if thinnest != 1 and inward @ (model.stat.center - place) < 0.0:
+        inward = -inward
     return place + 0.1 * inward, inward, float(surface.sum())

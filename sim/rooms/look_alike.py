@@ -32,7 +32,7 @@ def panel_ceiling(room: Room, body: mujoco.MjsBody, middle: np.ndarray, size_m: 
 
 
 def hang_lamps(room: Room, every_m: float = LAMPS_M) -> None:
-    """Put the same flat lamp into the ceiling about every ``every_m`` [m], where no wall inside is in its way."""
+    """Put the same flat lamp into the ceiling about every ``every_m`` [m], except where an inner wall is in its way."""
     low, high = room.layout.corners.min(axis=0), room.layout.corners.max(axis=0)
     count = np.maximum(np.rint((high - low) / every_m).astype(int), 1)
     step = (high - low) / count

@@ -82,16 +82,19 @@ class Files:
         for element in self.elements():
             if element.tag in _REFUSED:
                 raise InputError(f"{self.what}: {_REFUSED[element.tag]} are not allowed (<{element.tag}>)")
-            for name, _ in list_references(element):
-                for path in self.find(element, name):
-                    assets[path] = path.stat().st_size
+            for path in self.find_used(element):
+                assets[path] = path.stat().st_size
         if sum(assets.values()) > LARGEST_ASSETS:
             raise InputError(f"{self.what}: its files have more than {LARGEST_ASSETS // 2**30} GiB")
 
     def list_used(self) -> list[Path]:
         """The other files that the room uses, sorted: XML files that it names, meshes and textures."""
-        assets = {path for one in self.elements() for name, _ in list_references(one) for path in self.find(one, name)}
+        assets = {path for element in self.elements() for path in self.find_used(element)}
         return sorted((assets | set(self.roots)) - set(list(self.main.roots)[:1]))
+
+    def find_used(self, element: ET.Element) -> list[Path]:
+        """The existing files that all attributes of an element can mean."""
+        return [path for name, _ in list_references(element) for path in self.find(element, name)]
 
     def find(self, element: ET.Element, name: str) -> list[Path]:
         """Return the existing files that an element's attribute can mean, all in the room's own folder."""

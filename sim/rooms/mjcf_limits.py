@@ -24,7 +24,7 @@ _COUNTS = {
 }
 _TEXT = {"name", "class", "childclass", "prefix", "model", "frame", "body", "geom", "site", "joint", "camera", "target"}
 _TEXT |= {"material", "mesh", "hfield", "texture", "objname", "refname", "content_type", "data", "memory"}
-_SUSPECT = re.compile(r"nan|inf|0x|e\+?0*[1-9]\d|(?<![\d.])\d{11,}", re.IGNORECASE)
+_SUSPECT = re.compile(r"nan|inf|0x|e\+?0*[1-9]|(?<![\d.])\d{11,}", re.IGNORECASE)
 _WILD = re.compile(r"[+-]?(nan(\(.*\))?|inf(inity)?|0x.*)", re.IGNORECASE)
 
 
@@ -153,7 +153,7 @@ class _Scales:
 
     def _weigh_terrain(self, element: ET.Element) -> int:
         what = f"{self.what}: hfield {shorten(element.get('name', ''))}"
-        paths = [path for name, _ in list_references(element) for path in self.files.find(element, name)]
+        paths = self.files.find_used(element)
         own = _count(element, "nrow", self.what) * _count(element, "ncol", self.what)
         return max([own, *(measure_terrain(path, what) for path in paths)])
 
@@ -162,7 +162,7 @@ class _Scales:
             if _number(word) > MOST_MESH_PARAM:
                 name = shorten(element.get("name", ""))
                 raise InputError(f"{self.what}: mesh {name}: params {shorten(word)} must be at most {MOST_MESH_PARAM}")
-        paths = [path for name, _ in list_references(element) for path in self.files.find(element, name)]
+        paths = self.files.find_used(element)
         inline = element.get("face", "").count(" ") // 3
         return max([inline, *(count_triangles(path) for path in paths)])
 

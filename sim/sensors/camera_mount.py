@@ -32,7 +32,7 @@ def tilt(lean: np.ndarray) -> np.ndarray:
 
 
 def drive_on(state: np.ndarray, driven_m: float) -> np.ndarray:
-    """States (FRAMES, nq) at the middles of equal parts of a straight path; its own middle is ``state`` (nq,)."""
+    """States (FRAMES, nq) along a straight path around ``state`` (nq,): in the middle of each of FRAMES equal parts."""
     yaw = planar_pose(state)[2]
     along = driven_m * ((np.arange(FRAMES) + 0.5) / FRAMES - 0.5)
     states = np.tile(state, (FRAMES, 1))

@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.sensors.camera_mount import tilt
 from sim.sensors.compass import CHUNK, Hypotheses
-from sim.sensors.compass_fit import fit_rotation, make_grid, swing, take_spectra, twist
+from sim.sensors.compass_fit import fit_rotation, make_grid, swing, take_spectra
 from sim.sensors.lens import Lens
 
 HORIZON = 0.1
@@ -75,15 +75,6 @@ def find_lean(hypotheses: Hypotheses) -> np.ndarray:
         normal = np.einsum("p,pij,pik->jk", weight, design, design) + 1e-9 * np.eye(2)
         lean = lean + np.linalg.solve(normal, np.einsum("p,pij,pi->j", weight, design, left[known]))
     return lean
-
-
-def set_upright(hypotheses: Hypotheses, lean: np.ndarray) -> Hypotheses:
-    """Hypotheses of a camera that is known to lean by ``lean`` (2,) [rad] in both images: turns of the robot."""
-    angle, left = _correct(hypotheses, lean)
-    before, after = twist(hypotheses.angle, hypotheses.lean), twist(angle, left)
-    std = np.sqrt(np.maximum(hypotheses.std**2 - before**2, 0.0) + after**2)
-    whole = 2.0 * np.pi * np.rint((hypotheses.angle - angle) / (2.0 * np.pi))
-    return replace(hypotheses, angle=angle + whole, std=std, lean=left)
 
 
 def _correct(hypotheses: Hypotheses, lean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

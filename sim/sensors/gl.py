@@ -13,8 +13,8 @@ from sim.errors import InputError, WorkError, one_line
 
 _BACKENDS = ("egl", "osmesa")
 # PyOpenGL, through which mujoco opens EGL, needs libOpenGL (or libGL) as well
-EGL_CURE = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0"
-_OSMESA_CURE = "apt-get install libosmesa6"
+EGL_FIX = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libopengl0"
+_OSMESA_FIX = "apt-get install libosmesa6"
 _EGL_PLATFORM_DEVICE = 0x313F  # EGL_EXT_platform_device
 _MOST_DEVICES = 32
 
@@ -53,8 +53,8 @@ def open_context(width: int, height: int) -> Any:
         context = importlib.import_module(f"mujoco.{backend}").GLContext(width, height)
         context.make_current()
     except Exception as error:  # drivers raise ImportError, AttributeError, RuntimeError or GLError
-        cure = EGL_CURE if backend == "egl" else _OSMESA_CURE
-        raise WorkError(f"{backend} cannot open an OpenGL context ({one_line(error)}): {cure}") from error
+        fix = EGL_FIX if backend == "egl" else _OSMESA_FIX
+        raise WorkError(f"{backend} cannot open an OpenGL context ({one_line(error)}): {fix}") from error
     return context
 
 
@@ -91,10 +91,10 @@ def _read_environment() -> str | None:
 
 def _explain(wanted: str | None, problems: dict[str, str | None]) -> str:
     if wanted is None:
-        return f"no OpenGL for images: {problems['egl']}, and {problems['osmesa']}: {EGL_CURE}"
+        return f"no OpenGL for images: {problems['egl']}, and {problems['osmesa']}: {EGL_FIX}"
     if wanted == "osmesa":
-        return f"MUJOCO_GL=osmesa, but {problems['osmesa']}: {_OSMESA_CURE}, or unset MUJOCO_GL to use EGL"
-    return f"MUJOCO_GL=egl, but {problems['egl']}: {EGL_CURE}"
+        return f"MUJOCO_GL=osmesa, but {problems['osmesa']}: {_OSMESA_FIX}, or unset MUJOCO_GL to use EGL"
+    return f"MUJOCO_GL=egl, but {problems['egl']}: {EGL_FIX}"
 
 
 def _probe_osmesa() -> str | None:

@@ -113,7 +113,7 @@ def _set_lights(scene: mujoco.MjvScene, sources: Sources) -> None:
         light.diffuse = light.ambient = light.specular = np.zeros(3, np.float32)
         light.headlight = light.castshadow = 0
     scattered.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    scattered.ambient = SCATTERED * colour
+    scattered.ambient = SCATTERED * colour * bool(len(sources.place))  # where nothing shines, nothing is scattered
     for light, place, facing, share in zip(direct, sources.place, sources.facing, sources.strength, strict=True):
         light.type = mujoco.mjtLightType.mjLIGHT_SPOT
         light.pos, light.dir = place, facing if facing.any() else np.array([0.0, 0.0, -1.0])

@@ -11,6 +11,7 @@ Directions are unit vectors (x forward, y left, z up along the optical axis). Tw
 - round ``(size, size)``: the view of an upward camera, with the robot's x axis at the top and y at the right.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,31 +36,33 @@ class Lens:
 
     def radius(self, theta: np.ndarray) -> np.ndarray:
         """Image radius as a fraction of the rim's, at angles ``theta`` from the axis [rad]."""
-        return self._growth(np.asarray(theta, float)) / self._growth(np.array(self.half_angle))
+        return distort(np.asarray(theta, float), self.k) / distort(np.array(self.half_angle), self.k)
 
     def angle(self, radius: np.ndarray) -> np.ndarray:
         """Angle from the axis [rad] at an image radius; the inverse of ``radius`` up to just outside the rim."""
         radius = np.asarray(radius, float)
-        target = radius * self._growth(np.array(self.half_angle))
+        target = radius * distort(np.array(self.half_angle), self.k)
         table = np.linspace(0.0, self.half_angle, 513)
         theta = np.interp(radius, self.radius(table), table) + np.maximum(radius - 1.0, 0.0) * self.half_angle
         for _ in range(3):  # starting from so fine a table, Newton steps reach machine precision
-            theta = theta - (self._growth(theta) - target) / self._slope(theta)
+            theta = theta - (distort(theta, self.k) - target) / self._slope(theta)
         return theta
 
     def focal_length(self, rim_px: float) -> float:
         """Focal length f [px] of an image whose rim has this radius: f = rim_px / (theta + k1 theta^3 + ...) there."""
-        return float(rim_px / self._growth(np.array(self.half_angle)))
-
-    def _growth(self, theta: np.ndarray) -> np.ndarray:
-        square = theta * theta
-        k1, k2, k3, k4 = self.k
-        return theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+        return float(rim_px / distort(np.array(self.half_angle), self.k))
 
     def _slope(self, theta: np.ndarray) -> np.ndarray:
         square = theta * theta
         k1, k2, k3, k4 = self.k
         return 1.0 + square * (3 * k1 + square * (5 * k2 + square * (7 * k3 + square * 9 * k4)))
+
+
+def distort(theta: np.ndarray, k: Sequence[float]) -> np.ndarray:
+    """Image radius over focal length at angles from the axis [rad], by the Kannala-Brandt coefficients k1 to k4."""
+    square = theta * theta
+    k1, k2, k3, k4 = k
+    return theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
 
 
 def make_lens(camera: CameraSettings) -> Lens:

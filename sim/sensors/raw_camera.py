@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from sim.errors import InputError
-from sim.sensors.lens import Lens, polar_rays
+from sim.sensors.lens import Lens, distort, polar_rays
 from sim.sensors.unwrap import draw_polar, oversample
 
 Model = Literal["equidistant", "plumb_bob", "rational_polynomial"]
@@ -48,9 +48,7 @@ class RawCamera:
     def project(self, theta: np.ndarray, azimuth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Column and row [px] of directions by their angles from the optical axis, and from x to y [rad]."""
         if MODELS[self.model] == "equidistant":
-            k1, k2, k3, k4 = self.coefficients
-            square = theta * theta
-            radius = theta * (1.0 + square * (k1 + square * (k2 + square * (k3 + square * k4))))
+            radius = distort(theta, self.coefficients)
             x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
             return self.focal[0] * x + self.centre[0], self.focal[1] * y + self.centre[1]
         across = np.tan(theta)
@@ -82,7 +80,9 @@ def check_camera(camera: RawCamera) -> None:
     (width, height), (column, row) = camera.size, camera.centre
     if camera.model not in MODELS:
         raise InputError(f"distortion model {camera.model!r}: must be {', '.join(MODELS)}")
-    if not (np.isfinite([*camera.focal, *camera.centre, *camera.coefficients]).all() and min(camera.focal) > 0):
+    if not np.isfinite(camera.coefficients).all():
+        raise InputError(f"distortion coefficients {camera.coefficients}: must be finite")
+    if not (np.isfinite([*camera.focal, *camera.centre]).all() and min(camera.focal) > 0):
         raise InputError(f"focal lengths {camera.focal} and centre {camera.centre}: must be finite, and positive")
     if not (0 <= column <= width - 1 and 0 <= row <= height - 1):
         raise InputError(f"centre {column:g}, {row:g}: must be in the image of {width} x {height} px")

@@ -85,6 +85,11 @@ class SimSettings(Group):
             if self.world == "landmarks"
             else self.obstacles.side_m - 2 * self.obstacles.clearance_m
         )
+        if side_m <= 0.0:
+            raise ValueError(
+                f"obstacles.clearance_m {self.obstacles.clearance_m:g} m must be less than half of obstacles.side_m "
+                f"{self.obstacles.side_m:g} m"
+            )
         longest = min(side_m, self.drive.longest_m)
         if 4 * self.drive.spacing_m > longest:
             raise ValueError(
@@ -145,10 +150,12 @@ class SimSettings(Group):
         if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
             raise ValueError("drive.mixed_light needs world room and sensor fisheye")
         changes = self.deployment.model_copy(update={"drive_samples": 0})  # any sensor can be driven with
+        if changes == DeploymentSettings(seed=changes.seed):  # it draws nothing
+            changes = DeploymentSettings()
         faulty = self.model_copy(update={"deployment": changes})
         faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]
         if faults and (self.world != "room" or self.sensor != "fisheye"):
-            raise ValueError(f"{faults[0]} has faults of images, which need world room and sensor fisheye")
+            raise ValueError(f"{faults[0]} changes what a camera sees, so it needs world room and sensor fisheye")
         if changes != DeploymentSettings() and self.grid.held_out:
             raise ValueError(
                 f"deployment changes the room of the test grid, and grid.held_out {self.grid.held_out} has none"

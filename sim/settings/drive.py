@@ -20,7 +20,7 @@ class DriveSettings(WithLater):
     samples: int = Field(default=8000, ge=FEWEST_SAMPLES, le=2_000_000)
     """Images to collect."""
     spacing_m: float = Field(default=0.08, ge=0.01, le=1.0)
-    """Distance between images on a segment [m]; at least what a robot in a room drives in 0.04 s."""
+    """Distance between images on a segment [m]; in a room, images are never closer than the robot drives in 0.04 s."""
     speed_mps: float = Field(default=0.22, gt=0.01, le=0.5)
     """Cruising speed [m/s] (TurtleBot3 Burger: 0.22)."""
     turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
@@ -39,12 +39,13 @@ class DriveSettings(WithLater):
     """explore: of twelve random headings the robot takes the one over the floor that it visited longest ago, by its
     wheels; random: it takes any heading, as in the paper."""
     enter: float = Field(default=0.2, ge=0.0, le=1.0)
-    """Probability of turning into a gap that the robot passes. A robot that explores always turns into a gap if it
-    visited the floor behind it longer ago than the floor ahead."""
+    """Probability of turning into an opening that the robot passes. A robot that explores always turns into an opening
+    if it visited the floor behind it longer ago than the floor ahead."""
     search: float = Field(default=0.05, ge=0.0, le=1.0)
     """Probability, after a segment, of searching one side for a while for places that random driving would miss."""
     mixed_light: bool = False
-    """Whether the light changes every 256 images of the training drive: as usual, little daylight, lamps off, night."""
+    """Whether the light changes during the training drive, at the first end of a segment after every 256 images: as
+    usual, little daylight, lamps off, night."""
     arcs: float = Field(default=0.0, ge=0.0, le=0.9)
     """Probability, before a segment, of driving an arc first, on which no image is taken; only logs show it."""
 
@@ -53,7 +54,7 @@ class GridSettings(Group):
     """The test grid, rendered while collecting so that nothing later needs the simulator."""
 
     spacing_m: float = Field(default=0.08, ge=0.005, le=1.0)
-    """Distance between test positions [m]."""
+    """Distance between test positions [m]; with landmarks, rounded so that it divides the side."""
     headings: int = Field(default=4, ge=1, le=64)
     """Headings at each test position, evenly spaced from +x."""
     held_out: int = Field(default=0, ge=0, le=100_000)

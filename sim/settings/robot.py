@@ -11,7 +11,7 @@ from sim.user_input import shorten
 
 
 class RobotSettings(Group):
-    """Faults of the robot's body."""
+    """The robot's body: a fault of its left wheel, or a robot of your own."""
 
     wheel_radius_error: float = Field(default=0.0, ge=-0.2, le=0.2)
     """The left wheel of the model itself is larger by this fraction, so the robot drives curves."""

@@ -38,7 +38,7 @@ class RoomSettings(WithLater):
 
     @model_validator(mode="after")
     def _walls_inside_have_room(self) -> "RoomSettings":
-        if self.kind == "lab" and self.look_alike:
+        if self.kind == "lab" and self.look_alike and self.mjcf is None:
             raise ValueError("look_alike: a lab has tags that are all different")
         smallest = SMALLEST_M.get(self.kind)
         if smallest is None or self.mjcf is not None:

@@ -1,4 +1,4 @@
-"""Check of what this machine has and lacks: each check is one line, and each problem comes with its cure."""
+"""Check of what this machine has and lacks: each check is one line, and each problem comes with its fix."""
 
 import os
 import platform
@@ -14,9 +14,9 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from sim.processes import usable_cores
-from sim.sensors.gl import EGL_CURE
+from sim.sensors.gl import EGL_FIX
 
-NVIDIA_CURE = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
+NVIDIA_FIX = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
 LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
 
 _DRAW = """
@@ -38,13 +38,13 @@ class Check:
         name: What was checked.
         ok: Whether the testbed can work with it.
         text: What was found.
-        cure: What to do or to type; empty if all is well.
+        fix: What to do or to type; empty if all is well.
     """
 
     name: str
     ok: bool
     text: str
-    cure: str = ""
+    fix: str = ""
 
 
 def check_all(runs: Path = Path("runs")) -> list[Check]:
@@ -87,8 +87,8 @@ def check_extras(distribution: str = "deepgps") -> list[Check]:
     checks = []
     for extra in extras:
         faults = {fault: one for one in _list_requirements(distribution, extra) if (fault := _find_fault(one))}
-        cure = f"if you need it: {_install(faults.values())} (in a checkout: make setup-dev)"
-        text = f"{', '.join(faults)}; {cure}" if faults else "installed"
+        fix = f"if you need it: {_install(faults.values())} (in a checkout: make setup-dev)"
+        text = f"{', '.join(faults)}; {fix}" if faults else "installed"
         checks.append(Check("extras", True, f"{extra}: {text}"))
     return checks
 
@@ -135,23 +135,23 @@ def check_renderer() -> Check:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return Check("renderer", False, "opening an OpenGL context takes more than 60 s", EGL_CURE)
+        return Check("renderer", False, "opening an OpenGL context takes more than 60 s", EGL_FIX)
     if child.returncode == 0:
         backend, renderer = child.stdout.strip().splitlines()[-2:]
         return judge_renderer(backend, renderer)
     complaint = (child.stderr.strip().splitlines() or [""])[-1]
     if child.returncode == 1 and "Traceback" not in child.stderr:
-        problem, _, cure = complaint.rpartition(": ")  # the form of the errors of sim/sensors/gl.py
-        return Check("renderer", False, problem, cure)
+        problem, _, fix = complaint.rpartition(": ")  # the form of the errors of sim/sensors/gl.py
+        return Check("renderer", False, problem, fix)
     text = f"opening an OpenGL context ended with code {child.returncode}: {complaint}"
-    return Check("renderer", False, text, EGL_CURE)
+    return Check("renderer", False, text, EGL_FIX)
 
 
 def judge_renderer(backend: str, renderer: str, nvidia: bool = Path("/dev/nvidiactl").exists()) -> Check:
     """Report a working renderer; EGL silently falls back to software where NVIDIA's own library is missing."""
     text = f"{backend}, {renderer}"
     if any(name in renderer for name in ("llvmpipe", "softpipe", "swrast")):
-        text += f" (in software, though an NVIDIA GPU is here: {NVIDIA_CURE})" if nvidia else " (in software)"
+        text += f" (in software, though an NVIDIA GPU is here: {NVIDIA_FIX})" if nvidia else " (in software)"
     return Check("renderer", True, text)
 
 
@@ -176,8 +176,8 @@ def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Check:
     """Check that there is disk space for results."""
     free_gb = shutil.disk_usage(_nearest(runs)).free / 1e9
     ok = free_gb >= least_gb
-    cure = "" if ok else f"free {least_gb:g} GB, or give a folder on another disk with --out DIR"
-    return Check("disk", ok, f"{free_gb:.1f} GB free", cure)
+    fix = "" if ok else f"free {least_gb:g} GB, or give a folder on another disk with --out DIR"
+    return Check("disk", ok, f"{free_gb:.1f} GB free", fix)
 
 
 def _nearest(folder: Path) -> Path:

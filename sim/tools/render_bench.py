@@ -67,6 +67,7 @@ def draw_poses(settings: SimSettings, poses: np.ndarray, processes: int = 2) -> 
 
     Timing starts when all worker processes are ready and includes the transfer of the images to this process.
     """
+    processes = min(processes, len(poses))
     ready = WORKERS.Barrier(processes + 1)
     # at least as many parts as processes: each part starts a process, and the processes wait for one another
     states = RoomWorld(settings, drawn=False).rest_states(poses)

@@ -85,11 +85,11 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("world: {}", "world {}: must be 'room', 'landmarks' or 'obstacles'"),
         (
             "{world: landmarks, image_faults: {exposure: 0.5}}",
-            "image_faults has faults of images, which need world room and sensor",
+            "image_faults changes what a camera sees, so it needs world room and sensor",
         ),
         (
             "{sensor: lidar, camera_mount: {roll_deg: 2}}",
-            "camera_mount has faults of images, which need world room and sensor fisheye",
+            "camera_mount changes what a camera sees, so it needs world room and sensor fisheye",
         ),
         (
             "{grid: {held_out: 5}, deployment: {light: 0.5}}",
@@ -125,11 +125,11 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ),
         (
             "{sensor: lidar, deployment: {drive_samples: 50, light: 0.5}}",
-            "deployment has faults of images, which need world room and sensor fisheye",
+            "deployment changes what a camera sees, so it needs world room and sensor fisheye",
         ),
         (
             "{sensor: lidar, deployment: {camera_mount: {roll_deg: 5}}}",
-            "deployment has faults of images, which need world room and sensor fisheye",
+            "deployment changes what a camera sees, so it needs world room and sensor fisheye",
         ),
         (
             "{grid: {held_out: 5}, deployment: {drive_samples: 50, camera_mount: {roll_deg: 5}}}",

@@ -10,7 +10,7 @@ from tests.faults.attack import Result, tabulate
 from tests.faults.command import REPOSITORY
 
 LONGEST = 700
-HEAD = """# What was tried to break it
+HEAD = """# Attempts to break it
 
 `make faults` attacks the testbed from outside, through its commands alone: it plants files of a user's, flips bits,
 fills disks, kills processes, feeds hostile files, and counts how often what should hold did hold. Every draw follows

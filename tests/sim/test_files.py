@@ -194,7 +194,9 @@ def test_a_file_for_which_there_is_no_space_is_one_clear_line(write, tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 16, before[1]))
     try:
-        with pytest.raises(WorkError, match=rf"{path} cannot be written: File too large; at least .* are needed and"):
+        with pytest.raises(
+            WorkError, match=rf"{path} cannot be written: File too large; at least .* are needed; with a higher"
+        ):
             write(path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -61,6 +61,10 @@ def test_a_run_older_than_exploring_has_random_headings(tmp_path: Path):
     assert Manifest(settings=in_a_plane).settings == in_a_plane
 
 
+def test_a_group_that_was_no_group_gives_way():
+    assert renamed.translate({"obstacles": 3, "map": {"carried": 1}}) == {"obstacles": {"relocate_after": 1}}
+
+
 def write_run(folder: Path, text: str) -> Path:
     folder.mkdir()
     write_lines(folder / "scenario.yaml", text)

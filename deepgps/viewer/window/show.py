@@ -28,12 +28,12 @@ def view(paths: Sequence[Path]) -> None:
     # The viewer also listens for data, which only this machine may send. At the port of another viewer, it would hand
     # over the recording without opening a window, and wait forever if that viewer hangs.
     command = [find_viewer(), "--bind", HOST, "--port", str(find_free_port()), str(recording)]
-    cure = (
+    fix = (
         f"without a display, copy {recording} to a machine that has one, or run: "
         f"deepgps view {shlex.join(map(str, paths))} --web"
     )
     if not has_display():
-        raise WorkError(f"the Rerun viewer cannot open a window; {cure}")
+        raise WorkError(f"the Rerun viewer cannot open a window; {fix}")
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as viewer:
         try:
             _, said = viewer.communicate()
@@ -42,7 +42,7 @@ def view(paths: Sequence[Path]) -> None:
             raise
     if viewer.returncode != 0:
         lines = [line for line in said.splitlines() if line.strip()] or ["no reason given"]
-        raise WorkError(f"the Rerun viewer exited with code {viewer.returncode} ({lines[-1]}); {cure}")
+        raise WorkError(f"the Rerun viewer exited with code {viewer.returncode} ({lines[-1]}); {fix}")
 
 
 def find_shown(paths: Sequence[Path]) -> Path:

@@ -151,7 +151,7 @@ def test_the_sentence_says_what_is_accepted_refused_and_changed():
     assert describe_causes(causes.summarise()) == (
         "The drive in use: 85.0 % of images accepted; refused: light or exposure changed 10.0 %, furniture moved or "
         "someone in view 5.0 %; with those accepted: light or exposure changed 60.0 %; pixel values are 0.50 times "
-        "those in training; the camera leans 2.0° otherwise than in training."
+        "those in training; the camera's lean differs by 2.0° from that in training."
     )
     assert set(causes.named) == {"camera", "light", "furniture"} < set(TITLES)
     assert PILLARS != MOVED

@@ -177,6 +177,13 @@ def test_the_papers_grid_has_128_positions_a_side_and_reaches_the_walls():
     assert (grid[..., :2].min(), grid[..., :2].max()) == (-1.0, 1.0)
 
 
+def test_a_grid_coarser_than_the_square_is_its_corners():
+    settings = SETTINGS.model_copy(
+        update={"landmarks": LandmarksSettings(side_m=0.5), "grid": GridSettings(spacing_m=1.0, headings=1)}
+    )
+    assert len(lay_grid(LandmarkWorld(settings, 0), settings)) == 4
+
+
 @pytest.mark.parametrize(
     ("world", "groups"),
     [

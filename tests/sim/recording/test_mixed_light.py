@@ -58,5 +58,5 @@ def test_later_settings_are_written_only_if_given():
 def test_only_a_room_with_a_camera_has_light():
     with pytest.raises(ValidationError, match=r"drive\.mixed_light needs world room and sensor fisheye"):
         SimSettings(sensor="lidar", drive=DriveSettings(mixed_light=True))
-    with pytest.raises(ValidationError, match="deployment has faults of images"):
+    with pytest.raises(ValidationError, match="deployment changes what a camera sees"):
         SimSettings.model_validate({"sensor": "lidar", "deployment": {"person": True}})

@@ -96,6 +96,7 @@ REFUSED = [
     ((), {"right_joint": "left_drive"}, r"robot\.right_joint left_drive is the left wheel's joint too"),
     ((), {"camera_site": "lens"}, r"robot\.camera_site lens: .* has no such site; it has eye"),
     ((), {"left_joint": "right_drive", "right_joint": "left_drive"}, "under the middle of its wheel axle"),
+    ([('kv="0.6"', 'kv="0.06" gear="10"')], {}, "the actuator of its joint left_drive has gear 10: it must be 1"),
     ([WORLD], {}, "its world must hold one body, the robot, and holds 2"),
     ([('kv="0.6"', 'kv="0"')], {}, "no velocity actuator drives its joint left_drive"),
     ([('name="left_drive" axis="0 1 0"', 'name="left_drive" axis="0 -1 0"')], {}, "must have the axis 0 1 0"),
@@ -119,6 +120,14 @@ def test_one_that_is_missing_or_falls_over_is_refused(tmp_path: Path):
     falls = changed(tmp_path, ('pos="-0.15 0 0.02"', 'pos="-0.15 0 0.30"'))
     with pytest.raises(InputError, match="does not stay level"):
         RoomWorld(SimSettings(robot=robot(falls)), empty_room())
+
+
+def test_one_whose_motors_are_too_weak_is_refused_before_it_drives(tmp_path: Path):
+    weak = changed(tmp_path, ('kv="0.6"', 'kv="0.6" ctrlrange="-0.5 0.5"'))
+    with pytest.raises(
+        InputError, match=r"robot\.mjcf .*: told to drive 5 m at drive\.speed_mps 0\.22, it drove 0\.\d"
+    ):
+        RoomWorld(SimSettings(robot=robot(weak)), empty_room())
 
 
 def test_one_whose_origin_is_not_on_the_floor_is_refused(tmp_path: Path):

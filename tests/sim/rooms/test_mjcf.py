@@ -267,6 +267,7 @@ TEXTURE = '<asset><texture name="t" type="2d" file="a.png"/></asset>'
         ('<geom size="1" pos="nan 0 0"/>', "", "geom pos nan: a number must lie between"),
         ('<geom size="1" pos="0 -inf 0"/>', "", "geom pos -inf: a number must lie between"),
         ('<body quat="1e308 0 0 0"/>', "", "body quat 1e308: a number must lie between"),
+        ('<geom size="1" mass="100e9"/>', "", "geom mass 100e9: a number must lie between"),
         ('<geom size="0x1p100"/>', "", "geom size 0x1p100: a number must lie between"),
         ('<body pos="9e9 0 0">' * 9 + GEOM + "</body>" * 9, "", "a geom is infinitely large or far away"),
         ('<body name="robot/base"/>', "", "the name 'robot/base' begins with robot/"),

@@ -19,7 +19,7 @@ from sim.rooms.free_space import find_free_space
 from sim.rooms.light_sources import MOST, find_sources, hang_lamp
 from sim.sensors.camera_faults import decode
 from sim.sensors.exposure import GREY, expose
-from sim.sensors.illumination import mix
+from sim.sensors.illumination import _set_lights, mix
 from sim.sensors.visitors import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
 from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 
@@ -182,3 +182,29 @@ def test_a_room_without_materials_has_no_sources(source: Literal["lamps", "windo
     model = mujoco.MjModel.from_xml_string(NARROW)
     assert model.nmat == 0
     assert not len(find_sources(model, source).geoms)
+
+
+OWN = """<mujoco><asset>
+  <texture name="sky" type="2d" builtin="flat" width="2" height="2" rgb1="1 1 1"/>
+  <material name="pane" texture="sky" emission="1"/><material name="glow" emission="1"/>
+</asset><worldbody>
+  <geom name="left" type="box" size="0.02 0.6 0.5" pos="-2 0 1.2" material="pane"/>
+  <geom name="right" type="box" size="0.02 0.6 0.5" pos="2 0 1.2" material="pane"/>
+  <geom type="sphere" size="0.1" pos="-1 0 2" material="glow"/>
+  <geom type="plane" size="0.5 0.5 0.1" pos="1 0 2" material="glow"/>
+</worldbody></mujoco>"""
+
+
+def test_lamps_and_windows_fixed_to_the_world_are_lights_of_their_own():
+    model = mujoco.MjModel.from_xml_string(OWN)
+    lamps, windows = find_sources(model, "lamps"), find_sources(model, "windows")
+    assert sorted(lamps.place[:, 0]) == [-1.0, 1.0] and lamps.strength.min() > 0.01
+    assert np.allclose(np.abs(windows.facing), [1.0, 0.0, 0.0]), "a pane shines where it is thinnest"
+    assert (windows.facing[:, 0] * windows.place[:, 0] < 0.0).all(), "into the room"
+
+
+def test_where_nothing_shines_no_light_is_scattered():
+    model = mujoco.MjModel.from_xml_string(NARROW)
+    scene = mujoco.MjvScene(model, 10)
+    _set_lights(scene, find_sources(model, "windows"))
+    assert not any(light.ambient.any() or light.diffuse.any() for light in scene.lights[: scene.nlight])

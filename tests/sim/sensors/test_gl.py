@@ -1,4 +1,4 @@
-"""Choosing the OpenGL backend: what works is used, and what is missing is named with its cure."""
+"""Choosing the OpenGL backend: what works is used, and what is missing is named with its fix."""
 
 import ctypes
 import os

@@ -91,6 +91,7 @@ def test_impossible_calibrations_and_images_are_refused(image: np.ndarray) -> No
     for camera, message in (
         (RawCamera("omni", SIZE, (50.0, 50.0), CENTRE, ()), "distortion model 'omni': must be equidistant"),
         (RawCamera("equidistant", SIZE, (0.0, 50.0), CENTRE, (0.0,) * 4), "must be finite, and positive"),
+        (RawCamera("equidistant", SIZE, (50.0, 50.0), CENTRE, (np.nan,) * 4), "coefficients .*nan.*: must be finite"),
         (RawCamera("equidistant", SIZE, (50.0, 50.0), (200.0, 3.0), (0.0,) * 4), "centre 200, 3: must be in the image"),
     ):
         with pytest.raises(InputError, match=message):

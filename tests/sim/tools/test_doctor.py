@@ -1,4 +1,4 @@
-"""The doctor finds what is missing and names the cure, whatever the libraries do."""
+"""The doctor finds what is missing and names the fix, whatever the libraries do."""
 
 import os
 import subprocess
@@ -60,7 +60,7 @@ def site(monkeypatch, tmp_path):
 
 
 def lacks(checks: list[Check]) -> list[tuple[str, str]]:
-    return [(check.text, check.cure) for check in checks if not check.ok]
+    return [(check.text, check.fix) for check in checks if not check.ok]
 
 
 def test_all_is_well_where_the_tests_run(tmp_path):
@@ -111,14 +111,14 @@ def test_a_checkout_that_is_not_installed_is_told_to_set_up():
 def test_only_pythons_with_all_wheels_are_fit(found, ok):
     check = check_python(found)
     assert check.ok == ok
-    assert ("make setup PYTHON=" in check.cure) == (not ok)
+    assert ("make setup PYTHON=" in check.fix) == (not ok)
 
 
 def test_renderer_is_named(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
     check = check_renderer()
-    assert check.ok and check.text.startswith("egl, ") and check.cure == ""
+    assert check.ok and check.text.startswith("egl, ") and check.fix == ""
 
 
 @pytest.mark.parametrize("masked", [EGL, OPENGL], ids=["libEGL", "libOpenGL"])
@@ -127,8 +127,8 @@ def test_egl_without_its_libraries_names_the_packages(masked, mask, monkeypatch)
     monkeypatch.setenv("MUJOCO_GL", "egl")
     check = check_renderer()
     assert not check.ok
-    assert check.cure.startswith("apt-get install libegl1 ")
-    assert "Traceback" not in check.text + check.cure
+    assert check.fix.startswith("apt-get install libegl1 ")
+    assert "Traceback" not in check.text + check.fix
 
 
 def test_osmesa_without_its_library_names_the_package(mask, monkeypatch):
@@ -136,28 +136,28 @@ def test_osmesa_without_its_library_names_the_package(mask, monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "osmesa")
     check = check_renderer()
     assert not check.ok
-    assert "OSMesa" in check.text and "apt-get install libosmesa6" in check.cure
+    assert "OSMesa" in check.text and "apt-get install libosmesa6" in check.fix
 
 
 def test_nothing_to_draw_with_names_the_packages(mask, monkeypatch):
     mask(*EGL, *OSMESA)
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     check = check_renderer()
-    assert not check.ok and "libegl1" in check.cure
+    assert not check.ok and "libegl1" in check.fix
 
 
 def test_a_wrong_backend_is_an_answer_too(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "directx")
     check = check_renderer()
     assert not check.ok
-    assert check.text == "MUJOCO_GL=directx" and "egl or osmesa" in check.cure
+    assert check.text == "MUJOCO_GL=directx" and "egl or osmesa" in check.fix
 
 
 def test_a_driver_that_kills_the_process_is_an_answer_too(monkeypatch):
     monkeypatch.setattr(doctor, "_DRAW", "import os; os.kill(os.getpid(), 11)")
     check = check_renderer()
     assert not check.ok
-    assert "code -11" in check.text and check.cure == doctor.EGL_CURE
+    assert "code -11" in check.text and check.fix == doctor.EGL_FIX
 
 
 def test_what_a_driver_says_need_not_be_text(monkeypatch):
@@ -183,18 +183,18 @@ def test_results_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
     check = check_folder(tmp_path / "file")
     assert not check.ok
-    assert str(tmp_path / "file") in check.text and "--out" in check.cure
+    assert str(tmp_path / "file") in check.text and "--out" in check.fix
 
 
 def test_full_disk_is_told(tmp_path):
     check = check_disk(tmp_path, least_gb=1e9)
-    assert not check.ok and "--out" in check.cure
+    assert not check.ok and "--out" in check.fix
     assert check_disk(tmp_path, least_gb=0.0).ok
 
 
 def test_setup_installs_the_packages_that_the_cure_names():
     script = (ROOT / ".ci" / "setup").read_text(encoding="utf-8")
-    assert doctor.EGL_CURE.removeprefix("apt-get install ") in script
+    assert doctor.EGL_FIX.removeprefix("apt-get install ") in script
 
 
 def test_command_tells_the_lack_and_fails(mask, tmp_path):
@@ -212,12 +212,12 @@ def test_command_names_the_device(tmp_path):
 
 
 def test_command_prints_cures_with_their_brackets(monkeypatch, capsys):
-    cure = "pip install 'deepgps[ray]'"
-    checks = [Check("extras", True, f"ray: {cure}"), Check("packages", False, "part is missing", cure)]
+    fix = "pip install 'deepgps[ray]'"
+    checks = [Check("extras", True, f"ray: {fix}"), Check("packages", False, "part is missing", fix)]
     monkeypatch.setattr(doctor, "check_all", lambda: checks)
     with pytest.raises(WorkError):
         doctor_command(())
-    assert capsys.readouterr().out.count(cure) == 2
+    assert capsys.readouterr().out.count(fix) == 2
 
 
 def run_doctor(folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:
