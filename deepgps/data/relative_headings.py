@@ -11,6 +11,7 @@ from scipy import fft
 
 from deepgps.data.segments import Segments
 from sim.geometry import wrap
+from sim.sensors.circular_peaks import find_highest
 
 RINGS = 8
 WAVES = 24
@@ -98,15 +99,6 @@ def _describe(images: np.ndarray) -> np.ndarray:
 
 
 def _compare(one: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    count = FINER * 2 * WAVES
-    cross = (one * other.conj()).sum(axis=1)
-    correlation = np.asarray(fft.irfft(cross, count))
-    before, after = np.roll(correlation, 1, axis=1), np.roll(correlation, -1, axis=1)
-    peaks = np.where((correlation > before) & (correlation >= after), correlation, -np.inf)
-    row, best = np.arange(len(peaks)), peaks.argmax(axis=1)
-    top = peaks[row, best]
-    a, b = before[row, best], after[row, best]
-    aside = (a - b) / (2.0 * (a - 2.0 * top + b))
-    peaks[row, best] = -np.inf
-    angle = 2.0 * np.pi / count * (best + aside)
-    return wrap(angle), peaks.max(axis=1) < AMBIGUOUS * top
+    correlation = np.asarray(fft.irfft((one * other.conj()).sum(axis=1), FINER * 2 * WAVES))
+    angle, height = find_highest(correlation, 2)
+    return wrap(angle[:, 0]), height[:, 1] < AMBIGUOUS * height[:, 0]

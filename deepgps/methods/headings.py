@@ -16,6 +16,7 @@ from scipy import fft
 from scipy.spatial import KDTree
 
 from sim.geometry import wrap
+from sim.sensors.circular_peaks import find_highest
 from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
 from sim.sensors.compass_fit import CUTOFF, SMOOTH
 
@@ -206,18 +207,8 @@ def correlate(known: np.ndarray, phases: np.ndarray) -> tuple[np.ndarray, np.nda
     """
     cross = np.einsum("nlk,nmlk->nmk", phases.conj(), known)
     curve = np.asarray(fft.irfft(np.pad(cross, ((0, 0), (0, 0), (1, 0))), FINE)) * np.float32(FINE / 2)
-    before, after = np.roll(curve, 1, axis=2), np.roll(curve, -1, axis=2)
-    peaks = np.where((curve > before) & (curve >= after), curve, -1.0)
-    angle, height = np.empty((*cross.shape[:2], 2)), np.empty((*cross.shape[:2], 2))
-    for number in range(2):
-        place = peaks.argmax(axis=2)[..., None]
-        height[..., number] = np.take_along_axis(peaks, place, axis=2)[..., 0]
-        low, top, high = (np.take_along_axis(one, place, axis=2)[..., 0] for one in (before, curve, after))
-        bend = low - 2.0 * top + high
-        aside = np.where(bend < 0.0, (low - high) / (2.0 * np.where(bend < 0.0, bend, -1.0)), 0.0)
-        angle[..., number] = 2.0 * np.pi / FINE * (place[..., 0] + aside)
-        np.put_along_axis(peaks, place, -1.0, axis=2)
-    return angle, height
+    angle, height = find_highest(curve, 2)
+    return angle, np.maximum(height, -1.0)
 
 
 def find_nearest(tree: KDTree, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from sim.errors import InputError
 from sim.geometry import wrap
+from sim.sensors.circular_peaks import find_top
 from sim.sensors.compass_fit import Grid, fit_rotation, make_grid, sample_spectra, take_spectra
 from sim.sensors.lens import Lens
 
@@ -153,7 +154,7 @@ def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray
     before, after = np.roll(correlation, 1, axis=1), np.roll(correlation, -1, axis=1)
     pair, place = np.nonzero((correlation > before) & (correlation >= after) & (correlation > 0.0) & seen[:, None])
     before, peak, after = before[pair, place], correlation[pair, place], after[pair, place]
-    aside = (before - after) / (2.0 * (before - 2.0 * peak + after))  # top of the parabola through the three
+    aside = find_top(before, peak, after)
     peak = peak - (before - after) * aside / 4.0
     angle = 2.0 * np.pi / fine * (place + aside)
     both = power[0] + power[1]
