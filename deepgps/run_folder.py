@@ -64,7 +64,8 @@ def open_run(folder: Path) -> Scenario:
 
 def list_runs(folder: Path) -> list[Path]:
     """Folders of runs in a folder, one or two levels down, in order of their names."""
-    found = {path.parent for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}")}
+    scenarios = (path for pattern in ("*", "*/*") for path in folder.glob(f"{pattern}/{RUN.first}"))
+    found = {path.parent for path in scenarios if path.is_file()}
     return sorted(path for path in found if path.name != FRESH)  # which is half a run
 
 

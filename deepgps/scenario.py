@@ -20,7 +20,7 @@ from pydantic_core import ErrorDetails
 
 from deepgps.methods.catalog import METHODS
 from deepgps.plain_yaml import read_yaml
-from deepgps.setting_problems import DEEPEST, describe_first
+from deepgps.setting_problems import DEEPEST, describe_first, describe_problems
 from deepgps.settings import LearnSettings, check_name
 from deepgps.spelling import as_key, find_like, suggest
 from sim.errors import InputError
@@ -28,7 +28,7 @@ from sim.paths import SCENARIOS
 from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import Group, SimSettings
-from sim.settings.group import WithPlugins
+from sim.settings.group import Seed, WithPlugins
 from sim.user_input import quote, shorten
 
 
@@ -62,7 +62,7 @@ class Scenario(WithPlugins, SimSettings):
     name: str = Field(default="unnamed", pattern=NAME)
     """Name of the scenario; its runs are stored under runs/<name>. In a file without it, the file's own name, with _
     for other letters than a name may hold."""
-    seed: int = Field(default=0, ge=0)
+    seed: Seed = 0
     """Seed of everything random; each part of the work draws from an RNG stream of its own."""
     plugins: dict[str, PluginSource] = Field(default_factory=dict)
     """The plugins of those methods that deepgps does not have itself; filled in from the plugins that are loaded."""
@@ -156,12 +156,21 @@ def override_scenario(
     """Make a scenario from the plain values of a file, which are not modified, and overrides.
 
     Raises:
-        InputError: A setting is wrong; the message names the field, the value and what is allowed.
+        InputError: Settings are wrong; one line names them, their values and what is allowed, and the file unless the
+            overrides alone are wrong.
     """
-    values, overrides = {"name": clean_name(path.stem), **values}, flatten(overrides)
+    given, overrides = {"name": clean_name(path.stem), **values}, flatten(overrides)
+    values = given
     for dotted, value in overrides.items():
         values = _set(values, dotted, dotted.split("."), value)
-    return check_scenario(values, path, overrides, spell)
+    try:
+        return Scenario.model_validate(values)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        names = [_find_override(problem, overrides) for problem in problems]
+        text = describe_first(problems, Scenario, [spell(name) if name else None for name in names])
+        ours = all(name is not None for name in names) or (overrides and _is_valid(given))
+        raise InputError(text if ours else f"{_write_origin(path)}: {text}") from None
 
 
 def clean_name(text: str) -> str:
@@ -218,22 +227,24 @@ def names_in(folder: Path) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.yaml"))
 
 
-def check_scenario(
-    values: Mapping[str, Any], origin: Path, overrides: Collection[str] = (), spell: Spell = as_key
-) -> Scenario:
-    """Make a scenario from plain values, those of a file with overrides applied.
-
-    Raises:
-        InputError: Settings are wrong; one line names them, and the file unless all of them are overrides.
-    """
+def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
+    """Make a scenario from the plain values of a file; raises InputError that names it, and the settings."""
     try:
         return Scenario.model_validate(values)
     except ValidationError as error:
-        problems = error.errors(include_url=False)
-        names = [_find_override(problem, overrides) for problem in problems]
-        ours = all(name is not None for name in names)
-        text = describe_first(problems, Scenario, [spell(name) if name else None for name in names])
-        raise InputError(text if ours else f"{shorten(str(origin), 300)}: {text}") from None
+        raise InputError(f"{_write_origin(origin)}: {describe_problems(error, Scenario)}") from None
+
+
+def _is_valid(values: Mapping[str, Any]) -> bool:
+    try:
+        Scenario.model_validate(values)
+    except ValidationError:
+        return False
+    return True
+
+
+def _write_origin(path: Path) -> str:
+    return shorten(str(path), 300)
 
 
 def _find_override(problem: ErrorDetails, overrides: Collection[str]) -> str | None:

@@ -8,7 +8,7 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from deepgps.spelling import find_group, find_like, find_settings_like, suggest
+from deepgps.spelling import find_group, find_like, find_settings_like, find_type, suggest
 from sim.renamed import explain_setting, explain_value
 from sim.settings import Group
 from sim.user_input import quote, shorten
@@ -43,12 +43,20 @@ def _describe(details: ErrorDetails, kind: type[Group], written: str | None = No
     if details["type"] == "literal_error" and (renamed := explain_value(dotted, details["input"])):
         return f"{name} {quote(details['input'])}: {renamed}"
     if details["type"] == "extra_forbidden":
-        return f"{name}: there is no such setting{_suggest(details['loc'], kind)}"
+        return f"{name}: {_explain_unknown(details['loc'], kind)}"
     if details["type"] == "value_error":
         message = shorten(details["msg"].removeprefix("Value error, "), 400)
         return f"{name}: {message}" if name else message
     message = details["msg"][0].lower() + details["msg"][1:]
     return f"{name} {quote(details['input'])}: {shorten(message.replace('input should be', 'must be'), 400)}"
+
+
+def _explain_unknown(loc: tuple[int | str, ...], kind: type[Group]) -> str:
+    """Why there is no setting at a place, and which the user may have meant."""
+    dotted = ".".join(map(str, loc))
+    if find_type(dotted, kind) is not None:
+        return f"groups nest in a file: {': {'.join(dotted.split('.'))}: ...{'}' * dotted.count('.')}"
+    return f"there is no such setting{_suggest(loc, kind)}"
 
 
 def _suggest(loc: tuple[int | str, ...], kind: type[Group]) -> str:

@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model
 from pydantic_core import PydanticCustomError
 
 from sim.settings import Group
+from sim.settings.group import Seed
 
 Architecture = Literal["spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"]
 PairLoss = Literal["absolute", "normalised"]
@@ -127,7 +128,7 @@ class PcaSettings(Group):
 class LearnSettings(Group):
     """Everything that determines how a method learns from a recording."""
 
-    seed: int | None = Field(default=None, ge=0)
+    seed: Seed | None = None
     """Seed of weights and random draws; None: the scenario's seed."""
     features: FeatureSettings = FeatureSettings()
     network: NetworkSettings = NetworkSettings()

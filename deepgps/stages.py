@@ -195,8 +195,9 @@ def read_measured(folder: Path) -> dict[str, Any] | None:
         return None
     try:
         metrics = read_json(folder / METRICS)
-        for name in ("error_field.npz", "label_field.npz")[: 2 if "labels" in metrics else 1]:
-            read_arrays(folder / name)
+        for field, measured in (("error", True), ("label", "labels" in metrics), ("use", "in_use" in metrics)):
+            if measured:
+                read_arrays(folder / f"{field}_field.npz")
     except DamagedError as error:
         log.warning("%s; the methods are measured again", error)
         return None

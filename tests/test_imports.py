@@ -85,6 +85,7 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
+        "sim.sensors.circular_peaks",
         "sim.sensors.compass",
         "sim.sensors.compass_lean",
         "sim.sensors.compass_fit",

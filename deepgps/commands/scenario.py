@@ -70,17 +70,19 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
             own += [*([flag] if flag else []), *values]
         elif (kind := find_type(name := from_option(flag), Scenario)) is None:
             raise InputError(f"{shorten(flag)}: {_explain_unknown(name, own_options)}")
+        elif name in overrides:
+            raise InputError(f"{flag} is given twice; give it once")
         elif not values and kind is bool:
             overrides[name] = True
-        elif not values:
+        elif values in ([], [""]):
             raise InputError(f"{flag} needs a value")
         else:
             plain = [None if value.lower() in {"none", "null"} else value for value in values]
             overrides[name] = plain if name == "methods" else plain[0]
             if len(plain) > 1 and name != "methods":
                 raise InputError(f"{flag} takes one value, not {' '.join(values)}")
-        flag, _, value = word.partition("=")
-        values = [value] if value else []
+        flag, equals, value = word.partition("=")
+        values = [value] if equals else []
     return own, overrides
 
 

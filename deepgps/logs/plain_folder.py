@@ -75,6 +75,7 @@ class PlainFolder:
         if sample.topic == WHEELS:
             return SimpleNamespace(name=JOINTS, position=list(sample.data))
         x, y, yaw = sample.data
+        yaw = yaw if math.isfinite(yaw) else math.nan  # which the reader of poses leaves out
         place = SimpleNamespace(x=x, y=y, z=0.0)
         turn = SimpleNamespace(x=0.0, y=0.0, z=math.sin(yaw / 2), w=math.cos(yaw / 2))
         return SimpleNamespace(pose=SimpleNamespace(position=place, orientation=turn))
@@ -99,7 +100,7 @@ def _list_images(folder: Path) -> list[tuple[int, str]]:
 def _refuse_numbers(folder: Path, names: Sequence[str]) -> None:
     """Raise InputError if images are named by their numbers: these are no times."""
     stems = sorted((name.rpartition(".")[0] for name in names), key=lambda stem: (len(stem), stem))
-    numbers = [int(stem) for stem in stems if stem.isdigit()]
+    numbers = [int(stem) for stem in stems if stem.isdecimal()]
     if len(numbers) == len(stems) > 2 and sorted(numbers) in (list(range(len(stems))), list(range(1, len(stems) + 1))):
         raise InputError(
             f"{folder / IMAGES}: images are named by their numbers, {stems[0]} to {stems[-1]}, which are no times; "
@@ -110,7 +111,7 @@ def _refuse_numbers(folder: Path, names: Sequence[str]) -> None:
 def _read_name(folder: Path, name: str) -> int:
     """The time that an image's name tells [ns]."""
     stem = name.rpartition(".")[0]
-    in_ns = stem.isdigit() and len(stem) >= NANOSECOND_DIGITS
+    in_ns = stem.isdecimal() and len(stem) >= NANOSECOND_DIGITS
     try:
         ns = int(stem) if in_ns else _read_ns(stem)
     except (ValueError, OverflowError):
@@ -126,7 +127,7 @@ def _read_name(folder: Path, name: str) -> int:
 def _read_ns(text: str) -> int:
     """Seconds as nanoseconds, without rounding those of 1970 to a quarter of a microsecond."""
     seconds, _, fraction = text.strip().partition(".")
-    if fraction.isdigit() and seconds.isdigit():
+    if fraction.isdecimal() and seconds.isdecimal():
         return int(seconds) * 10**9 + int(fraction[:9].ljust(9, "0"))
     return round(float(text) * 1e9)
 
@@ -140,11 +141,9 @@ def _read_table(path: Path) -> Iterator[list[str]]:
     """Rows of a CSV file without its header; raises InputError that names the first wrong line."""
     columns = COLUMNS[path.name]
     with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file)
-        try:
-            head = next(rows, [])
-        except UnicodeDecodeError:
-            raise InputError(f"{path} must be text in UTF-8") from None
+        reader = csv.reader(file)
+        rows = _read_rows(reader, path)
+        head = next(rows, [])
         if tuple(name.strip() for name in head) != columns:
             raise InputError(f"{path}: its first line must be {','.join(columns)}, and is {quote(','.join(head))}")
         wrong = None
@@ -156,11 +155,22 @@ def _read_table(path: Path) -> Iterator[list[str]]:
                 if len(row) != len(columns) or not row[0].strip() or math.isinf(numbers[0]):
                     raise ValueError
             except ValueError:  # a last line was cut off; any other is an error
-                wrong = f"{path}: line {rows.line_num} must be {','.join(columns)}, and is {quote(row)}"
+                wrong = f"{path}: line {reader.line_num} must be {','.join(columns)}, and is {quote(row)}"
                 continue
             if abs(numbers[0]) > LATEST_S:
                 raise InputError(
-                    f"{path}: line {rows.line_num}: time_s {quote(row[0])} must be seconds; is it in ms or ns?"
+                    f"{path}: line {reader.line_num}: time_s {quote(row[0])} must be seconds; is it in ms or ns?"
                 )
             if not math.isnan(numbers[0]):
                 yield row
+
+
+def _read_rows(reader: Any, path: Path) -> Iterator[list[str]]:
+    """Rows of a CSV reader; raises InputError that names where the file cannot be read."""
+    try:
+        yield from reader
+    except UnicodeDecodeError:  # the file is decoded in blocks, before lines are counted
+        where = f": after line {reader.line_num} it is not" if reader.line_num else ""
+        raise InputError(f"{path} must be text in UTF-8{where}") from None
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: {error}") from None

@@ -23,6 +23,7 @@ from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError
 from sim.paths import STUDIES
 from sim.settings import Group
+from sim.settings.group import Seed
 from sim.user_input import quote, shorten
 
 ReportName = Annotated[str, one_of(REPORTS)]
@@ -40,7 +41,7 @@ class Variation(Group):
     """Explicit combinations of settings by dotted name; ``scenario`` names a scenario other than the study's own."""
     axes: dict[str, tuple[Any, ...]] = Field(default_factory=dict)
     """Values by dotted name; each case is run with every combination of these values."""
-    seeds: tuple[int, ...] = Field(default=(0,), min_length=1)
+    seeds: tuple[Seed, ...] = Field(default=(0,), min_length=1)
     """Seeds of the scenario."""
 
     @model_validator(mode="after")

@@ -131,6 +131,8 @@ class SimSettings(Group):
             raise ValueError(f"tag_camera.mounted needs world room, and the world is {self.world}")
         if self.tag_camera.mounted and self.room.mjcf is None and self.room.kind != "lab":
             raise ValueError(f"tag_camera.mounted needs tags: room.kind lab has some, and {self.room.kind} has none")
+        if self.world != "room" and self.robot != RobotSettings():
+            raise ValueError(f"robot needs world room, and the world is {self.world}")
         if self.world != "room" and self.grid.held_out:
             raise ValueError(f"grid.held_out {self.grid.held_out} needs world room, and the world is {self.world}")
         if self.world != "room" and self.deployment.drive_samples:

@@ -1,17 +1,21 @@
 """A group of settings: frozen, and checked once when it is created."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar, get_args
+from typing import Annotated, Any, ClassVar, get_args
 
 from pydantic import (
     BaseModel,
     ConfigDict,
+    Field,
     SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
     model_serializer,
 )
 from pydantic_core import PydanticCustomError
+
+Seed = Annotated[int, Field(ge=0, le=2**63 - 1)]
+"""A seed; the largest is the largest integer that tables hold."""
 
 
 class Group(BaseModel):

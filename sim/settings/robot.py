@@ -9,6 +9,9 @@ from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.settings.group import Group, WithPlugins
 from sim.user_input import shorten
 
+NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")
+"""Settings that name parts of a user's own robot."""
+
 
 class RobotSettings(Group):
     """The robot's body: a fault of its left wheel, or a robot of your own."""
@@ -26,13 +29,20 @@ class RobotSettings(Group):
 
     @model_serializer(mode="wrap")
     def _write_own_robot_only_if_there_is_one(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        own = ("mjcf", "left_joint", "right_joint", "camera_site")
+        own = ("mjcf", *NAMES_OF_OWN)
         return {name: value for name, value in write(self).items() if name not in own or self.mjcf is not None}
 
     @model_validator(mode="after")
     def _only_our_wheel_can_be_scaled(self) -> "RobotSettings":
         if self.mjcf is not None and self.wheel_radius_error:
             raise ValueError(f"wheel_radius_error {self.wheel_radius_error:g} must be 0 with a robot of your own")
+        return self
+
+    @model_validator(mode="after")
+    def _only_an_own_robot_has_names(self) -> "RobotSettings":
+        for name in NAMES_OF_OWN if self.mjcf is None else ():
+            if (value := getattr(self, name)) != RobotSettings.model_fields[name].default:
+                raise ValueError(f"{name} {shorten(value)} names a part of a robot of your own, and needs mjcf")
         return self
 
 

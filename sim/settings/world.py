@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sim.settings.group import Group, WithLater
+from sim.settings.group import Group, Seed, WithLater
 
 WorldName = Literal["room", "landmarks", "obstacles"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth"]
@@ -23,7 +23,7 @@ class RoomSettings(WithLater):
     """Purpose of the room, which determines its furniture."""
     shape: RoomShape = "rectangle"
     """Outline of the walls; two_rooms: a wall between two rooms, with a doorway."""
-    seed: int = Field(default=0, ge=0)
+    seed: Seed = 0
     """Seed of everything random about the room."""
     width_m: Metres | None = None
     """Extent along x [m]; None: the default of the kind."""
@@ -56,7 +56,7 @@ class LandmarksSettings(Group):
 
     count: int = Field(default=128, ge=3, le=4096)
     """Number of landmarks; they are identifiable, so each distance is assigned to its landmark."""
-    seed: int | None = Field(default=None, ge=0)
+    seed: Seed | None = None
     """Seed of the landmarks' positions; None: the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""
@@ -69,7 +69,7 @@ class LandmarksSettings(Group):
 class ObstaclesSettings(Group):
     """The paper's lidar maps (its appendix): a walled square with rectangular obstacles along its axes."""
 
-    seed: int | None = Field(default=None, ge=0)
+    seed: Seed | None = None
     """Seed of the obstacles; None: the scenario's seed."""
     side_m: float = Field(default=2.0, ge=0.5, le=100.0)
     """Side of the square, its middle at the origin [m]."""

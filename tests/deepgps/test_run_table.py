@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work
+from deepgps.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work, list_runs
 from deepgps.run_table import list_differences, write_age
 from deepgps.scenario import Scenario, load_scenario
 from sim.files.json_files import write_json
@@ -78,6 +78,11 @@ def test_a_run_with_damaged_figures_is_listed_as_such(metrics: str, tmp_path: Pa
 def test_nothing_to_list(folder, says, tmp_path):
     done = deepgps_here("runs", folder, cwd=tmp_path)
     assert (done.returncode, says in done.stderr) == (2, True)
+
+
+def test_a_folder_with_the_name_of_a_file_is_no_run(tmp_path):
+    (tmp_path / "other" / "scenario.yaml").mkdir(parents=True)
+    assert list_runs(tmp_path) == []
 
 
 def test_a_scenario_of_another_name_differs_from_the_defaults():

@@ -1,6 +1,5 @@
 import json
 import os
-from typing import get_args
 
 import pytest
 from hypothesis import given, settings
@@ -13,10 +12,11 @@ from deepgps.scenario_digest import digest, digest_recording
 from deepgps.spelling import list_settings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
+from sim.settings.group import _list_types
 
 
-def write(tmp_path, text: str) -> str:
-    path = tmp_path / "mine.yaml"
+def write(tmp_path, text: str, name: str = "mine.yaml") -> str:
+    path = tmp_path / name
     path.write_text(text)
     return str(path)
 
@@ -34,8 +34,9 @@ def test_overrides_win_and_are_converted():
 
 
 def test_true_is_no_number_of_any_setting_and_false_of_none():
-    kinds = {name: {kind, *get_args(kind)} for name, kind in list_settings(Scenario)}
-    numbers = [name for name, kind in kinds.items() if kind & {int, float}]
+    numbers = [
+        name for name, kind in list_settings(Scenario) if any(part in (int, float) for part in _list_types(kind))
+    ]
     assert len(numbers) > 100
     for name in numbers:
         for value in (True, False):
@@ -142,6 +143,11 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         ("image_faults: {exposure: 0}", "image_faults.exposure 0: must be greater than 0"),
         ("image_faults: {vignetting: 1}", "image_faults.vignetting 1: must be less than or equal to 0.99"),
         ("deployment: {light: 1.5}", "deployment.light 1.5: must be less than or equal to 1"),
+        ("room.seed: 3", "room.seed: groups nest in a file: room: {seed: ...}"),
+        ("learn.train.steps: 3", "learn.train.steps: groups nest in a file: learn: {train: {steps: ...}}"),
+        (f"seed: {2**63}", f"seed {2**63}: must be less than or equal to {2**63 - 1}"),
+        ("robot: {left_joint: wheel}", "robot: left_joint wheel names a part of a robot of your own, and needs mjcf"),
+        ("{world: landmarks, robot: {wheel_radius_error: 0.1}}", "robot needs world room, and the world is landmarks"),
         ("seed: {", "line 2: did not find expected node content"),
         ("seed: 1\nseed: 2", "line 2: seed is given twice"),
         ("name: ../up", "name '../up': string should match pattern"),
@@ -293,6 +299,19 @@ def test_a_wrong_group_given_as_a_mapping_is_named_by_its_setting(overrides, mes
     with pytest.raises(InputError) as caught:
         load_scenario("tiny", overrides)
     assert message in str(caught.value)
+
+
+def test_a_file_is_named_unless_the_overrides_alone_are_wrong(tmp_path):
+    right, wrong = write(tmp_path, "{}", "right.yaml"), write(tmp_path, "seed: -1", "wrong.yaml")
+    narrow = {"room.kind": "labyrinth", "room.width_m": 2}
+    for path, overrides, begins in (
+        (right, narrow, "room: width_m 2: a labyrinth needs at least 3 m"),
+        (wrong, narrow, f"{wrong}: "),
+        (wrong, {}, f"{wrong}: seed -1: must be"),
+    ):
+        with pytest.raises(InputError) as caught:
+            load_scenario(path, overrides)
+        assert str(caught.value).startswith(begins)
 
 
 def test_scenarios_are_frozen():

@@ -13,6 +13,7 @@ from deepgps.cli import COMMANDS, main
 from deepgps.commands.short_help import COLUMNS, FIRST
 from deepgps.scenario import Scenario, names_in
 from deepgps.spelling import as_option, find_settings_like, from_option, list_settings
+from sim.errors import InputError
 from sim.paths import SCENARIOS
 
 SETTINGS = [name for name, kind in list_settings(Scenario) if get_origin(kind) is not dict]
@@ -123,6 +124,22 @@ def test_a_switch_needs_no_value():
     _, source = parse_scenario("run", ["lab", "--tag-camera.kept", "--learn.train.shift", "false"], "")
     scenario = source.scenario
     assert (scenario.tag_camera.kept, scenario.learn.train.shift) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--drive.turn-images="], "--drive.turn-images needs a value"),
+        (["--seed="], "--seed needs a value"),
+        (["--seed", "1", "--seed", "2"], "--seed is given twice"),
+        (["--encoder.step-noise", "0.1", "--encoder.step_noise=0.2"], "--encoder.step_noise is given twice"),
+    ],
+)
+def test_no_value_is_made_up_and_none_is_lost(words, message):
+    from deepgps.commands.scenario import parse_scenario
+
+    with pytest.raises(InputError, match=message):
+        parse_scenario("run", ["tiny", *words], "")
 
 
 def test_every_setting_survives_its_spelling():

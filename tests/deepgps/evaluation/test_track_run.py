@@ -12,6 +12,7 @@ from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.owned_folder import hold
 from deepgps.run_folder import RUN
+from deepgps.stages import read_measured
 from deepgps.tracking.track import PATHS, read_track
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import open_recording, open_truth
@@ -162,6 +163,19 @@ def test_wrong_words_give_one_line(run: Path, tmp_path: Path, words: tuple[str, 
     assert done.returncode == 2
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["error_field.npz", "use_field.npz"])
+def test_a_damaged_error_field_is_noticed(name: str, run: Path, tmp_path: Path):
+    for file in ("metrics.json", "error_field.npz", "use_field.npz"):
+        shutil.copy(run / file, tmp_path)
+    assert read_measured(tmp_path) == read_json(run / "metrics.json")
+    content = bytearray((tmp_path / name).read_bytes())
+    content[len(content) // 2] ^= 1
+    (tmp_path / name).write_bytes(content)
+    assert read_measured(tmp_path) is None
+    (tmp_path / name).unlink()
+    assert read_measured(tmp_path) is None
 
 
 def test_run_without_a_drive_in_use_says_how_to_make_one(finished_run: Path, tmp_path: Path):

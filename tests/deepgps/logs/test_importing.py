@@ -115,13 +115,28 @@ def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
         bring_in(log, tmp_path / "again", PLAIN)
 
 
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (b"\xff" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+ it is not"),
+        (b"1" * 140_000, r"wheels\.csv: line \d+: field larger than field limit"),
+    ],
+)
+def test_where_a_plain_file_cannot_be_read_is_said(more: bytes, message: str, tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    with (log / "wheels.csv").open("ab") as file:
+        file.write(more)
+    with pytest.raises(InputError, match=message):
+        bring_in(log, tmp_path, PLAIN)
+
+
 def test_values_that_are_missing_in_plain_files_are_left_out(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
     head, *rows = (log / "wheels.csv").read_text().splitlines()
     rows[100] = f"{rows[100].partition(',')[0]},nan,"
     (log / "wheels.csv").write_text("\n".join([head, *rows, "33.4,1"]))
     head, *rows = (log / "poses.csv").read_text().splitlines()
-    rows[200:203] = [f"{row.partition(',')[0]},nan,nan,nan" for row in rows[200:203]]
+    rows[200:203] = [f"{rows[200].partition(',')[0]},{values}" for values in ("nan,nan,nan", "1,inf,0", "1,1,inf")]
     (log / "poses.csv").write_text("\n".join([head, *rows]))
     folder, about = bring_in(log, tmp_path, PLAIN)
     check_complete(folder)
