@@ -35,6 +35,7 @@ def parse(kind: Any, command: str, words: Sequence[str], about: str | None) -> A
         if name.startswith("--") and name not in options:
             hint = suggest([find_like(name, options)]) or _list_options(options)
             raise InputError(f"deepgps {command}: there is no option {shorten(name)}{hint}")
+    _refuse_empty(command, words)
     said = io.StringIO()
     try:
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
@@ -53,6 +54,14 @@ def list_options(kind: Any) -> list[str]:
 def show_arguments(kind: Any, command: str, about: str | None) -> None:
     """Print a command's arguments below the description ``about``, and exit."""
     tyro.cli(kind, args=["--help"], prog=f"deepgps {command}", description=about, config=CONFIG)
+
+
+def _refuse_empty(command: str, words: Sequence[str]) -> None:
+    """Raise InputError at an empty word, as of a shell's unset variable: as a path it is the current folder."""
+    for before, word in zip(("", *words), words, strict=False):
+        option = word.removesuffix("=") if word.startswith("--") else before if before.startswith("--") else ""
+        if not word or (word.startswith("--") and word.endswith("=")):
+            raise InputError(f"deepgps {command}: {shorten(option) or 'an argument'} is empty")
 
 
 def _list_options(options: Sequence[str]) -> str:

@@ -131,6 +131,8 @@ def test_a_switch_needs_no_value():
     [
         (["--drive.turn-images="], "--drive.turn-images needs a value"),
         (["--seed="], "--seed needs a value"),
+        (["--out="], "--out is empty"),
+        (["--out", ""], "--out is empty"),
         (["--seed", "1", "--seed", "2"], "--seed is given twice"),
         (["--encoder.step-noise", "0.1", "--encoder.step_noise=0.2"], "--encoder.step_noise is given twice"),
     ],
@@ -140,6 +142,18 @@ def test_no_value_is_made_up_and_none_is_lost(words, message):
 
     with pytest.raises(InputError, match=message):
         parse_scenario("run", ["tiny", *words], "")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["view", ""], "deepgps view: an argument is empty"),
+        (["study", "mds", "--out="], "deepgps study: --out is empty"),
+    ],
+)
+def test_an_empty_path_is_not_the_current_folder(words, message, capsys):
+    code, _, said = say(words, capsys)
+    assert code == 2 and message in said
 
 
 def test_every_setting_survives_its_spelling():
