@@ -70,8 +70,6 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
             own += [*([flag] if flag else []), *values]
         elif (kind := find_type(name := from_option(flag), Scenario)) is None:
             raise InputError(f"{shorten(flag)}: {_explain_unknown(name, own_options)}")
-        elif name in overrides:
-            raise InputError(f"{flag} is given twice; give it once")
         elif not values and kind is bool:
             overrides[name] = True
         elif values in ([], [""]):

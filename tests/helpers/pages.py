@@ -168,7 +168,7 @@ class Reader:
             del words[at : at + 1 + len(arguments.live)]
             with serve_grpc("--serve-grpc") as (address, _):  # a viewer without a window
                 folder = f"runs/live-{len(self.done)}"
-                return self.call([stage, *replace_settings(words, SMALLER), "--live", address, "--out", folder], place)
+                return self.call([stage, *words, *SMALLER, "--live", address, "--out", folder], place)
         out = arguments.out
         if out is None and is_folder(words):
             return self.call([stage, *words], place)  # the folder itself is changed
@@ -178,11 +178,11 @@ class Reader:
         elif "--methods" not in words:
             stage = "collect"
         if words != [SMALL] and not is_folder(words):
-            words = replace_settings(words, SMALLER)
+            words += SMALLER
         elif words[:1] == [IMPORTED]:
-            words = replace_settings(words, SMALLER[2:])
+            words += SMALLER[2:]
         if IN_USE in words:
-            words = replace_settings(words, (IN_USE, "30"))
+            words += (IN_USE, "30")
         key = (stage, *words)
         made = self.folder / (out or Path("runs") / f"small-{len(self.done)}")
         if (before := self.done.get(key)) and before != made:
@@ -265,13 +265,3 @@ class Reader:
     def environment(self) -> dict[str, str]:
         """This process's environment, in which the project is found from any folder."""
         return {**os.environ, "PYTHONPATH": str(ROOT)}
-
-
-def replace_settings(words: Sequence[str], settings: Sequence[str]) -> list[str]:
-    """Words of a command with these settings, each a name and a value, in place of its own."""
-    left = list(words)
-    for name in settings[::2]:
-        if name in left:
-            at = left.index(name)
-            del left[at : at + 2]
-    return [*left, *settings]
