@@ -53,7 +53,7 @@ def keep_plausible(recording: Recording) -> Recording:
     Raises:
         InputError: The readings have the wrong shape, or most of them are impossible.
     """
-    if recording.readings is not None:
+    if recording.readings is not None or recording.manifest.source == "log":  # checked at the wheels' own rate
         return recording
     try:
         odometry = check_odometry(recording.manifest.odometry)

@@ -12,6 +12,8 @@ from deepgps.tracking.motion import Motion, make_motion, mirror
 
 WAY, STILL_M = 0.01, 0.001
 """Standard deviation of the way between two images, as a part of it and at least [m]."""
+AT_REST_M, AT_REST_RAD = 1e-4, 1e-3
+"""Way and turn between two images up to which the robot rests, so that they share all their errors [m], [rad]."""
 SLIP, STILL_RAD = 0.1, 0.01
 """Standard deviation of the turn between two images, as a part of it and at least [rad]."""
 
@@ -60,12 +62,13 @@ class Tracker:
         way, turn = travelled_m - self.travelled_m, yaw - self.yaw
         if not np.isfinite([way, turn]).all():
             return None
+        rests = abs(way) < AT_REST_M and abs(turn) < AT_REST_RAD
         # The robot turns and drives at the same time: half of the turn comes first.
         motion = make_motion(
             way * np.cos(turn / 2),
             way * np.sin(turn / 2),
             turn,
-            WAY * abs(way) + STILL_M,
-            SLIP * abs(turn) + STILL_RAD,
+            WAY * abs(way) + (0.0 if rests else STILL_M),
+            SLIP * abs(turn) + (0.0 if rests else STILL_RAD),
         )
         return mirror(motion) if self.mirrored else motion

@@ -23,6 +23,8 @@ SHORTEST = 5
 FEW, MANY = 10, 60
 """Fewest and most messages on each side of a jump that must show it."""
 NS = 1e-9
+ADVANCING = 0.01
+"""Stamps that advance by less than this part of the time of logging are none: constant, or in another unit."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,12 @@ class Times:
 
     @property
     def is_stamped(self) -> bool:
-        """Whether most messages have a stamp."""
-        return bool(np.isfinite(self.stamp_s).mean() > 0.5)
+        """Whether most messages have a stamp, and stamps advance."""
+        known = np.isfinite(self.stamp_s)
+        if 2 * known.sum() <= len(known):
+            return False
+        stamped_s, logged_s = (np.ptp(np.percentile(values[known], (10, 90))) for values in (self.stamp_s, self.log_s))
+        return bool(stamped_s >= ADVANCING * logged_s)
 
 
 @dataclass(frozen=True)
@@ -138,6 +144,16 @@ def find_jump(times: Times) -> str | None:
     return None
 
 
+def _is_set_ahead(times: Times) -> bool:
+    """Whether a topic's clock was set ahead: from a message on, all are logged less long after their stamps."""
+    late = times.late_s[np.isfinite(times.stamp_s)]
+    for row in np.flatnonzero(np.diff(late) < -APART_S).tolist():
+        before, after = late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
+        if min(len(before), len(after)) >= FEW and np.percentile(after, 90) < np.percentile(before, 10) - APART_S:
+            return True
+    return False
+
+
 def list_offsets(topics: Sequence[Times], starts: Starts) -> Mapping[str, float]:
     """Median of logged minus stamped, by topic [s]; NaN without stamps."""
     apart_s = (starts.log_ns - starts.stamp_ns) * NS
@@ -174,7 +190,7 @@ def _by_recorder(times: Times) -> np.ndarray:
     number, delay = _find_delays(times, begin_s)
     edge = begin_s + STRETCH_S * number
     offset = np.interp(times.log_s, edge + STRETCH_S / 2, delay)
-    if (jumps := np.abs(np.diff(delay)) > APART_S).any() and find_jump(times):
+    if (jumps := np.abs(np.diff(delay)) > APART_S).any() and (find_jump(times) or _is_set_ahead(times)):
         nearest = np.clip(np.searchsorted(edge, times.log_s, side="right") - 1, 0, len(edge) - 1)
         offset = delay[nearest]
         at_jump = jumps[np.clip(nearest - 1, 0, len(jumps) - 1)] | jumps[np.clip(nearest, 0, len(jumps) - 1)]

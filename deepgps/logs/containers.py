@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 from deepgps.logs.databases import METADATA, SUFFIXES, prepare_databases
 from deepgps.logs.plain_folder import PlainFolder, is_plain
 from deepgps.logs.sample import Part, Sample, explained, read_stamp
-from deepgps.logs.truncated import is_truncated, salvage
+from deepgps.logs.truncated import is_truncated, salvage, unpack
 from deepgps.progress import Report
 from sim.errors import InputError
 from sim.user_input import shorten
@@ -158,7 +158,8 @@ class IndexedPart:
 
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         chosen = [one for one in self.reader.connections if one.topic in topics]
-        for connection, log_ns, data in self.reader.messages(chosen) if chosen else ():
+        for connection, log_ns, stored in self.reader.messages(chosen) if chosen else ():
+            data = unpack(stored) if self.reader.is2 else stored
             stamp_ns = read_stamp(self.reader.typestore, connection.msgtype, data, not self.reader.is2)
             yield Sample(connection.topic, log_ns, stamp_ns, data)
 

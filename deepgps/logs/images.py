@@ -115,8 +115,9 @@ def decode_compressed(message: Any) -> np.ndarray:
     data = bytes(message.data)
     if not data.startswith(MAGIC):
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
-    mosaic = ENCODINGS.get(str(message.format).partition(";")[0].strip().lower())
-    mosaic = mosaic if mosaic and "bayer" in str(message.format).lower() else None
+    source, _, rest = str(message.format).lower().partition(";")
+    stored = rest.partition("compressed")[2].strip() or source.strip()  # ROS 2 usually stores a mosaic as mono8
+    mosaic = ENCODINGS.get(stored) if stored.startswith("bayer") else None
     pixels = decode_file(data, cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR)
     if pixels is None:
         raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")

@@ -38,8 +38,6 @@ MOST_DAMAGED = 0.05
 FEWEST_SEGMENTS = 3
 """Segments from which one is held out, however small the part that is wanted: errors cannot be measured without."""
 
-ROUNDS = 3
-"""Attempts at a choice of images without damaged ones."""
 WRITTEN_LAST = ("schema", "sha256", "checksum")
 """Entries of a manifest that are written again when a drive in use is added."""
 HEIGHTS_M = (0.2, 1.5)
@@ -86,10 +84,10 @@ def import_log(path: Path, config: RobotConfig, out: Path, progress: Report, con
         InputError: The log or its configuration cannot be used; one line says why, with topic and time.
     """
     check_place(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
     with open_log(path) as log:
         drive = find_drive(config, *_read(log, config, progress))
         source = open_polar(log, config.camera)
+        out.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryFile(dir=out.parent) as file:
             lag, doubts = measure_lag(source, drive, file, progress)
         lag_s, notes = choose_lag(config.wheels.lag_s, lag)
@@ -125,7 +123,7 @@ def _write(
     progress: Report,
 ) -> dict[str, Any]:
     """Choose, draw and write the images; where some are damaged, the choice is made again without them."""
-    for _ in range(ROUNDS):
+    while True:  # each round finds another damaged image, and too many are refused
         choice = _choose(config, source, drive, about["lag_s"])
         check_space(out, 2 * len(choice.numbers) * source.size)
         before = len(source.damaged)
@@ -140,7 +138,6 @@ def _write(
             described["notes"] = [*notes, *([damage] if damage else [])]
             _store(config, source, drive, choice, source.map(file, len(choice.numbers)), out, described)
         return described
-    raise InputError(f"{source.topic}: images were still damaged when they had been chosen {ROUNDS} times")
 
 
 def _choose(config: RobotConfig, source: PolarSource, drive: LoggedDrive, lag_s: float) -> Choice:

@@ -193,7 +193,9 @@ def _find_info(seen: dict[str, Seen], camera: str | None) -> str | None:
 
 def _find_pose(seen: dict[str, Seen]) -> str | None:
     """A topic of poses that does not come from the wheels."""
-    return next((topic for topic, one in seen.items() if one.kind in poses.KINDS[:3] and one.log_ns), None)
+    times = {topic: np.sort(one.log_ns) for topic, one in seen.items() if one.kind in poses.KINDS[:3]}
+    often = [topic for topic, ns in times.items() if len(ns) > 1 and np.median(np.diff(ns)) <= poses.GAP_S * 1e9]
+    return max(often, key=lambda topic: len(times[topic]), default=None)  # a goal is sent seldom
 
 
 def _compare_clocks(seen: dict[str, Seen]) -> list[str]:

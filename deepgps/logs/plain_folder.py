@@ -30,7 +30,8 @@ COLUMNS = {
 }
 JOINTS = ["left", "right"]
 SUFFIXES = {".jpg", ".jpeg", ".png"}
-NANOSECOND_DIGITS = 16
+SECOND_DIGITS, NANOSECOND_DIGITS = 10, 16
+"""Digits of whole seconds, and of nanoseconds, since 1970; with fewer, a name is a number and no time."""
 LATEST_S = 9e9
 """Largest time that is believed [s]: in the year 2255. Milliseconds since 1970 are larger."""
 UPTIME_NS, SINCE_1970_NS = 10**15, 10**18
@@ -91,8 +92,10 @@ def _read_image(path: Path) -> bytes:
 def _list_images(folder: Path) -> list[tuple[int, str]]:
     """Time [ns] and name of each image, by time."""
     if (folder / TIMES).is_file():
-        return sorted((_read_ns(time), name) for time, name in _read_table(folder / TIMES))
-    names = [file.name for file in (folder / IMAGES).iterdir() if file.suffix.lower() in SUFFIXES]
+        rows = _read_table(folder / TIMES)
+        return sorted((_read_ns(time), name.strip()) for time, name in rows if name.strip())
+    files = (file for file in (folder / IMAGES).iterdir() if file.suffix.lower() in SUFFIXES)
+    names = [file.name for file in files if not file.name.startswith("._")]  # which macOS adds
     _refuse_numbers(folder, names)
     return sorted((_read_name(folder, name), name) for name in names)
 
@@ -100,8 +103,7 @@ def _list_images(folder: Path) -> list[tuple[int, str]]:
 def _refuse_numbers(folder: Path, names: Sequence[str]) -> None:
     """Raise InputError if images are named by their numbers: these are no times."""
     stems = sorted((name.rpartition(".")[0] for name in names), key=lambda stem: (len(stem), stem))
-    numbers = [int(stem) for stem in stems if stem.isdecimal()]
-    if len(numbers) == len(stems) > 2 and sorted(numbers) in (list(range(len(stems))), list(range(1, len(stems) + 1))):
+    if len(stems) > 2 and all(stem.isdecimal() and len(stem) < SECOND_DIGITS for stem in stems):
         raise InputError(
             f"{folder / IMAGES}: images are named by their numbers, {stems[0]} to {stems[-1]}, which are no times; "
             f"list times and names in {TIMES} ({','.join(COLUMNS[TIMES])})"

@@ -13,7 +13,7 @@ from typing import IO, Any, NamedTuple
 
 from rosbags.interfaces import MessageDefinitionFormat
 from rosbags.rosbag1.reader import Header, RecordType, decompressors, normalize, normalize_msgtype
-from rosbags.rosbag2.storage_mcap import decompress
+from rosbags.rosbag2.storage_mcap import decompress, zstd
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -24,6 +24,7 @@ MCAP_MAGIC = b"\x89MCAP0\r\n"
 BAG_MAGIC = b"#ROSBAG V2.0\n"
 MCAP_SCHEMA, MCAP_CHANNEL, MCAP_MESSAGE, MCAP_CHUNK = 3, 4, 5, 6
 LARGEST_RECORD = 2**31
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class Connection(NamedTuple):
@@ -72,13 +73,19 @@ class Salvaged:
     def read(self, topics: Collection[str]) -> Iterator[Sample]:
         for one in self._walk(self.file):
             if not isinstance(one, Connection) and one[0] in topics:
-                topic, log_ns, data = one
+                topic, log_ns, stored = one
+                data = stored if self._ros1 else unpack(stored)
                 yield Sample(topic, log_ns, read_stamp(self._store, self.types[topic], data, self._ros1), data)
 
     def decode(self, sample: Sample) -> Any:
         take = self._store.deserialize_ros1 if self._ros1 else self._store.deserialize_cdr
         with explained(self.file):
             return take(sample.data, self.types[sample.topic])
+
+
+def unpack(data: bytes) -> bytes:
+    """A message of ROS 2, which may be compressed by itself, as only metadata.yaml tells; CDR begins with 0."""
+    return zstd.decompress(data) if bytes(data[:4]) == ZSTD_MAGIC else data
 
 
 def salvage(file: Path) -> Salvaged:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from deepgps.data.runs import find_stretches
 from sim.errors import InputError
 
 GAP_S = 0.3
@@ -20,6 +21,8 @@ SLOWEST_RADPS = 1.0
 """Least top speed that is assumed [rad/s]."""
 MANY = 0.02
 """Share of jumps from which another program is assumed to publish the same joints."""
+MOST_BACK = 8
+"""Messages in a row after each of which a wheel turns back: no robot moves so."""
 BACK_AND_FORTH = 0.1
 """The same share of messages of which one wheel jumps there and back."""
 LEAST = 20
@@ -76,7 +79,7 @@ def clean_wheels(
     Raises:
         InputError: There are too few messages, or the angles jump back and forth.
     """
-    time_s, angle = _join_wheels(time_s, angle)
+    time_s, angle = _join_wheels(time_s, angle, ticks_per_rev)
     if len(time_s) < LEAST:
         raise InputError(f"{topic} has {len(time_s)} messages with both wheels; a drive has at least {LEAST}")
     notes = []
@@ -150,16 +153,19 @@ def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) ->
     back = turned.any(axis=1)
     if back.mean() > BACK_AND_FORTH:
         raise _jumping(topic, time_s[np.argmax(back)])
+    runs = find_stretches(back)
+    if len(long := runs[runs[:, 1] - runs[:, 0] >= MOST_BACK]):
+        raise _jumping(topic, time_s[long[0, 0]])
 
 
 def _jumping(topic: str, at_s: float) -> InputError:
     return InputError(
-        f"{topic} at {at_s:.2f} s: the wheels' angles jump back and forth, as if more than one program published them; "
-        "record only the one of the wheels"
+        f"{topic} at {at_s:.2f} s: the wheels' angles jump back and forth, as if more than one program published them "
+        "(record only the one of the wheels), or as if the recorder's clock was set back"
     )
 
 
-def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _join_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarray]:
     """Messages with both wheels in the order of time; wheels in messages of their own are interpolated."""
     known = np.isfinite(time_s)
     time_s, angle = time_s[known], angle[known]
@@ -170,6 +176,8 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.
         left, right = np.isfinite(angle).T
         if not (left.any() and right.any()):
             return np.empty(0), np.empty((0, 2))
+        for wheel, there in enumerate((left, right)):  # between the angles before and after a wrap there is none
+            angle[there, wheel] = _unwrap(angle[there, wheel : wheel + 1], ticks_per_rev)[0][:, 0]
         inside = left & (time_s >= time_s[right].min()) & (time_s <= time_s[right].max())
         angle = np.column_stack([angle[:, 0], np.interp(time_s, time_s[right], angle[right, 1])])
         both = inside
@@ -181,8 +189,17 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.
 def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Mask (n - 1,) of the steps in which a wheel would have been too fast."""
     step, seconds = np.abs(np.diff(angle, axis=0)), np.diff(time_s)
-    top = _find_top(step / seconds[:, None])
-    return np.asarray((step > FASTER * top * seconds[:, None] + STILL_RAD).any(axis=1))
+    seconds = np.maximum(seconds, np.median(seconds))[:, None]  # a message that came late is soon followed by the next
+    top = _find_top((step / seconds)[_is_turning(time_s, angle)])
+    return np.asarray((step > FASTER * top * seconds + STILL_RAD).any(axis=1))
+
+
+def _is_turning(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Mask (n - 1, 2) of the steps around which a wheel turns on within a second; at rest, it may tremble for hours."""
+    middle = (time_s[1:] + time_s[:-1]) / 2
+    before = np.searchsorted(time_s, middle - 0.5).clip(0, len(time_s) - 1)
+    after = (np.searchsorted(time_s, middle + 0.5, side="right") - 1).clip(0)
+    return np.abs(angle[after] - angle[before]) > STILL_RAD
 
 
 def _find_top(speed: np.ndarray) -> float:
@@ -203,7 +220,7 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
         The angles (n, 2) [rad], the angle at which each wheel's counter wraps (2,), infinite if it does not, and how
         often one wrapped.
     """
-    step, wraps, wrapped = np.diff(angle, axis=0), np.full(2, np.inf), 0
+    step, wraps, wrapped = np.diff(angle, axis=0), np.full(angle.shape[1], np.inf), 0
     for full in (2 * np.pi, *(2 * np.pi * 2**bits / ticks_per_rev for bits in (16, 32))):
         turns = np.rint(step / full)
         short = step - turns * full
@@ -213,4 +230,4 @@ def _unwrap(angle: np.ndarray, ticks_per_rev: int) -> tuple[np.ndarray, np.ndarr
         step = np.where(fits, short, step)
         wraps = np.where(fits.any(axis=0), np.minimum(wraps, full), wraps)
         wrapped += int(fits.any(axis=1).sum())
-    return angle[:1] + np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)]), wraps, wrapped
+    return angle[:1] + np.concatenate([np.zeros((1, angle.shape[1])), np.cumsum(step, axis=0)]), wraps, wrapped

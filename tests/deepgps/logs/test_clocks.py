@@ -47,3 +47,17 @@ def test_a_message_logged_years_from_the_others_changes_nothing(
     assert found.by_log == usual.by_log and len(found.notes) == len(usual.notes)
     for topic, time_s in usual.time_s.items():
         np.testing.assert_allclose(found.time_s[topic][:-1], time_s, atol=0.011)
+
+
+def test_a_clock_that_is_set_ahead_changes_times_near_the_jump_only() -> None:
+    usual, found = align_all(make_topics(0.0, 0.0)), align_all(make_topics(0.0, -2.0))
+    apart = np.abs(found.time_s["wheels"] - usual.time_s["wheels"])
+    assert np.isfinite(apart).mean() > 0.5 and np.nanmax(apart) < 0.02
+
+
+@pytest.mark.parametrize("stamp", ["constant", "in ms"])
+def test_stamps_that_do_not_advance_are_none(stamp: str) -> None:
+    log_s = np.arange(0.0, DRIVE_S, PERIOD_S)
+    stamp_s = np.zeros(len(log_s)) if stamp == "constant" else log_s * 1e-6
+    assert not Times("camera", log_s, stamp_s).is_stamped
+    assert Times("camera", log_s, log_s - 0.01).is_stamped

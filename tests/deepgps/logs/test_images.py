@@ -72,6 +72,16 @@ def test_a_compressed_mosaic_is_no_grey_picture(image: np.ndarray) -> None:
     assert np.abs(found[2:-2, 2:-2].astype(int) - image[2:-2, 2:-2]).max() <= 24
 
 
+def test_what_is_stored_is_a_mosaic_only_if_it_says_so(image: np.ndarray) -> None:
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    _, data = cv2.imencode(".png", grey)
+    found = decode_compressed(SimpleNamespace(format="bayer_rggb8; jpeg compressed mono8", data=data))
+    np.testing.assert_array_equal(found, np.repeat(grey[..., None], 3, axis=2))
+    _, data = cv2.imencode(".png", image[..., ::-1])
+    found = decode_compressed(SimpleNamespace(format="bayer_rggb8; png compressed bgr8", data=data))
+    np.testing.assert_array_equal(found, image)
+
+
 def test_damaged_pictures_are_refused(image: np.ndarray) -> None:
     data = encode(image, "image/jpeg")["data"]
     with pytest.raises(InputError, match="20 bytes: the picture is damaged"):

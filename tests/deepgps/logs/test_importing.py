@@ -115,6 +115,26 @@ def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
         bring_in(log, tmp_path / "again", PLAIN)
 
 
+def test_images_named_by_numbers_are_refused_though_one_is_missing(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
+    for number, path in enumerate(images):
+        path.rename(path.with_name(f"{number:06d}x")) if number != 7 else path.unlink()
+    for path in (log / "images").iterdir():
+        path.rename(path.with_name(f"{path.name[:-1]}.png"))
+    with pytest.raises(InputError, match=r"named by their numbers, 000000 to \d+, which are no times"):
+        bring_in(log, tmp_path / "new" / "folder", PLAIN)
+    assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
+
+
+def test_files_that_are_no_images_of_the_log_are_passed_over(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    first = min((log / "images").iterdir())
+    (log / "images" / f"._{first.name}").write_bytes(b"\0\5\x16\7")
+    folder, _ = bring_in(log, tmp_path, PLAIN)
+    check_complete(folder)
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
@@ -579,6 +599,15 @@ def test_damaged_images_are_left_out_unless_they_are_many(notes: list[Note], tmp
     check_complete(folder)
     with pytest.raises(InputError, match=r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged images: "):
         bring_in(write_log(tmp_path / "many", damage(21), "mcap_lz4"), tmp_path / "again")
+
+
+def test_several_damaged_images_in_a_row_are_left_out(notes: list[Note], tmp_path: Path) -> None:
+    def damage(number: int, note: Note) -> Note:
+        return set_fields(note, data=note.fields["data"][:20]) if 50 <= number < 54 else note
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, damage), "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(drive={"spacing_m": 0.02}))
+    assert about["segments"] >= len(LENGTHS_M)
 
 
 def test_two_publishers_of_the_wheels_are_refused(notes: list[Note], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What a log holds is printed as a robot.yaml that imports it; the command and the file's errors."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from tests.helpers.robot_log import (
     change,
     make_notes,
     set_fields,
+    sort,
     write_log,
     write_plain,
 )
@@ -73,6 +75,15 @@ def test_messages_are_counted_while_a_log_is_read(kind: str, tmp_path: Path, mon
     total = told[0][1]
     assert total > 100
     assert told == [*((done, total) for done in range(0, total, 50)), (total, total)]
+
+
+def test_a_goal_is_not_proposed_as_the_pose(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    notes = make_notes("image/jpeg")
+    pose = next(note for note in notes if note.topic == TRUTH)
+    goals = [replace(pose, topic="/goal_pose", log_ns=pose.log_ns + s * 10**9) for s in (5, 12)]
+    main(["import", str(write_log(tmp_path / "log", sort([*notes, *goals]), "mcap_lz4")), "--look"])
+    said = capsys.readouterr().out
+    assert yaml.safe_load(said)["pose"]["topic"] == TRUTH
 
 
 def test_topics_types_rates_clocks_joints_and_calibration_are_told(log: Path) -> None:

@@ -143,3 +143,43 @@ def test_angles_are_not_known_in_gaps_and_outside_the_log() -> None:
 def test_too_few_messages_are_refused() -> None:
     with pytest.raises(InputError, match="/joint_states has 3 messages with both wheels; a drive has at least 20"):
         clean_wheels(np.arange(3.0), np.zeros((3, 2)), 4096, "/joint_states")
+
+
+@pytest.mark.parametrize("every", [50, 30, 20, 3])
+def test_messages_that_come_late_are_no_restarts(every: int) -> None:
+    wheels = sample()
+    late = np.arange(len(wheels.time_s)) % every == 1
+    found = clean_wheels(wheels.time_s + (PERIOD_S - 0.002) * late, wheels.angle, 4096, "/joint_states")
+    assert not found.broken.any() and not found.notes
+
+
+@pytest.mark.parametrize("trembling", [TICK, 1e-5])
+def test_encoders_that_tremble_at_rest_for_long_are_no_restarts(trembling: float) -> None:
+    wheels, rng = sample(), np.random.default_rng(0)
+    still_s = np.arange(PERIOD_S, 900.0, PERIOD_S)
+    time_s = np.concatenate([wheels.time_s, wheels.time_s[-1] + still_s])
+    angle = np.concatenate([wheels.angle, wheels.angle[-1] + trembling * rng.integers(0, 2, (len(still_s), 2))])
+    assert not clean_wheels(time_s, angle, 4096, "/joint_states").broken.any()
+    angle[300:] -= angle[300]
+    assert np.flatnonzero(clean_wheels(time_s, angle, 4096, "/joint_states").broken).tolist() == [299]
+
+
+@pytest.mark.parametrize("full", [2.0 * np.pi, 2**16 * TICK], ids=["a turn", "16 bits"])
+def test_wheels_in_messages_of_their_own_are_unwrapped_before_they_are_interpolated(full: float) -> None:
+    wheels = sample()
+    counted, nothing = (wheels.angle + full - 3.0) % full, np.full(len(wheels.time_s), np.nan)
+    time_s = np.concatenate([wheels.time_s, wheels.time_s + 0.007])
+    apart = np.concatenate([np.column_stack([counted[:, 0], nothing]), np.column_stack([nothing, counted[:, 1]])])
+    order = np.argsort(time_s)
+    found = clean_wheels(time_s[order], apart[order], 4096, "/joint_states")
+    assert not found.broken.any()
+    travelled = np.ptp(wheels.angle[:, 0])
+    assert np.ptp(found.angle[:, 0]) == pytest.approx(travelled, abs=0.1)
+
+
+@pytest.mark.parametrize("back_s", [0.712, 1.013])
+def test_a_clock_that_is_set_back_is_refused(back_s: float) -> None:
+    wheels = sample()
+    time_s = wheels.time_s - back_s * (wheels.time_s > 2.0)
+    with pytest.raises(InputError, match="or as if the recorder's clock was set back"):
+        clean_wheels(time_s, wheels.angle, 4096, "/joint_states")
