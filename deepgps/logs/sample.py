@@ -12,6 +12,8 @@ from sim.errors import InputError, WorkError, one_line
 from sim.user_input import shorten
 
 HEADER = "std_msgs/msg/Header"
+FOREIGN = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")
+"""Encodings of MCAP that `rosbags` does not know; it raises them as a missing key."""
 
 
 class Sample(NamedTuple):
@@ -59,6 +61,8 @@ def explained(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         why = one_line(error) or type(error).__name__
+        if isinstance(error, KeyError) and error.args[0] in FOREIGN:
+            why = f"it has a channel in {error.args[0]}, and only messages of ROS 2 are read; write the log without it"
         raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None
 
 

@@ -17,6 +17,7 @@ from deepgps.logs.importing import import_log
 from deepgps.logs.joints import open_wheels
 from deepgps.logs.pictures import open_images
 from deepgps.logs.robot_config import RobotConfig, load_config
+from deepgps.logs.sample import explained
 from deepgps.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth
@@ -700,3 +701,9 @@ def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
     ):
         with pytest.raises(InputError, match=f"{why}; a recording is written to a folder of its own"):
             import_log(tmp_path / "no log", configure(), out, ignore)
+
+
+def test_a_channel_in_a_foreign_encoding_is_named(tmp_path: Path) -> None:
+    message = "it has a channel in jsonschema, and only messages of ROS 2 are read"
+    with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap"):
+        raise KeyError("jsonschema")  # as rosbags does
