@@ -61,8 +61,8 @@ def explained(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         why = one_line(error) or type(error).__name__
-        if isinstance(error, KeyError) and error.args[0] in FOREIGN:
-            why = f"it has a channel in {error.args[0]}, and only messages of ROS 2 are read; write the log without it"
+        if isinstance(error, KeyError) and (encoding := why.strip("'")) in FOREIGN:
+            why = f"it has a channel in {encoding}, and only messages of ROS 2 are read; write the log without it"
         raise InputError(f"{shorten(str(path), 300)} cannot be read as a log: {why}") from None
 
 
