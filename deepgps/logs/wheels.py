@@ -145,17 +145,17 @@ def _find_gaps(
 
 
 def _refuse_back_and_forth(time_s: np.ndarray, angle: np.ndarray, topic: str) -> None:
-    """Raise InputError if two programs take turns: then the median step of the wheels is a jump."""
+    """Raise InputError if two programs take turns, so that wheels jump in many steps, or a clock repeats a while."""
     step = np.diff(angle, axis=0)
     size = np.abs(step)
     low, high = np.minimum(size[1:], size[:-1]), np.maximum(size[1:], size[:-1])
     turned = (step[1:] * step[:-1] < 0) & (low > STILL_RAD) & (low > high / 2)
-    back = turned.any(axis=1)
+    back = np.asarray(turned.any(axis=1))
     if back.mean() > BACK_AND_FORTH:
-        raise _jumping(topic, time_s[np.argmax(back)])
-    runs = find_stretches(back)
-    if len(long := runs[runs[:, 1] - runs[:, 0] >= MOST_BACK]):
-        raise _jumping(topic, time_s[long[0, 0]])
+        raise _jumping(topic, float(time_s[np.argmax(back)]))
+    for first, last in find_stretches(back).tolist():
+        if last - first >= MOST_BACK:
+            raise _jumping(topic, float(time_s[first]))
 
 
 def _jumping(topic: str, at_s: float) -> InputError:
