@@ -170,7 +170,7 @@ def override_scenario(
         names = [_find_override(problem, overrides) for problem in problems]
         text = describe_first(problems, Scenario, [spell(name) if name else None for name in names])
         ours = all(name is not None for name in names) or (overrides and _is_valid(given))
-        raise InputError(text if ours else f"{_write_origin(path)}: {text}") from None
+        raise InputError(text if ours else f"{shorten(str(path), 300)}: {text}") from None
 
 
 def clean_name(text: str) -> str:
@@ -232,7 +232,7 @@ def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
     try:
         return Scenario.model_validate(values)
     except ValidationError as error:
-        raise InputError(f"{_write_origin(origin)}: {describe_problems(error, Scenario)}") from None
+        raise InputError(f"{shorten(str(origin), 300)}: {describe_problems(error, Scenario)}") from None
 
 
 def _is_valid(values: Mapping[str, Any]) -> bool:
@@ -241,10 +241,6 @@ def _is_valid(values: Mapping[str, Any]) -> bool:
     except ValidationError:
         return False
     return True
-
-
-def _write_origin(path: Path) -> str:
-    return shorten(str(path), 300)
 
 
 def _find_override(problem: ErrorDetails, overrides: Collection[str]) -> str | None:

@@ -50,10 +50,12 @@ class CheckedReadings:
 def keep_plausible(recording: Recording) -> Recording:
     """Return the recording with only its plausible readings, and their counts.
 
+    One of a log is returned as it is: the import has checked the wheels at their own rate.
+
     Raises:
         InputError: The readings have the wrong shape, or most of them are impossible.
     """
-    if recording.readings is not None or recording.manifest.source == "log":  # checked at the wheels' own rate
+    if recording.readings is not None or recording.manifest.source == "log":
         return recording
     try:
         odometry = check_odometry(recording.manifest.odometry)

@@ -136,7 +136,7 @@ def find_jump(times: Times) -> str | None:
     known = np.flatnonzero(np.isfinite(times.stamp_s))
     stamp, late = times.stamp_s[known], times.late_s[known]
     for row in np.flatnonzero(np.diff(stamp) < -APART_S).tolist():
-        before, after = late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
+        before, after = _beside(late, row)
         step = float(np.median(after) - np.median(before))
         lasting = min(len(before), len(after)) >= FEW and np.percentile(after, 10) > np.percentile(before, 90)
         if lasting and step > 0.5 * (stamp[row] - stamp[row + 1]):
@@ -148,10 +148,15 @@ def _is_set_ahead(times: Times) -> bool:
     """Whether a topic's clock was set ahead: from a message on, all are logged less long after their stamps."""
     late = times.late_s[np.isfinite(times.stamp_s)]
     for row in np.flatnonzero(np.diff(late) < -APART_S).tolist():
-        before, after = late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
+        before, after = _beside(late, row)
         if min(len(before), len(after)) >= FEW and np.percentile(after, 90) < np.percentile(before, 10) - APART_S:
             return True
     return False
+
+
+def _beside(late: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
+    """The values before and after the step from a row to the next, at most ``MANY`` on each side."""
+    return late[max(row + 1 - MANY, 0) : row + 1], late[row + 1 : row + 1 + MANY]
 
 
 def list_offsets(topics: Sequence[Times], starts: Starts) -> Mapping[str, float]:

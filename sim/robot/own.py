@@ -159,10 +159,10 @@ def _find_servo(spec: mujoco.MjSpec, robot: RobotSettings, joint: str) -> dict[s
     for actuator in spec.actuators:
         if actuator.target == joint and actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT:
             kv, gear = actuator.gainprm[0], actuator.gear[0]
-            if gear != 1.0:
-                needed = "must be 1, with kv and forcerange those at the wheel"
-                raise _refuse(robot, f"the actuator of its joint {shorten(joint)} has gear {gear:g}: it {needed}")
             if kv > 0.0 and actuator.biasprm[2] == -kv and actuator.biasprm[1] == 0.0:
+                if gear != 1.0:
+                    needed = "must be 1, with kv and forcerange those at the wheel"
+                    raise _refuse(robot, f"the actuator of its joint {shorten(joint)} has gear {gear:g}: it {needed}")
                 return {name: getattr(actuator, name) for name in _SERVO}
     raise _refuse(
         robot, f"no velocity actuator drives its joint {shorten(joint)}: <velocity joint=... kv=.../> is needed"

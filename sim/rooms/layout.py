@@ -15,7 +15,7 @@ from sim.rooms.outline import Wall, slabs
 
 CELL_M = 0.05
 SPARE = 0.41
-"""Part of a cell by which a room may be larger than its cells: what stands at a wall is 2 cm away from it."""
+"""Part of a cell by which a room may be larger than its cells: furniture against a wall is 2 cm away from it."""
 PATH_RADIUS_M = 0.3
 """Half the width that a person needs to walk."""
 CUT_OFF_SHARE = 0.1

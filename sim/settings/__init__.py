@@ -151,9 +151,8 @@ class SimSettings(Group):
     def _only_a_camera_has_its_faults(self) -> "SimSettings":
         if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
             raise ValueError("drive.mixed_light needs world room and sensor fisheye")
-        changes = self.deployment.model_copy(update={"drive_samples": 0})  # any sensor can be driven with
-        if changes == DeploymentSettings(seed=changes.seed):  # it draws nothing
-            changes = DeploymentSettings()
+        # any sensor can be driven with, and a seed alone changes nothing
+        changes = self.deployment.model_copy(update={"drive_samples": 0, "seed": 0})
         faulty = self.model_copy(update={"deployment": changes})
         faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]
         if faults and (self.world != "room" or self.sensor != "fisheye"):

@@ -83,6 +83,10 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
             "{world: landmarks, drive: {spacing_m: 0.6}}",
             "drive.spacing_m 0.6 m must be at most a quarter of the longest",
         ),
+        (
+            "{world: obstacles, obstacles: {side_m: 0.5, clearance_m: 1.0}}",
+            "obstacles.clearance_m 1 m must be less than half of obstacles.side_m 0.5 m",
+        ),
         ("world: {}", "world {}: must be 'room', 'landmarks' or 'obstacles'"),
         (
             "{world: landmarks, image_faults: {exposure: 0.5}}",
@@ -312,6 +316,18 @@ def test_a_file_is_named_unless_the_overrides_alone_are_wrong(tmp_path):
         with pytest.raises(InputError) as caught:
             load_scenario(path, overrides)
         assert str(caught.value).startswith(begins)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        {"sensor": "lidar", "deployment.seed": 3},
+        {"grid.held_out": 5, "deployment.seed": 3},
+        {"room.kind": "lab", "room.look_alike": True, "room.mjcf": "mine.xml"},
+    ],
+)
+def test_settings_that_change_nothing_are_no_reason_to_refuse(overrides):
+    load_scenario("tiny", overrides)
 
 
 def test_scenarios_are_frozen():

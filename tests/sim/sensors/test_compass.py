@@ -11,7 +11,7 @@ from sim.geometry import wrap
 from sim.robot.world import RoomWorld
 from sim.sensors.camera_faults import develop
 from sim.sensors.compass import Hypotheses, disambiguate, find_turns, follow
-from sim.sensors.compass_lean import find_lean
+from sim.sensors.compass_lean import _correct, find_lean
 from sim.sensors.fisheye import Fisheye
 from sim.sensors.lens import make_lens
 from sim.settings import CameraSettings, DeploymentSettings, ImageFaultSettings, RoomKind, RoomSettings, SimSettings
@@ -212,6 +212,8 @@ def test_the_lean_of_the_camera_is_found_and_undone() -> None:
         found = find_turns(seen["leaning, first"], seen["leaning"], LENS)
         lean = find_lean(found)
         assert np.degrees(np.abs(lean - LEAN)).max() < 0.1
+        error = np.degrees(wrap(_correct(found, lean)[0][:, 0] - seen["turn"]))
+        assert np.sqrt(np.mean(error**2)) < 0.10
         assert np.degrees(np.abs(find_lean(find_turns(seen["a"], seen["in place"], LENS)))).max() < 0.1
 
 
