@@ -139,7 +139,7 @@ def _find_gaps(
         all_s = np.sort(np.concatenate([time_s, image_s[(image_s > time_s[0]) & (image_s < time_s[-1])]]))
         begins = all_s[:-1][np.diff(all_s) > PAUSE_S]
         paused[np.searchsorted(time_s, begins, side="right") - 1] = True
-    ambiguous = (seconds[:, None] * _find_top(step / seconds[:, None]) > full / 2).any(axis=1)
+    ambiguous = (seconds[:, None] * _find_top_speed(time_s, angle) > full / 2).any(axis=1)
     lost = moved & (ambiguous | (seconds > LOST_S)) & ~paused
     return moved & ~lost & ~paused, lost, paused
 
@@ -188,10 +188,20 @@ def _join_wheels(time_s: np.ndarray, angle: np.ndarray, ticks_per_rev: int) -> t
 
 def _find_jumps(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Mask (n - 1,) of the steps in which a wheel would have been too fast."""
-    step, seconds = np.abs(np.diff(angle, axis=0)), np.diff(time_s)
-    seconds = np.maximum(seconds, np.median(seconds))[:, None]  # a message that came late is soon followed by the next
-    top = _find_top((step / seconds)[_is_turning(time_s, angle)])
-    return np.asarray((step > FASTER * top * seconds + STILL_RAD).any(axis=1))
+    step, seconds = np.abs(np.diff(angle, axis=0)), _find_seconds(time_s)
+    return np.asarray((step > FASTER * _find_top_speed(time_s, angle) * seconds + STILL_RAD).any(axis=1))
+
+
+def _find_top_speed(time_s: np.ndarray, angle: np.ndarray) -> float:
+    """Usual top speed of the wheels where they turn [rad/s]."""
+    speed = np.abs(np.diff(angle, axis=0)) / _find_seconds(time_s)
+    return max(_find_usual_top(speed[_is_turning(time_s, angle)]), SLOWEST_RADPS)
+
+
+def _find_seconds(time_s: np.ndarray) -> np.ndarray:
+    """Times of the steps (n - 1, 1) [s], at least the usual: a message that came late is soon followed by the next."""
+    seconds = np.diff(time_s)
+    return np.maximum(seconds, np.median(seconds))[:, None]
 
 
 def _is_turning(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -200,11 +210,6 @@ def _is_turning(time_s: np.ndarray, angle: np.ndarray) -> np.ndarray:
     before = np.searchsorted(time_s, middle - 0.5).clip(0, len(time_s) - 1)
     after = (np.searchsorted(time_s, middle + 0.5, side="right") - 1).clip(0)
     return np.abs(angle[after] - angle[before]) > STILL_RAD
-
-
-def _find_top(speed: np.ndarray) -> float:
-    """Usual top speed of wheels that turn, from speeds (n, 2) [rad/s]."""
-    return max(_find_usual_top(speed), SLOWEST_RADPS)
 
 
 def _find_usual_top(size: np.ndarray) -> float:
