@@ -86,7 +86,8 @@ class WheelLog:
     def _find(self, message: Any) -> tuple[float, float]:
         self.names.update(message.name)
         left, right = (_take(message, name, self.config.topic) for name in (self.config.left, self.config.right))
-        return left, right
+        backward = self.config.backward
+        return -left if backward in {"left", "both"} else left, -right if backward in {"right", "both"} else right
 
     def _follow(self, pose: Any) -> tuple[float, float]:
         self._path = self._path or OdometryPath(self.config.radius_m, self.config.track_m)
@@ -94,8 +95,11 @@ class WheelLog:
 
 
 def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
-    """Prepare to read the wheels of a log; raises InputError if there is no such topic."""
-    return WheelLog(config, log.check_topic(config.topic, "wheels.topic", KINDS) == ODOMETRY)
+    """Prepare to read the wheels of a log; raises InputError if it lacks the topic, or an odometry is reversed."""
+    from_odometry = log.check_topic(config.topic, "wheels.topic", KINDS) == ODOMETRY
+    if from_odometry and config.backward != "none":
+        raise InputError(f"wheels.backward {config.backward} must be none: {config.topic} is an odometry")
+    return WheelLog(config, from_odometry)
 
 
 def find_joint(names: Sequence[str], wanted: str) -> int | None:

@@ -21,6 +21,8 @@ class WheelConfig(Group):
     """Name of the left wheel's joint; a prefix such as ``tb3_0/`` may be left out."""
     right: str = Field(default="wheel_right_joint", min_length=1, max_length=300)
     """Name of the right wheel's joint."""
+    backward: Literal["none", "left", "right", "both"] = "none"
+    """Wheels whose angles fall when the robot drives forward, as of a motor mounted the other way round."""
     radius_m: float = Field(gt=0.001, le=1.0)
     """Radius of the wheels [m]."""
     track_m: float = Field(gt=0.01, le=3.0)

@@ -94,12 +94,23 @@ def _refuse_reversed(
     turned = pairs.turned[np.abs(by_wheels) > LEAST_RAD]
     if len(turned) < FEWEST or _share_turning(turned) >= FEW_SEEN:
         return
-    driven = _measure_pairs(source, _pair_images(drive, DRIVES, 0.0), drive, file, progress).turned
-    if len(driven) >= FEWEST and _share_turning(driven) > AGREE:
+    driven = _measure_pairs(source, _pair_images(drive, DRIVES, 0.0), drive, file, progress)
+    if len(driven.turned) >= FEWEST and _share_turning(driven.turned) > AGREE:
         raise InputError(
             f"wheels.left, wheels.right: they turn against each other in {len(turned)} pairs of images of which "
-            f"{_share_turning(turned):.0%} turn, and images turn where they do not: one of them counts backward"
+            f"{_share_turning(turned):.0%} turn, and images turn where they do not: one of them counts backward, "
+            f"by the images the {_find_reversed(driven, drive)} one (wheels.backward)"
         )
+
+
+def _find_reversed(driven: Pairs, drive: LoggedDrive) -> str:
+    """Which wheel counts backward, by turns that the wheels took for driving.
+
+    A turn to the left seems to go forward if it is the left wheel, and backward if it is the right one.
+    """
+    time_s, travelled_m = drive.wheels.time_s, drive.path.travelled_m
+    way_m = np.interp(driven.second_s, time_s, travelled_m) - np.interp(driven.first_s, time_s, travelled_m)
+    return "left" if float(way_m @ driven.turned) > 0 else "right"
 
 
 def _share_turning(turned: np.ndarray) -> float:
@@ -146,7 +157,7 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
     if lag.agree < AGREE and lag.mirrored > max(AGREE, lag.agree + 0.2):
         raise InputError(
             f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
-            "wheels.left and wheels.right are exchanged, or both wheels count backward"
+            "wheels.left and wheels.right are exchanged, or both wheels count backward (wheels.backward: both)"
         )
     if lag.ratio > NO_RADIANS:
         raise InputError(

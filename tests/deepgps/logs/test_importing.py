@@ -392,17 +392,31 @@ def test_a_track_that_is_wrong_is_noticed(notes: list[Note], tmp_path: Path) -> 
     )
 
 
-@pytest.mark.parametrize("sign", [(-1.0, 1.0), (1.0, -1.0)], ids=["left", "right"])
+@pytest.mark.parametrize(("wheel", "sign"), [("left", (-1.0, 1.0)), ("right", (1.0, -1.0))])
 @pytest.mark.parametrize("lag_s", [0.0, "estimate"])
-def test_one_wheel_that_counts_backward_is_refused(
-    lag_s: float | str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
+def test_one_wheel_that_counts_backward_is_named_and_reversed(
+    lag_s: float | str, wheel: str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
 ) -> None:
     def reverse(_: int, note: Note) -> Note:
         return set_fields(note, position=note.fields["position"] * sign)
 
     log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
-    with pytest.raises(InputError, match=r"wheels\.left, wheels\.right: they turn against each other in \d+ pairs"):
+    said = rf"wheels\.left, wheels\.right: they turn against each other in \d+ pairs .* the {wheel} one"
+    with pytest.raises(InputError, match=said):
         bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
+    folder, about = bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s, "backward": wheel}))
+    check_complete(folder)
+    assert not any("backward" in note for note in about["notes"])
+
+
+def test_two_wheels_that_count_backward_are_refused_and_reversed(notes: list[Note], tmp_path: Path) -> None:
+    def reverse(_: int, note: Note) -> Note:
+        return set_fields(note, position=-note.fields["position"])
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
+    with pytest.raises(InputError, match=r"turn against the wheels: .* both wheels count backward \(wheels\.backward"):
+        bring_in(log, tmp_path)
+    check_complete(bring_in(log, tmp_path, configure(wheels={"backward": "both"}))[0])
 
 
 def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note], tmp_path: Path) -> None:
@@ -538,6 +552,8 @@ def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
     folder, about = bring_in(log, tmp_path)
     check_complete(folder)
     assert any("wheels are computed from the odometry" in note for note in about["notes"])
+    with pytest.raises(InputError, match=r"wheels\.backward left must be none: /joint_states is an odometry"):
+        bring_in(log, tmp_path / "again", configure(wheels={"backward": "left"}))
     recording = open_recording(folder)
     assert not can_diagnose(recording)
     with pytest.raises(InputError, match="its wheels were computed from an odometry, which cannot be diagnosed"):
