@@ -157,7 +157,7 @@ def choose_lag(given: float | str, lag: Lag | None) -> tuple[float, list[str]]:
     if lag.agree < AGREE and lag.mirrored > max(AGREE, lag.agree + 0.2):
         raise InputError(
             f"in {lag.mirrored:.0%} of {lag.pairs} turns images turn against the wheels: camera.mirrored is wrong, "
-            "wheels.left and wheels.right are exchanged, or both wheels count backward (wheels.backward: both)"
+            "wheels.left and wheels.right are exchanged, or both wheels count backward (wheels.backward)"
         )
     if lag.ratio > NO_RADIANS:
         raise InputError(
