@@ -74,20 +74,20 @@ class NetworkPositioner:
         return self.embed(observations) @ self.axes.double().numpy()
 
     def locate_with_features(self, observations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions of the camera (B, 2) float64 [m], and the features (B, components) that confidence compares."""
+        """Positions of the camera (B, 2) float64 [m], and the features (B, at most COMPONENTS) that are compared."""
         check_shape(observations, self.shape)
         projection = self.likeness if self.features is None else self.features
         assert projection is not None
-        chunks = [slice(start, start + CHUNK) for start in range(0, len(observations), CHUNK)]
-        found = [projection.apply(self._set_upright(observations[chunk])) for chunk in chunks]
-        features = torch.cat([torch.empty((0, projection.basis.shape[1])), *found])
-        camera = self.locate_camera(observations) if self.features is None else self._locate(features)
-        return camera, features.numpy()
-
-    def _locate(self, features: torch.Tensor) -> np.ndarray:
-        with torch.inference_mode():
-            found = [self._run(part).numpy() for part in features.split(CHUNK)]
-        return np.concatenate([np.empty((0, len(self.centre))), *found]) @ self.axes.double().numpy()
+        compared = min(COMPONENTS, projection.basis.shape[1])  # no more are kept: of a million images, all are 1 GB
+        features = np.empty((len(observations), compared), np.float32)
+        found = np.empty((len(observations), len(self.centre)))
+        for start in range(0, len(observations), CHUNK):
+            part = slice(start, start + CHUNK)
+            images = self._set_upright(observations[part])
+            described = projection.apply(images)
+            features[part] = described[:, :compared]
+            found[part] = self._run(torch.from_numpy(images.copy()) if self.features is None else described)
+        return found @ self.axes.double().numpy(), features
 
     def find_yaws(self, observations: np.ndarray, camera: np.ndarray) -> Yaws:
         """Yaws of the robot at positions of the camera (B, 2) [m]; only with a table of headings."""
@@ -106,23 +106,20 @@ class NetworkPositioner:
         """Outputs of the network (B, D) float64 [m], relative to ``centre``, before projection onto the plane."""
         check_shape(observations, self.shape)
         found = np.empty((len(observations), len(self.centre)))
-        with torch.inference_mode():
-            for start in range(0, len(observations), CHUNK):
-                found[start : start + CHUNK] = self._embed(np.asarray(observations[start : start + CHUNK])).numpy()
+        for start in range(0, len(observations), CHUNK):
+            images = self._set_upright(observations[start : start + CHUNK])
+            table = self.features.apply(images) if self.features else torch.from_numpy(images.copy())
+            found[start : start + CHUNK] = self._run(table)
         return found
 
     def _set_upright(self, observations: np.ndarray) -> np.ndarray:
         images = np.asarray(observations)
         return images if self.upright is None else self.upright(images)
 
-    def _embed(self, observations: np.ndarray) -> torch.Tensor:
-        observations = self._set_upright(observations)
-        table = self.features.apply(observations) if self.features else torch.from_numpy(observations.copy())
-        return self._run(table)
-
-    def _run(self, table: torch.Tensor) -> torch.Tensor:
+    def _run(self, table: torch.Tensor) -> np.ndarray:
         device = next(self.network.parameters()).device
-        return self.network(Inputs(table.to(device)).take(slice(None))).cpu() - self.centre
+        with torch.inference_mode():
+            return (self.network(Inputs(table.to(device)).take(slice(None))).cpu() - self.centre).numpy()
 
 
 @dataclass(frozen=True)
