@@ -9,12 +9,14 @@ import numpy as np
 
 from deepgps.bench.rows import Row
 from deepgps.data.features import describe
+from deepgps.learning.trainer import use_threads
+from deepgps.methods.deepgps import fit
 from deepgps.methods.fit import fit_method
 from deepgps.progress import ignore
 from deepgps.settings import LearnSettings
 from sim.errors import WorkError
 from sim.files.arrays import write_array
-from sim.files.json_files import read_json, write_json
+from sim.files.json_files import write_json
 from sim.processes import WORKERS
 from sim.recording.format import Recording, grid_file, observation_file, open_recording
 
@@ -138,9 +140,11 @@ def read_anonymous(process: int | None) -> int:
 
 
 def _time_step(training: Training) -> float:
-    # A random start: a step costs the same, and no initial map is needed.
-    folder = training.folder / "deepgps"
+    # A random start: a step costs the same, and no initial map is needed. What follows the training is left out.
+    folder, train = training.folder / "deepgps", training.settings.train
     shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
     random = training.settings.model_copy(update={"start": "random"})
-    train_once(Training(training.recording, training.folder, random))
-    return read_json(folder / "training.json")["train_s"] / training.settings.train.steps
+    with use_threads(train.threads):
+        fitted = fit(open_recording(training.recording), random, 0, folder, ignore)
+    return fitted.training["train_s"] / train.steps
