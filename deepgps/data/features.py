@@ -13,7 +13,6 @@ that vary much over the room and bend little between three consecutive readings 
 mostly aliasing and edges finer than the samples, with which a network would only overfit its training images.
 """
 
-import hashlib
 import logging
 from dataclasses import dataclass
 from functools import lru_cache
@@ -22,15 +21,15 @@ from pathlib import Path
 import numpy as np
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save
+from safetensors.torch import load_file, save_file
 
 from deepgps.data.ranks import rank_values
 from deepgps.data.relit import relight
 from deepgps.data.segments import Segments, subsample_learned
 from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
-from sim.files.atomic import write_bytes
-from sim.files.checksums import check_sha256
+from sim.files.atomic import write_atomic
+from sim.files.checksums import check_sha256, sha256
 from sim.files.json_files import read_json, write_json
 
 log = logging.getLogger(__name__)
@@ -244,12 +243,12 @@ def cached_features(
     if found is None:
         (folder / KEY).unlink(missing_ok=True)
         fitted, features = fit_features(observation, segments, settings, generator)
-        found = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+        made = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
         if fitted.edges is not None:
-            found["edges"] = fitted.edges
-        table = save(found)
-        write_bytes(folder / TABLE, table)
-        write_json(folder / KEY, {"key": key, "sha256": hashlib.sha256(table).hexdigest()})
+            made["edges"] = fitted.edges
+        write_atomic(folder / TABLE, lambda part: save_file(made, part), features.nbytes)
+        write_json(folder / KEY, {"key": key, "sha256": sha256(folder / TABLE)})
+        found = load_file(folder / TABLE)  # which leaves them on the disk: those of a million images are 1 GB
     shape = tuple(observation.shape[1:])
     mean, basis = found["mean"], found["basis"]
     fitted = Features(shape, settings.frequencies, mean, basis, found.get("edges"), settings.values)
