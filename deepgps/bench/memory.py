@@ -143,7 +143,6 @@ def _time_step(training: Training) -> float:
     # A random start: a step costs the same, and no initial map is needed. What follows the training is left out.
     folder, train = training.folder / "deepgps", training.settings.train
     shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
     random = training.settings.model_copy(update={"start": "random"})
     with use_threads(train.threads):
         fitted = fit(open_recording(training.recording), random, 0, folder, ignore)
