@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from deepgps.api.run import load as load
     from deepgps.api.simulate import simulate as simulate
     from deepgps.api.simulate import train as train
-    from deepgps.methods.catalog import Method as Method
-    from deepgps.methods.positioner import Fitted as Fitted
-    from deepgps.scenario import Scenario as Scenario
+    from deepgps.config.methods import Method as Method
+    from deepgps.config.scenario import Scenario as Scenario
+    from deepgps.positioner.positioner import Fitted as Fitted
     from sim.errors import InputError as InputError
     from sim.errors import WorkError as WorkError
     from sim.occupancy import FreeSpace as FreeSpace
     from sim.plugins import EncoderFault as EncoderFault
-    from sim.sensors.lens import Lens as Lens
-    from sim.sensors.unwrap import unwrap_fisheye as unwrap_fisheye
+    from sim.sensors.camera.lens import Lens as Lens
+    from sim.sensors.camera.unwrap import unwrap_fisheye as unwrap_fisheye
 
     __version__: str
 
@@ -30,13 +30,13 @@ _HOMES = {
     "simulate": "deepgps.api.simulate",
     "train": "deepgps.api.simulate",
     "write_recording": "deepgps.api.record",
-    "unwrap_fisheye": "sim.sensors.unwrap",
-    "Scenario": "deepgps.scenario",
-    "Method": "deepgps.methods.catalog",
-    "Fitted": "deepgps.methods.positioner",
+    "unwrap_fisheye": "sim.sensors.camera.unwrap",
+    "Scenario": "deepgps.config.scenario",
+    "Method": "deepgps.config.methods",
+    "Fitted": "deepgps.positioner.positioner",
     "EncoderFault": "sim.plugins",
     "FreeSpace": "sim.occupancy",
-    "Lens": "sim.sensors.lens",
+    "Lens": "sim.sensors.camera.lens",
     "InputError": "sim.errors",
     "WorkError": "sim.errors",
 }

@@ -1,15 +1,18 @@
 """A run: collect, train, evaluate, show. Each stage skips what is done and continues what was interrupted."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import link_recording
-from deepgps.owned_folder import is_older
-from deepgps.progress import Report
-from deepgps.run_folder import RUN, claim
-from deepgps.scenario import Scenario
-from deepgps.stages import ask_for_device, collect, draw_views, evaluate, train
-from deepgps.timing import timed
+from deepgps.config.scenario import Scenario
+from deepgps.evaluation.measure import evaluate
+from deepgps.methods.train import ask_for_device, train
+from deepgps.runs.adopted_recording import link_recording
+from deepgps.runs.collect import collect, draw_views
+from deepgps.runs.owned_folder import is_older
+from deepgps.runs.run_folder import RUN, claim
+from deepgps.runs.timing import timed
+from deepgps.terminal.progress import Report
 from sim.files.checksums import is_intact
 from sim.recording.format import has_truth, read_manifest
 
@@ -44,7 +47,7 @@ def run(
 
 def show(scenario: Scenario, folder: Path, progress: Report) -> None:
     """Draw the figures and write the Rerun recording."""
-    from deepgps.figures.run_figures import draw_figures
+    from deepgps.reports.run_figures import draw_figures
     from deepgps.viewer.run.pictures import PICTURES, choose_views, write_pictures
     from deepgps.viewer.run.recording import find_recording, write_run
 
@@ -67,3 +70,10 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
             progress("show", 2, 3)
             write_run(folder)
             progress("show", 3, 3)
+
+
+STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
+    "collect": collect,
+    "train": train,
+    "evaluate": evaluate,
+}

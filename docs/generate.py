@@ -16,10 +16,17 @@ from typing import Any
 from sphinx.pycode import ModuleAnalyzer
 
 import deepgps
-from deepgps.cli import COMMANDS
-from deepgps.logs.robot_config import CameraConfig, DriveConfig, Intrinsics, PoseConfig, RobotConfig, WheelConfig
-from deepgps.methods.catalog import METHODS
-from deepgps.scenario import Scenario
+from deepgps.commands.main import COMMANDS
+from deepgps.config.methods import METHODS
+from deepgps.config.scenario import Scenario
+from deepgps.robot_io.logs.robot_config import (
+    CameraConfig,
+    DriveConfig,
+    Intrinsics,
+    PoseConfig,
+    RobotConfig,
+    WheelConfig,
+)
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from sim.settings import Group
@@ -41,7 +48,7 @@ COLUMNS = 100
 """Width of the commands' help."""
 IN_MODULES = {
     "deepgps.viewer.read": ("read_error_table", "read_error_field", "read_entity"),
-    "deepgps.scenario": ("load_scenario",),
+    "deepgps.config.scenario": ("load_scenario",),
     "sim.recording.format": ("open_recording", "Recording", "open_truth", "Truth"),
 }
 """What the page of the Python API describes while the package itself names nothing."""
@@ -122,7 +129,7 @@ def read_help(*command: str) -> str:
 
     In a process of its own, since Sphinx imports modules as a type checker does, after which tyro cannot read them.
     """
-    words = [sys.executable, "-m", "deepgps.cli", *command, "--help"]
+    words = [sys.executable, "-m", "deepgps.commands.main", *command, "--help"]
     environment = {**os.environ, "COLUMNS": str(COLUMNS), "NO_COLOR": "1", "PYTHONPATH": str(ROOT)}
     said = subprocess.run(words, env=environment, check=True, capture_output=True, text=True).stdout
     return "\n".join(line.rstrip() for line in said.strip().splitlines())

@@ -15,14 +15,14 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from deepgps.alignment import fit_alignment, fit_robust_alignment
 from deepgps.data.runs import fill_stretches
-from deepgps.figures.field_plot import draw_room
-from deepgps.figures.style import PAPER, to_png
 from deepgps.initial_map.stored_map import StoredMap, read_map
-from deepgps.methods.stored_positioner import load_positioner, read_training
+from deepgps.positioner.stored_positioner import load_positioner, read_training
+from deepgps.reports.field_plot import draw_room
+from deepgps.reports.style import PAPER, to_png
 from deepgps.viewer.run.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
+from sim.alignment import fit_alignment, fit_robust_alignment
 from sim.files.atomic import write_bytes
 from sim.recording.format import Truth, open_recording, open_truth
 

@@ -14,31 +14,31 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from deepgps.alignment import fit_alignment
+from deepgps.config.learning import LearnSettings
+from deepgps.config.methods import colour_of
+from deepgps.config.scenario import Scenario
 from deepgps.data.encoder_noise import find_inliers
 from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.evaluation.segment_errors import reckon_path
-from deepgps.figures.field_plot import add_scale, draw_field, draw_room
-from deepgps.figures.run_figures import read_histories
-from deepgps.figures.style import PAPER, count_by_decades, to_png
-from deepgps.initial_map.affine_maps import find_affine_maps, find_modes
-from deepgps.initial_map.dense import NEIGHBOURS
-from deepgps.initial_map.isomap import find_loop_closures, map_by_paths
-from deepgps.initial_map.pose_graph import build_pose_graph
+from deepgps.initial_map.distances.affine_maps import find_affine_maps, find_modes
+from deepgps.initial_map.distances.dense import NEIGHBOURS
+from deepgps.initial_map.distances.isomap import find_loop_closures, map_by_paths
+from deepgps.initial_map.distances.pose_graph import build_pose_graph
 from deepgps.learning.trainer import make_generator, use_threads
 from deepgps.learning.training_data import prepare
-from deepgps.methods.catalog import colour_of
 from deepgps.methods.deepgps import make_initial_map
 from deepgps.methods.fit import fit_method
-from deepgps.run_folder import open_run
-from deepgps.scenario import Scenario
-from deepgps.settings import LearnSettings
+from deepgps.reports.field_plot import add_scale, draw_field, draw_room
+from deepgps.reports.run_figures import read_histories
+from deepgps.reports.style import PAPER, count_by_decades, to_png
+from deepgps.runs.run_folder import open_run
 from deepgps.viewer.playback import colours_of_places
+from sim.alignment import fit_alignment
 from sim.files.arrays import read_arrays
 from sim.files.atomic import write_bytes
 from sim.occupancy import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
-from sim.sensors.gl import choose_backend
+from sim.sensors.camera.gl import choose_backend
 
 PICTURES = Path(__file__).parent / "pictures"
 ROUND_PX = 480
@@ -74,7 +74,7 @@ def draw_camera(scenario: Scenario, truth: Truth) -> Figure:
     """The round image, the polar image, and the polar image after a quarter turn, all rendered."""
     choose_backend()  # before mujoco is imported
     from sim.robot.world import RoomWorld
-    from sim.sensors.fisheye import Fisheye
+    from sim.sensors.camera.fisheye import Fisheye
 
     world = RoomWorld(scenario.sim)
     middle = truth.pose[:, :2].mean(axis=0)

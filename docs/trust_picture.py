@@ -12,13 +12,13 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
-from deepgps.figures.field_plot import add_scale, draw_field, explain_refused
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.risk_plot import plot_risk
-from deepgps.figures.run_report import read_metrics
-from deepgps.figures.style import to_png
-from deepgps.methods.catalog import title_of
+from deepgps.reports.field_plot import add_scale, draw_field, explain_refused
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.risk_plot import plot_risk
+from deepgps.reports.run_report import read_metrics
+from deepgps.reports.style import to_png
 from docs.pictures import PICTURES, reduce
 from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace

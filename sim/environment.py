@@ -1,8 +1,8 @@
 """The room as a ``dm_env.Environment``: wheel speeds in; polar image, encoder ticks and ranges out.
 
 It runs on dm_control's ``Physics`` over the compiled room, so dm_control's tools (named access, cameras, its viewer)
-see the same state. There is no task: the reward is always zero. Call ``sim.sensors.gl.choose_backend`` before this
-module is imported.
+see the same state. There is no task: the reward is always zero. Call ``sim.sensors.camera.gl.choose_backend`` before
+this module is imported.
 
 What a robot cannot sense is in attributes apart from the observations: ``true_pose`` and ``wheel_angle``. Encoder
 faults that are drawn for a complete drive are applied to its wheel angles afterwards, by
@@ -18,10 +18,10 @@ from sim.robot.model import CONTROL_PERIOD_S, WHEELS
 from sim.robot.range_finder import REACH_M
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
+from sim.sensors.camera.fisheye import Fisheye
+from sim.sensors.camera.gl import choose_backend
 from sim.sensors.encoder import Constants, count_ticks, describe_odometry
 from sim.sensors.encoder_faults import scale_wheels
-from sim.sensors.fisheye import Fisheye
-from sim.sensors.gl import choose_backend
 from sim.settings import NO_FAULTS, SimSettings
 
 try:

@@ -49,7 +49,7 @@ class EncoderFault:
 
 
 ENCODER_FAULTS: dict[str, EncoderFault] = {}
-"""Encoder faults of plugins by name, filled by ``deepgps.plugins.load_plugins`` alone.
+"""Encoder faults of plugins by name, filled by ``deepgps.config.plugins.load_plugins`` alone.
 
 One table for the whole process, as settings check themselves wherever they are made, from YAML, in a study or when a
 run is opened, and no table can be passed there.

@@ -6,7 +6,7 @@ from pathlib import Path
 import hypothesis
 import pytest
 
-from sim.sensors.gl import choose_backend
+from sim.sensors.camera.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 from tests.helpers.made_once import make_once
 
@@ -16,7 +16,7 @@ for name in ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(name, "0" if name.startswith("LP") else "1")
 hypothesis.settings.register_profile("deepgps", deadline=None)  # no test is timed
 hypothesis.settings.load_profile("deepgps")
-os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.cli
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.commands.main
 
 SMALL = SimSettings(
     room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8),
@@ -29,7 +29,7 @@ SMALL = SimSettings(
 @pytest.fixture(autouse=True)
 def without_plugins():
     """Forget the plugins that a test has loaded: no other test knows of them."""
-    from deepgps.methods.catalog import METHODS
+    from deepgps.config.methods import METHODS
     from sim.plugins import ENCODER_FAULTS
 
     methods, faults = dict(METHODS), dict(ENCODER_FAULTS)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 
-from deepgps.cli import COMMANDS
+from deepgps.commands.main import COMMANDS
+from deepgps.config.methods import METHODS
+from deepgps.config.scenario import Scenario, names_in
 from deepgps.evaluation.error_field import read_fields
-from deepgps.methods.catalog import METHODS
-from deepgps.scenario import Scenario, names_in
 from deepgps.studies.study import Study
 from docs.generate import (
     ROBOT,

@@ -20,44 +20,26 @@ MODULES = {
 ORDER = (
     ("sim",),
     ("sim.sensors.catalog",),
-    ("sim.furniture", "sim.apriltag"),
+    ("sim.rooms.furniture", "sim.apriltag"),
     ("sim.rooms",),
     ("sim.robot", "sim.sensors"),
     ("sim.recording",),
     ("sim.planar", "sim.tools", "sim.environment", "sim.robot_log"),
-    ("deepgps.methods.catalog",),
-    ("deepgps",),
-    ("deepgps.terminal",),
-    ("deepgps.data",),
-    ("deepgps.diagnosis",),
-    ("deepgps.initial_map",),
-    ("deepgps.learning",),
-    ("deepgps.methods",),
-    ("deepgps.tracking",),
-    ("deepgps.monitoring",),
+    ("deepgps.config", "deepgps.terminal"),
+    ("deepgps.data", "deepgps.runs"),
+    ("deepgps.diagnosis", "deepgps.initial_map", "deepgps.learning"),
+    ("deepgps.positioner",),
+    ("deepgps.methods", "deepgps.tracking"),
     ("deepgps.evaluation",),
-    ("deepgps.figures",),
-    ("deepgps.stages",),
-    ("deepgps.studies",),
-    ("deepgps.studies.reports",),
-    ("deepgps.bench",),
+    ("deepgps.reports",),
+    ("deepgps.studies", "deepgps.bench"),
     ("deepgps.viewer",),
-    ("deepgps.viewer.run",),
-    ("deepgps.viewer.study", "deepgps.viewer.pair"),
-    ("deepgps.viewer.window",),
-    ("deepgps.viewer.live",),
     ("deepgps.run",),
-    ("deepgps.studies.engine",),
-    ("deepgps.begin",),
     ("deepgps.api",),
-    ("deepgps.logs",),
-    ("deepgps.locate",),
-    ("deepgps.export",),
-    ("deepgps.__init__",),
+    ("deepgps.robot_io", "deepgps.__init__"),
     ("deepgps.commands",),
-    ("deepgps.cli",),
 )
-"""A module takes only what comes earlier; the longest name that it begins with counts. Those side by side are apart."""
+"""The packages in the order of imports: a module takes only what comes earlier; those side by side are apart."""
 
 NOT_IN_SIM = {"torch", "rerun", "tyro"}
 WITHOUT_MUJOCO = {
@@ -73,6 +55,7 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.geometry",
+        "sim.alignment",
         "sim.occupancy",
         "sim.recording.format",
         "sim.recording.manifest",
@@ -85,17 +68,17 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
-        "sim.sensors.circular_peaks",
-        "sim.sensors.compass",
-        "sim.sensors.compass_lean",
-        "sim.sensors.compass_fit",
-        "sim.sensors.lens",
-        "sim.sensors.upright",
-        "sim.sensors.unwrap",
-        "sim.sensors.raw_camera",
+        "sim.sensors.compass.circular_peaks",
+        "sim.sensors.compass.compass",
+        "sim.sensors.compass.lean",
+        "sim.sensors.compass.fit",
+        "sim.sensors.camera.lens",
+        "sim.sensors.camera.upright",
+        "sim.sensors.camera.unwrap",
+        "sim.sensors.camera.raw_camera",
         "sim.sensors.encoder",
         "sim.sensors.encoder_faults",
-        "sim.sensors.camera_faults",
+        "sim.sensors.camera.faults",
     ),
     *(f"sim.files.{name}" for name in ("arrays", "atomic", "checksums", "folders", "json_files")),
     *(f"sim.settings.{name}" for name in ("deployment", "drive", "group", "robot", "sensors", "world")),
@@ -104,13 +87,16 @@ WITHOUT_MUJOCO = {
         "sim.robot_log.mcap_file",
     ),
 }
-ENTRY_POINTS = ("deepgps.commands", "deepgps.stages")
-STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.gl", "sim.robot_log")
+ENTRY_POINTS = ("deepgps.commands", "deepgps.runs.collect", "deepgps.run")
+STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.camera.gl", "sim.robot_log")
 ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.commands", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),
-    *("deepgps.figures.run_figures", "deepgps.figures.field_plot"),
-    *("deepgps.export.trajectories", "deepgps.export.mcap"),  # which write the truth beside the methods' poses
+    *("deepgps.reports.run_figures", "deepgps.reports.field_plot"),
+    *(
+        "deepgps.robot_io.export.trajectories",
+        "deepgps.robot_io.export.mcap",
+    ),  # which write the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *(f"deepgps.studies.reports.{name}" for name in ("mds", "concave", "corridors")),
 )
@@ -335,24 +321,28 @@ def test_package_has_no_import_cycle(package):
 @pytest.mark.parametrize(
     ("module", "source", "fault"),
     [
-        ("sim.sensors.fisheye", "import torch", "sim never imports torch"),
-        ("sim.sensors.fisheye", "def f():\n    from deepgps.learning import trainer", "sim.sensors comes before"),
-        ("sim.sensors.fisheye", "from sim.robot.model import BASE", "is its neighbour"),
+        ("sim.sensors.camera.fisheye", "import torch", "sim never imports torch"),
+        (
+            "sim.sensors.camera.fisheye",
+            "def f():\n    from deepgps.learning import trainer",
+            "sim.sensors comes before",
+        ),
+        ("sim.sensors.camera.fisheye", "from sim.robot.model import BASE", "is its neighbour"),
         ("sim.rooms.build", "from sim.recording import collect", "sim.rooms comes before sim.recording"),
         (
-            "sim.sensors.fisheye",
+            "sim.sensors.camera.fisheye",
             "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import rerun as rr",
             "never imports rerun",
         ),
-        ("sim.sensors.fisheye", "from . import lens", "relative"),
+        ("sim.sensors.camera.fisheye", "from . import lens", "relative"),
         ("deepgps.learning.trainer", "from deepgps.methods import knn", "comes before deepgps.methods"),
         ("deepgps.learning.trainer", "import rerun", "only deepgps.viewer may"),
         ("deepgps.learning.trainer", "from tyro import cli", "only deepgps.commands may"),
         ("deepgps.run", "import ray", "only deepgps.studies.engine.ray_cluster may"),
         ("deepgps.learning.trainer", "import mujoco.viewer", "never imports mujoco"),
         ("deepgps.learning.trainer", "def f():\n    import sim.recording.collect", "only the modules without MuJoCo"),
-        ("deepgps.stages", "import sim.recording.collect", "only inside a function"),
-        ("deepgps.stages", "def f():\n    import sim.robot.world", "only the modules without MuJoCo"),
+        ("deepgps.runs.collect", "import sim.recording.collect", "only inside a function"),
+        ("deepgps.runs.collect", "def f():\n    import sim.robot.world", "only the modules without MuJoCo"),
     ],
 )
 def test_import_law_can_fail(module, source, fault):
@@ -363,8 +353,8 @@ def test_import_law_can_fail(module, source, fault):
 def test_import_law_allows_what_it_should():
     viewer = "import rerun\nfrom sim.recording.format import open_recording"
     assert break_import_law("deepgps.viewer.scene", viewer) == []
-    assert break_import_law("deepgps.stages", "def f():\n    from sim.recording.collect import collect") == []
-    assert break_import_law("sim.sensors.fisheye", "import mujoco, cv2") == []
+    assert break_import_law("deepgps.runs.collect", "def f():\n    from sim.recording.collect import collect") == []
+    assert break_import_law("sim.sensors.camera.fisheye", "import mujoco, cv2") == []
     assert break_import_law("deepgps.commands.parse", "import tyro") == []
 
 
@@ -405,7 +395,7 @@ def test_alignment_law_can_fail(source):
     assert break_alignment_law("deepgps.learning.trainer", source)
     assert break_alignment_law("deepgps.methods.deepgps", source)
     assert not break_alignment_law("deepgps.api.run", source)
-    assert not break_alignment_law("deepgps.learning.trainer", "from deepgps.alignment import fit_alignment")
+    assert not break_alignment_law("deepgps.learning.trainer", "from sim.alignment import fit_alignment")
 
 
 @pytest.mark.parametrize(
@@ -451,7 +441,7 @@ LEARNING = sorted(module for module in MODULES if is_in(module, "deepgps") and r
             ("mujoco", "dm_control", "torch", "rerun", "tyro", "OpenGL"),
         ),
         (LEARNING, ("mujoco", "dm_control", "rerun", "tyro", "OpenGL", "ray")),
-        (["deepgps.cli"], ("mujoco", "dm_control", "rerun", "torch", "OpenGL", "ray")),
+        (["deepgps.commands.main"], ("mujoco", "dm_control", "rerun", "torch", "OpenGL", "ray")),
     ],
     ids=["sim", "learning", "cli"],
 )

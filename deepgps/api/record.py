@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.spatial import KDTree
 
+from deepgps.config.scenario import Scenario
+from deepgps.config.setting_problems import describe_problems
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import check_readings
-from deepgps.scenario import Scenario
-from deepgps.setting_problems import describe_problems
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from rich.console import Console
 
-from deepgps.methods.catalog import folder_of
-from deepgps.plugins import load_plugins
-from deepgps.progress import ignore
-from deepgps.run_folder import open_run
-from deepgps.scenario import Scenario
+from deepgps.config.methods import folder_of
+from deepgps.config.plugins import load_plugins
+from deepgps.config.scenario import Scenario
+from deepgps.runs.run_folder import open_run
+from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import Recording, has_truth, open_recording, read_manifest
 from sim.recording.manifest import DIMENSIONS, ObservationKind
@@ -23,12 +23,12 @@ from sim.user_input import quote
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from deepgps.alignment import Alignment
     from deepgps.evaluation.error_field import ErrorField
-    from deepgps.methods.pose import Poses
-    from deepgps.methods.positioner import Positioner
-    from deepgps.monitoring.causes import Causes
+    from deepgps.positioner.pose import Poses
+    from deepgps.positioner.positioner import Positioner
+    from deepgps.tracking.causes import Causes
     from deepgps.tracking.track import Track
+    from sim.alignment import Alignment
 
 Frame = Literal["world", "map"]
 
@@ -53,7 +53,7 @@ class Run:
     @cached_property
     def metrics(self) -> dict[str, Any]:
         """Figures of the evaluation, as in ``metrics.json``; raises InputError if the run has not been evaluated."""
-        from deepgps.figures.run_report import read_metrics
+        from deepgps.reports.run_report import read_metrics
 
         return read_metrics(self.folder)
 
@@ -65,7 +65,7 @@ class Run:
 
     def report(self) -> str:
         """What ``deepgps run`` prints: a table of errors, the drive, and what shows that a result cannot be trusted."""
-        from deepgps.figures.run_report import print_report
+        from deepgps.reports.run_report import print_report
 
         text = StringIO()
         print_report(self.folder, Console(file=text, width=100))
@@ -114,7 +114,7 @@ class Run:
             InputError: As for ``position``.
         """
         from deepgps.learning.trainer import use_threads
-        from deepgps.methods.pose import find_poses
+        from deepgps.positioner.pose import find_poses
 
         name, batch, single = self._take(observations, method)
         with use_threads(self.scenario.learn.train.threads):
@@ -156,7 +156,7 @@ class Run:
         """
         from deepgps.evaluation.in_use import open_drive_in_use
         from deepgps.learning.trainer import use_threads
-        from deepgps.monitoring.causes import name_causes
+        from deepgps.tracking.causes import name_causes
 
         recording = open_drive_in_use(self.recording) if drive is None else open_recording(Path(drive))
         if recording is None:
@@ -250,7 +250,7 @@ class Run:
 
     def positioner(self, method: str | None = None) -> "Positioner":
         """The map from observations to positions that a method has learned; None: the first of the run."""
-        from deepgps.methods.stored_positioner import load_positioner
+        from deepgps.positioner.stored_positioner import load_positioner
 
         name = self.choose(method)
         if name not in self._positioners:

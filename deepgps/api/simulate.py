@@ -6,16 +6,17 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from deepgps.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, link_recording
 from deepgps.api.run import Run, load
-from deepgps.plugins import load_plugins
-from deepgps.progress import Report, ignore, show_progress
-from deepgps.run_folder import claim, default_folder, join_methods
-from deepgps.scenario import Scenario, load_scenario, override_scenario
-from deepgps.source import refuse_settings_of_drive
-from deepgps.spelling import as_key
-from deepgps.stages import choose_renderer_for, evaluate, list_undriven
-from deepgps.stages import train as train_methods
+from deepgps.config.plugins import load_plugins
+from deepgps.config.scenario import Scenario, load_scenario, override_scenario
+from deepgps.config.spelling import as_key
+from deepgps.evaluation.measure import evaluate
+from deepgps.methods.train import train as train_methods
+from deepgps.runs.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, link_recording
+from deepgps.runs.collect import choose_renderer_for, list_undriven
+from deepgps.runs.run_folder import claim, default_folder, join_methods
+from deepgps.runs.source import refuse_settings_of_drive
+from deepgps.terminal.progress import Report, ignore, show_progress
 
 
 def simulate(

@@ -16,15 +16,16 @@ from deepgps.bench.memory import measure_memory
 from deepgps.bench.paper import measure_paper
 from deepgps.bench.rows import KEPT, Row, write_bench
 from deepgps.bench.speed import measure_speed, measure_spread
+from deepgps.config.scenario import Scenario, load_scenario
 from deepgps.evaluation.evaluate import evaluate
-from deepgps.methods.positioner import NetworkPositioner
-from deepgps.methods.stored_positioner import load_positioner
-from deepgps.progress import Report, ignore
-from deepgps.provenance import describe_environment
-from deepgps.run_folder import METRICS
-from deepgps.scenario import Scenario, load_scenario
-from deepgps.stages import collect, train
-from deepgps.timing import stage_times
+from deepgps.methods.train import train
+from deepgps.positioner.positioner import NetworkPositioner
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.runs.collect import collect
+from deepgps.runs.provenance import describe_environment
+from deepgps.runs.run_folder import METRICS
+from deepgps.runs.timing import stage_times
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
 from sim.files.arrays import read_arrays
 from sim.files.json_files import read_json
@@ -153,7 +154,16 @@ def measure_demo(size: Size, folder: Path) -> list[Row]:
     """Time the complete demo as a user starts it, its training, and collecting its samples without the test grid."""
     scenario = load_scenario(size.scenario, size.settings)
     words = [word for name, value in size.settings.items() for word in (f"--{name}", str(value))]
-    command = [sys.executable, "-m", "deepgps.cli", "run", size.scenario, "--out", str(folder / "demo"), *words]
+    command = [
+        sys.executable,
+        "-m",
+        "deepgps.commands.main",
+        "run",
+        size.scenario,
+        "--out",
+        str(folder / "demo"),
+        *words,
+    ]
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     demo_s = time.perf_counter() - start

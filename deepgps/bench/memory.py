@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.bench.rows import Row
+from deepgps.config.learning import LearnSettings
 from deepgps.data.features import describe
 from deepgps.learning.trainer import use_threads
 from deepgps.methods.deepgps import fit
 from deepgps.methods.fit import fit_method
-from deepgps.progress import ignore
-from deepgps.settings import LearnSettings
+from deepgps.terminal.progress import ignore
 from sim.errors import WorkError
 from sim.files.arrays import write_array
 from sim.files.json_files import write_json

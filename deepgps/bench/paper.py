@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from deepgps.bench.rows import Row
+from deepgps.config.scenario import Scenario
 from deepgps.evaluation.evaluate import measure_part
 from deepgps.methods.fit import fit_method
-from deepgps.progress import Report
-from deepgps.run_folder import METRICS
-from deepgps.scenario import Scenario
+from deepgps.runs.run_folder import METRICS
+from deepgps.terminal.progress import Report
 from sim.files.json_files import read_json
 from sim.recording.format import open_recording
 

@@ -11,7 +11,7 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
-from deepgps.figures.targets import judge
+from deepgps.reports.targets import judge
 from sim.errors import InputError
 from sim.files.json_files import read_json, write_json
 

@@ -9,7 +9,7 @@ from scipy.stats import rankdata
 
 from deepgps.bench.rows import Row
 from deepgps.learning.trainer import use_threads
-from deepgps.methods.positioner import NetworkPositioner, Positioner
+from deepgps.positioner.positioner import NetworkPositioner, Positioner
 
 BATCH = 500
 

@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from deepgps.commands.parse import File, parse
-from deepgps.progress import show_progress
 from deepgps.terminal.console import console, errors, say
+from deepgps.terminal.progress import show_progress
 from sim.files.atomic import check_overwrite
 
 
@@ -28,7 +28,7 @@ class BenchArguments:
 def bench_command(words: Sequence[str]) -> None:
     """Measure speed, latency, memory and steadiness against naive baselines and targets; takes 15 to 30 minutes."""
     arguments = parse(BenchArguments, "bench", words, bench_command.__doc__)
-    from deepgps.stages import choose_renderer
+    from deepgps.runs.collect import choose_renderer
 
     choose_renderer()
     from deepgps.bench.bench import choose_size, run_bench

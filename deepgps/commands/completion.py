@@ -11,9 +11,9 @@ from deepgps.commands.completion_scripts import SHELLS, Words
 from deepgps.commands.parse import list_options, parse
 from deepgps.commands.scenario import RunArguments
 from deepgps.commands.study import StudyArguments
-from deepgps.methods.catalog import METHODS
-from deepgps.scenario import Scenario, names_in
-from deepgps.spelling import as_option, from_option, list_settings
+from deepgps.config.methods import METHODS
+from deepgps.config.scenario import Scenario, names_in
+from deepgps.config.spelling import as_option, from_option, list_settings
 from sim.paths import SCENARIOS, STUDIES
 
 

@@ -6,9 +6,9 @@ from typing import Literal
 
 from deepgps.commands.parse import OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
 from deepgps.commands.round_image import Centre, Forward, Radius, parse_round_image
-from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, say
 from deepgps.terminal.failures import working_in
+from deepgps.terminal.progress import show_progress
 from sim.errors import InputError
 
 
@@ -55,7 +55,7 @@ def export_command(words: Sequence[str]) -> None:
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.export.command import default_folder, export_drives, export_onnx
+    from deepgps.robot_io.export.command import default_folder, export_drives, export_onnx
 
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []

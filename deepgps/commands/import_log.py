@@ -8,8 +8,8 @@ from typing import Annotated
 import tyro
 
 from deepgps.commands.parse import OptionalFile, OptionalFolder, parse
-from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, quote_path, say
+from deepgps.terminal.progress import show_progress
 from sim.errors import InputError
 
 
@@ -30,7 +30,7 @@ def import_command(words: Sequence[str]) -> None:
     arguments = parse(ImportArguments, "import", words, import_command.__doc__)
     if arguments.look == (arguments.config is not None or arguments.out is not None):
         raise InputError("deepgps import takes --look, or --config FILE and --out FOLDER")
-    from deepgps.logs.look import look
+    from deepgps.robot_io.logs.look import look
 
     if arguments.look:
         with show_progress(errors) as progress:
@@ -39,9 +39,9 @@ def import_command(words: Sequence[str]) -> None:
         return
     if arguments.config is None or arguments.out is None:
         raise InputError("deepgps import needs both --config FILE and --out FOLDER; --look proposes the file")
-    from deepgps.logs.importing import import_log
-    from deepgps.logs.robot_config import load_config
-    from deepgps.logs.summary import write_summary
+    from deepgps.robot_io.logs.importing import import_log
+    from deepgps.robot_io.logs.robot_config import load_config
+    from deepgps.robot_io.logs.summary import write_summary
     from sim.files.checksums import sha256
 
     config = load_config(arguments.config)

@@ -13,8 +13,8 @@ import tyro
 
 from deepgps.commands.parse import Live, OptionalFile, OptionalMethod, Plugins, RunFolder, parse
 from deepgps.commands.round_image import Centre, Forward, Radius, parse_round_image
-from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, print_error
+from deepgps.terminal.progress import show_progress
 from sim.errors import WorkError
 
 
@@ -52,8 +52,8 @@ def locate_command(words: Sequence[str]) -> None:
     arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     from deepgps.api.run import load
-    from deepgps.locate.command import Wish, locate_source
-    from deepgps.locate.locate import describe
+    from deepgps.robot_io.locate.command import Wish, locate_source
+    from deepgps.robot_io.locate.locate import describe
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import tyro
 
-from deepgps.spelling import as_option, find_like, suggest
+from deepgps.config.spelling import as_option, find_like, suggest
 from sim.errors import InputError
 from sim.user_input import shorten
 

@@ -8,8 +8,8 @@ from typing import Annotated, Any, get_args
 import tyro
 
 from deepgps.commands.parse import File, parse
-from deepgps.progress import show_progress
 from deepgps.terminal.console import errors, say
+from deepgps.terminal.progress import show_progress
 from sim.errors import InputError
 from sim.files.atomic import check_overwrite
 from sim.settings import RoomKind
@@ -31,7 +31,7 @@ def rooms_command(words: Sequence[str]) -> None:
     """Draw a contact sheet of generated rooms."""
     arguments = parse(RoomsArguments, "rooms", words, rooms_command.__doc__)
     kinds, seeds = _parse_kinds(arguments.kinds), _parse_seeds(arguments.seeds)
-    from deepgps.stages import choose_renderer
+    from deepgps.runs.collect import choose_renderer
 
     choose_renderer()
     from sim.tools.gallery import draw_gallery, is_gallery

@@ -7,7 +7,7 @@ import tyro
 from sim.errors import InputError
 
 if TYPE_CHECKING:
-    from sim.sensors.unwrap import RoundImage
+    from sim.sensors.camera.unwrap import RoundImage
 
 Centre = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="COLUMN ROW")]
 Radius = Annotated[float | None, tyro.conf.arg(metavar="PX")]
@@ -22,7 +22,7 @@ def parse_round_image(centre: Centre, radius_px: Radius, forward_deg: Forward) -
         return None
     if centre is None or radius_px is None:
         raise InputError("--centre and --radius-px: give both, or neither")
-    from sim.sensors.unwrap import LARGEST_PX, MOST_DEG, RoundImage
+    from sim.sensors.camera.unwrap import LARGEST_PX, MOST_DEG, RoundImage
 
     if not all(0 <= place <= LARGEST_PX for place in centre):
         written = " ".join(f"{place:g}" for place in centre)

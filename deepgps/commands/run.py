@@ -6,21 +6,22 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
-from deepgps.begin import BEGUN
 from deepgps.commands.scenario import RunArguments, parse_scenario
-from deepgps.progress import Report, show_progress
-from deepgps.scenario import Scenario
-from deepgps.source import Source
+from deepgps.config.scenario import Scenario
+from deepgps.runs.source import Source
+from deepgps.terminal.begin import BEGUN
 from deepgps.terminal.console import console, errors, print_error, quote_path, say
 from deepgps.terminal.failures import working_in
+from deepgps.terminal.progress import Report, show_progress
 
 
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive and record, train, evaluate, show."""
-    from deepgps.figures.run_report import print_report
+    from deepgps.evaluation.measure import NO_TESTS
+    from deepgps.reports.run_report import print_report
     from deepgps.run import run
-    from deepgps.run_folder import find_place
-    from deepgps.stages import NO_TESTS, write_log
+    from deepgps.runs.collect import write_log
+    from deepgps.runs.run_folder import find_place
 
     arguments, source = parse_scenario("run", words, run_command.__doc__)
     scenario, folder = source.scenario, source.folder
@@ -45,9 +46,12 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and the stages it needs; ``about`` describes it."""
 
     def command(words: Sequence[str]) -> None:
-        from deepgps.adopted_recording import link_recording
-        from deepgps.run_folder import claim, find_place
-        from deepgps.stages import NO_TESTS, STAGES, ask_for_device, write_log
+        from deepgps.evaluation.measure import NO_TESTS
+        from deepgps.methods.train import ask_for_device
+        from deepgps.run import STAGES
+        from deepgps.runs.adopted_recording import link_recording
+        from deepgps.runs.collect import write_log
+        from deepgps.runs.run_folder import claim, find_place
 
         arguments, source = parse_scenario(stage, words, about)
         scenario, folder = source.scenario, source.folder
@@ -70,7 +74,7 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
                 if name == stage:
                     break
             if stage == "train":
-                from deepgps.figures.run_report import describe_left_out  # needs torch, which collecting does not
+                from deepgps.reports.run_report import describe_left_out  # needs torch, which collecting does not
 
                 left_out = describe_left_out(place, scenario.methods)
         if left_out:
@@ -85,7 +89,7 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
 
 def _check_before_work(arguments: RunArguments, source: Source) -> None:
     """Check what the drive needs: that its log can be written, or that something can render it."""
-    from deepgps.stages import check_log, choose_renderer_for, list_undriven
+    from deepgps.runs.collect import check_log, choose_renderer_for, list_undriven
 
     if arguments.log is not None:
         check_log(arguments.log, source.scenario)

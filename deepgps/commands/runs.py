@@ -19,6 +19,6 @@ class RunsArguments:
 def runs_command(words: Sequence[str]) -> None:
     """List runs: what each changes in its scenario, its errors, and its age."""
     arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
-    from deepgps.run_table import tabulate_runs
+    from deepgps.runs.run_table import tabulate_runs
 
     print(tabulate_runs(arguments.folder))

@@ -17,10 +17,18 @@ from deepgps.commands.parse import (
     show_arguments,
 )
 from deepgps.commands.short_help import write_help
-from deepgps.plugins import load_plugins
-from deepgps.scenario import Scenario, names_in
-from deepgps.source import Source, find_source
-from deepgps.spelling import as_option, find_group, find_like, find_settings_like, find_type, from_option, suggest
+from deepgps.config.plugins import load_plugins
+from deepgps.config.scenario import Scenario, names_in
+from deepgps.config.spelling import (
+    as_option,
+    find_group,
+    find_like,
+    find_settings_like,
+    find_type,
+    from_option,
+    suggest,
+)
+from deepgps.runs.source import Source, find_source
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.renamed import explain_setting

@@ -3,8 +3,8 @@
 from textwrap import wrap
 from typing import Any, get_args
 
-from deepgps.scenario import Scenario, names_in
-from deepgps.spelling import as_option, find_group
+from deepgps.config.scenario import Scenario, names_in
+from deepgps.config.spelling import as_option, find_group
 from sim.paths import SCENARIOS
 
 OPTIONS = (

@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 import tyro
 
 from deepgps.commands.parse import HELP, OptionalFolder, Plugins, parse
-from deepgps.plugins import load_plugins
-from deepgps.progress import show_progress
-from deepgps.scenario import names_in
+from deepgps.config.plugins import load_plugins
+from deepgps.config.scenario import names_in
 from deepgps.terminal.console import errors, quote_path, say
 from deepgps.terminal.failures import working_in
+from deepgps.terminal.progress import show_progress
 from sim.errors import InputError, WorkError
 from sim.paths import STUDIES
 
@@ -53,7 +53,7 @@ def study_command(words: Sequence[str]) -> None:
     with show_progress(errors, quiet_s=2.0) as progress:
         plans = plan_runs(study, progress)
     # These import torch and matplotlib, which takes longer than checking a study.
-    from deepgps.stages import choose_renderer_for
+    from deepgps.runs.collect import choose_renderer_for
     from deepgps.studies.engine.engine import carry_out, claim_study, default_folder, list_undriven, open_engine
     from deepgps.studies.reports.report import check_publish, publish, report_study
 

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from deepgps.commands.parse import OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
-from deepgps.plugins import load_plugins
-from deepgps.progress import show_progress
+from deepgps.config.plugins import load_plugins
 from deepgps.terminal.console import console, errors, say
+from deepgps.terminal.progress import show_progress
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ def track_command(words: Sequence[str]) -> None:
     arguments = parse(TrackArguments, "track", words, track_command.__doc__)
     load_plugins(arguments.plugin)
     from deepgps.evaluation.track_run import track_run, write_tums
-    from deepgps.figures.track_page import draw_track, print_track
+    from deepgps.reports.track_page import draw_track, print_track
 
     with show_progress(errors) as progress:
         tracked = track_run(arguments.run, arguments.method, arguments.drive, progress)

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from deepgps.commands.parse import Plugins, parse
-from deepgps.plugins import load_plugins
+from deepgps.config.plugins import load_plugins
 from deepgps.terminal.console import say
 from sim.errors import InputError
 from sim.files.atomic import check_overwrite
@@ -30,7 +30,7 @@ class ViewArguments:
 
 def view_command(words: Sequence[str]) -> None:
     """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
-    from deepgps.run_folder import is_study, open_run
+    from deepgps.runs.run_folder import is_study, open_run
 
     arguments = parse(ViewArguments, "view", words, view_command.__doc__)
     folders = arguments.runs

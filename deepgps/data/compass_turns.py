@@ -13,8 +13,8 @@ from deepgps.data.lean import compare_images
 from deepgps.data.segments import find_runs
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, Turns
-from sim.sensors.compass import disambiguate
-from sim.sensors.upright import Upright
+from sim.sensors.camera.upright import Upright
+from sim.sensors.compass.compass import disambiguate
 
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
 """Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may

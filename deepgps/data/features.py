@@ -23,10 +23,10 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
+from deepgps.config.learning import FeatureSettings, PixelValues
 from deepgps.data.ranks import rank_values
 from deepgps.data.relit import relight
 from deepgps.data.segments import Segments, subsample_learned
-from deepgps.settings import FeatureSettings, PixelValues
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import write_atomic
 from sim.files.checksums import check_sha256, sha256

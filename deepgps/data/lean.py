@@ -13,10 +13,10 @@ from deepgps.data.turn_images import find_in_place, take_images, turns_with_imag
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.recording.turns import Turns, from_array
-from sim.sensors.compass import Hypotheses, find_turns
-from sim.sensors.compass_lean import compare_at_horizon, find_lean
-from sim.sensors.lens import make_lens
-from sim.sensors.upright import Upright
+from sim.sensors.camera.lens import make_lens
+from sim.sensors.camera.upright import Upright
+from sim.sensors.compass.compass import Hypotheses, find_turns
+from sim.sensors.compass.lean import compare_at_horizon, find_lean
 from sim.settings import SimSettings
 
 LEAST_RAD = np.radians(0.1)

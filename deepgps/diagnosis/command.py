@@ -6,9 +6,9 @@ from pathlib import Path
 
 from deepgps.diagnosis.diagnosis import Diagnosis, diagnose
 from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
-from deepgps.owned_folder import hold, is_older
-from deepgps.progress import Report
-from deepgps.run_folder import RUN, is_study
+from deepgps.runs.owned_folder import hold, is_older
+from deepgps.runs.run_folder import RUN, is_study
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.files.checksums import drop_sum
 from sim.recording.format import open_recording

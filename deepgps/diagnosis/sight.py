@@ -11,8 +11,8 @@ from deepgps.data.turn_images import find_next, take_images, turns_with_images
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.recording.turns import NO_IMAGE, from_array
-from sim.sensors.compass import Hypotheses, find_turns
-from sim.sensors.lens import Lens, make_lens
+from sim.sensors.camera.lens import Lens, make_lens
+from sim.sensors.compass.compass import Hypotheses, find_turns
 from sim.settings import SimSettings
 
 PAIRS = 300

@@ -10,7 +10,7 @@ from deepgps.diagnosis.sight import Sight, see_pairs, see_turns
 from sim.geometry import wrap
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
-from sim.sensors.compass import disambiguate
+from sim.sensors.compass.compass import disambiguate
 
 HUBER = 2.5
 """Standard deviations beyond which a residual counts as one of this size."""

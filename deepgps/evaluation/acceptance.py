@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import rankdata
 
 from deepgps.evaluation.error_field import ErrorField, find_rms, find_worst
-from deepgps.methods.pose import Poses
+from deepgps.positioner.pose import Poses
 
 PARTS = {"novelty": "novelty", "radius": "radius_68", "radius_95": "radius_95", "accepted": "accepted"}
 """Arrays of an error field, and where poses have them."""

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from deepgps.alignment import Alignment, fit_alignment, fit_robust_alignment
+from deepgps.config.methods import METHODS, folder_of
+from deepgps.config.scenario import Scenario
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
@@ -33,12 +34,11 @@ from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import find_device, use_threads
-from deepgps.methods.catalog import METHODS, folder_of
-from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import CPU, Positioner
-from deepgps.methods.stored_positioner import load_positioner, read_training
-from deepgps.progress import Report, ignore
-from deepgps.scenario import Scenario
+from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.positioner import CPU, Positioner
+from deepgps.positioner.stored_positioner import load_positioner, read_training
+from deepgps.terminal.progress import Report, ignore
+from sim.alignment import Alignment, fit_alignment, fit_robust_alignment
 from sim.errors import InputError, WorkError
 from sim.recording.format import (
     Labels,

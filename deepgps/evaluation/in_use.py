@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.alignment import Alignment
 from deepgps.data.lean import adapt_upright, describe_lean
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.acceptance import take_acceptance
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.yaw_errors import add_yaws
-from deepgps.methods.pose import find_poses
-from deepgps.methods.positioner import NetworkPositioner, Positioner
-from deepgps.monitoring.causes import name_causes
+from deepgps.positioner.pose import find_poses
+from deepgps.positioner.positioner import NetworkPositioner, Positioner
+from deepgps.tracking.causes import name_causes
+from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
 from sim.recording.format import OF_USE, Recording, open_recording, open_truth
 from sim.recording.in_use import FOLDER as IN_USE

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
-from deepgps.alignment import fit_alignment
 from deepgps.evaluation.error_field import ErrorField, find_rms
 from deepgps.evaluation.flipped import measure_flipped_patch
 from deepgps.initial_map.stored_map import StoredMap, read_map
+from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth
 from sim.settings import CameraMountSettings
 

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.alignment import Alignment
-from deepgps.methods.catalog import AlignmentKind
-from deepgps.methods.stored_positioner import INDEX
-from deepgps.owned_folder import is_older
-from deepgps.run_folder import RUN
+from deepgps.positioner.stored_positioner import INDEX
+from deepgps.runs.owned_folder import is_older
+from deepgps.runs.run_folder import RUN
+from sim.alignment import Alignment, AlignmentKind
 from sim.errors import InputError
 from sim.files.checksums import damaged
 from sim.files.json_files import read_json, write_json

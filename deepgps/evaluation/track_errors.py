@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from deepgps.alignment import Alignment
 from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.trajectory import measure_ate, measure_rpe
 from deepgps.tracking.track import Track, TrackedPath
+from sim.alignment import Alignment
 from sim.geometry import wrap
 from sim.recording.turns import NO_IMAGE
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.alignment import Alignment
+from deepgps.config.methods import folder_of
+from deepgps.config.scenario import Scenario
 from deepgps.data.field_of_view import check_view, find_view
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import digest_files
@@ -14,14 +15,13 @@ from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import find_device, use_threads
-from deepgps.methods.catalog import folder_of
-from deepgps.methods.stored_positioner import load_positioner
-from deepgps.owned_folder import hold, is_older
-from deepgps.progress import Report
-from deepgps.run_folder import RUN, list_trained, open_run
-from deepgps.scenario import Scenario
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.runs.owned_folder import hold, is_older
+from deepgps.runs.run_folder import RUN, list_trained, open_run
+from deepgps.terminal.progress import Report
 from deepgps.tracking.track import Track, track_drive, write_track
 from deepgps.tracking.tum import is_tum, write_tum
+from sim.alignment import Alignment
 from sim.errors import InputError
 from sim.files.atomic import check_overwrite
 from sim.files.json_files import write_json

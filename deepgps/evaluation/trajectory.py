@@ -6,8 +6,8 @@ Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012;
 
 import numpy as np
 
-from deepgps.alignment import fit_alignment
 from deepgps.tracking.motion import rotate
+from sim.alignment import fit_alignment
 from sim.geometry import wrap
 
 

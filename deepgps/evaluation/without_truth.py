@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepgps.config.methods import folder_of
+from deepgps.config.scenario import Scenario
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.lean import compare_images
 from deepgps.data.plausible_readings import count_readings, keep_plausible
@@ -23,13 +25,11 @@ from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
-from deepgps.methods.catalog import folder_of
-from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import Positioner, headings_of
-from deepgps.methods.stored_positioner import load_positioner, read_training
-from deepgps.progress import Report, ignore
-from deepgps.run_folder import WITHOUT_TRUTH
-from deepgps.scenario import Scenario
+from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.positioner import Positioner, headings_of
+from deepgps.positioner.stored_positioner import load_positioner, read_training
+from deepgps.runs.run_folder import WITHOUT_TRUTH
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files.json_files import read_json
 from sim.geometry import wrap

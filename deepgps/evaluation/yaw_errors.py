@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from deepgps.alignment import Alignment
 from deepgps.evaluation.error_field import ErrorField, find_rms
-from deepgps.methods.pose import Poses
+from deepgps.positioner.pose import Poses
+from sim.alignment import Alignment
 
 
 def add_yaws(field: ErrorField, poses: Poses, alignment: Alignment) -> ErrorField:

@@ -10,7 +10,7 @@ import numpy as np
 
 from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
-from deepgps.initial_map.compass_map import CompassMap
+from deepgps.initial_map.compass.compass_map import CompassMap
 from sim.files.arrays import read_arrays, write_arrays
 from sim.files.checksums import damaged
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import torch
 
+from deepgps.config.learning import TrainSettings
 from deepgps.data.segments import Segments
-from deepgps.settings import TrainSettings
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,10 @@
 
 import torch
 
+from deepgps.config.learning import LiftSettings
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.step import Loss
-from deepgps.settings import LiftSettings
 
 FLATTEN_FROM, FLATTEN_TO = 0.35, 0.7
 """Fractions of the steps at which the penalty on deviations from the plane begins, and reaches its full weight."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from deepgps.settings import PairLoss
+from deepgps.config.learning import PairLoss
 
 
 class Weights(NamedTuple):

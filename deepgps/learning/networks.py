@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from deepgps.settings import Architecture, NetworkSettings
+from deepgps.config.learning import Architecture, NetworkSettings
 
 
 class Padding(NamedTuple):

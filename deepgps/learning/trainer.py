@@ -20,11 +20,11 @@ import torch
 from threadpoolctl import threadpool_limits
 from torch import nn
 
+from deepgps.config.learning import TrainSettings
 from deepgps.learning.batches import Draw, Inputs
 from deepgps.learning.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
-from deepgps.progress import Report, ignore
-from deepgps.settings import TrainSettings
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
 from sim.files.arrays import write_arrays
 from sim.rng import derive_seed

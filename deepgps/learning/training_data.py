@@ -8,14 +8,14 @@ import numpy as np
 import torch
 from torch import nn
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.features import Features, cached_features, fit_features, normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
-from deepgps.settings import LearnSettings
 from sim.recording.format import Recording, observation_file
-from sim.sensors.upright import Upright
+from sim.sensors.camera.upright import Upright
 
 FEATURES = "features"
 """The run's folder of features, which all its methods share."""

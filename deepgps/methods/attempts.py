@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.initial_map.fold_detector import FoldScore
+from deepgps.initial_map.distances.fold_detector import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
-from deepgps.methods.positioner import NetworkPositioner
+from deepgps.positioner.positioner import NetworkPositioner
 from sim.files.atomic import write_bytes
 from sim.files.folders import remove_files
 

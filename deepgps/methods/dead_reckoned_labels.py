@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.learning.training_data import prepare
-from deepgps.methods.positioner import Fitted
 from deepgps.methods.supervised import fit_positions
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import Fitted
+from deepgps.terminal.progress import Report
 from sim.recording.format import Recording
 
 

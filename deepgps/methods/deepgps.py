@@ -16,14 +16,15 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepgps.config.learning import LearnSettings, Start
 from deepgps.data.encoder_noise import find_inliers
 from deepgps.data.runs import find_stretches
 from deepgps.data.segments import Segments, subsample
-from deepgps.initial_map.dense import find_initial_map
-from deepgps.initial_map.end_points import find_end_point_map
-from deepgps.initial_map.flip_ambiguity import find_ambiguous
-from deepgps.initial_map.fold_detector import score_folding
-from deepgps.initial_map.isomap import has_lines
+from deepgps.initial_map.distances.dense import find_initial_map
+from deepgps.initial_map.distances.end_points import find_end_point_map
+from deepgps.initial_map.distances.flip_ambiguity import find_ambiguous
+from deepgps.initial_map.distances.fold_detector import score_folding
+from deepgps.initial_map.distances.isomap import has_lines
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, sample_from
 from deepgps.learning.imitation import imitate_first, sample_mapped_first
@@ -33,9 +34,8 @@ from deepgps.learning.step import Loss
 from deepgps.learning.trainer import make_generator, predict, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.methods.attempts import Attempt, label_attempt, train_until_unfolded
-from deepgps.methods.positioner import Fitted, as_positioner
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings, Start
+from deepgps.positioner.positioner import Fitted, as_positioner
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import derive_seed

@@ -4,15 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.encoder_noise import expect_errors, weigh_pairs, weigh_places
 from deepgps.diagnosis.store import take_diagnosed
 from deepgps.learning.batches import Batch
 from deepgps.learning.losses import Weights
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import Variant, fit_data
-from deepgps.methods.positioner import Fitted
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import Fitted
+from deepgps.terminal.progress import Report
 from sim.recording.format import Recording
 
 

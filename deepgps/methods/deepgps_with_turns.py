@@ -4,14 +4,14 @@ from pathlib import Path
 
 import torch
 
+from deepgps.config.learning import LearnSettings, Start
 from deepgps.data.segments import Segments
 from deepgps.diagnosis.store import take_diagnosed
-from deepgps.initial_map.wheel_turns import find_chirality, read_turns, straighten
+from deepgps.initial_map.distances.wheel_turns import find_chirality, read_turns, straighten
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import Variant, fit_data, make_initial_map
-from deepgps.methods.positioner import Fitted
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings, Start
+from deepgps.positioner.positioner import Fitted
+from deepgps.terminal.progress import Report
 from sim.recording.format import Recording
 from sim.rng import stream
 

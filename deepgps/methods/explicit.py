@@ -17,12 +17,12 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import shortest_path
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.isomap import scale_classically
-from deepgps.methods.positioner import Fitted
-from deepgps.methods.trilateration import LandmarkPositioner, find_seen, trilaterate
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.initial_map.distances.isomap import scale_classically
+from deepgps.positioner.positioner import Fitted
+from deepgps.positioner.trilateration import LandmarkPositioner, find_seen, trilaterate
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepgps.config.learning import LearnSettings
+from deepgps.config.methods import METHODS
 from deepgps.data.features import check_observations
 from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.data.runs import fill_stretches
@@ -17,13 +19,11 @@ from deepgps.data.segments import read_segments
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.methods.attempts import remove_leftovers
-from deepgps.methods.catalog import METHODS
-from deepgps.methods.confidence_fit import make_confidence
-from deepgps.methods.heading_fit import make_headings
-from deepgps.methods.positioner import ArrayPositioner, FeaturePositioner, NetworkPositioner, Positioner
-from deepgps.methods.stored_positioner import is_finished, load_positioner, save_positioner
-from deepgps.progress import Report, ignore
-from deepgps.settings import LearnSettings
+from deepgps.positioner.confidence_fit import make_confidence
+from deepgps.positioner.heading_fit import make_headings
+from deepgps.positioner.positioner import ArrayPositioner, FeaturePositioner, NetworkPositioner, Positioner
+from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
+from deepgps.terminal.progress import Report, ignore
 from sim.plugins import calling
 from sim.recording.format import Recording, observation_file
 

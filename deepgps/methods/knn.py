@@ -3,12 +3,12 @@
 import time
 from pathlib import Path
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
 from deepgps.data.segments import leave_held_out
 from deepgps.learning.training_data import prepare
-from deepgps.methods.positioner import Fitted, NeighbourPositioner
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import Fitted, NeighbourPositioner
+from deepgps.terminal.progress import Report
 from sim.recording.format import Recording
 
 NEIGHBOURS = 4

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
-from deepgps.methods.nearest_scan import ScanPositioner
-from deepgps.methods.positioner import Fitted
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.nearest_scan import ScanPositioner
+from deepgps.positioner.positioner import Fitted
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import torch
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
 from deepgps.learning.trainer import make_generator
 from deepgps.learning.training_data import prepare
-from deepgps.methods.positioner import Fitted
 from deepgps.methods.supervised import fit_positions
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import Fitted
+from deepgps.terminal.progress import Report
 from sim.recording.format import Recording
 
 LABEL_NOISE_M = 0.01

@@ -4,15 +4,15 @@ from pathlib import Path
 
 import torch
 
+from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import leave_held_out
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import train
 from deepgps.learning.training_data import TrainingData, new_network
-from deepgps.methods.positioner import Fitted, as_positioner
-from deepgps.progress import Report
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import Fitted, as_positioner
+from deepgps.terminal.progress import Report
 from sim.rng import derive_seed
 
 

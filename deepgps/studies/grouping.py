@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
 from deepgps.studies.table import Row, is_seed
 
 Groups = Mapping[tuple[str, ...], Sequence[Row]]

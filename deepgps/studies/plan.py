@@ -9,20 +9,20 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from deepgps.methods.catalog import find_method
-from deepgps.plain_yaml import read_yaml
-from deepgps.progress import Report, ignore
-from deepgps.scenario import (
+from deepgps.config.methods import find_method
+from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.scenario import (
     MOST_VALUES,
     Scenario,
     find_settings,
     flatten,
     override_scenario,
 )
-from deepgps.scenario_digest import digest, digest_recording, read_room
-from deepgps.setting_problems import MOST_PROBLEMS, join_problems
+from deepgps.config.scenario_digest import digest, digest_recording, read_room
+from deepgps.config.setting_problems import MOST_PROBLEMS, join_problems
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.user_input import shorten

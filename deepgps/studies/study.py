@@ -8,8 +8,9 @@ from typing import Annotated, Any
 import yaml
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from deepgps.plain_yaml import read_yaml
-from deepgps.scenario import (
+from deepgps.config.learning import one_of
+from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.scenario import (
     LONGEST_NAME,
     NAME,
     MethodName,
@@ -17,8 +18,7 @@ from deepgps.scenario import (
     find_settings,
     flatten,
 )
-from deepgps.setting_problems import describe_problems
-from deepgps.settings import one_of
+from deepgps.config.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError
 from sim.paths import STUDIES

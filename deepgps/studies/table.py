@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from deepgps.figures.run_report import read_metrics
-from deepgps.scenario import Scenario
+from deepgps.config.scenario import Scenario
+from deepgps.reports.run_report import read_metrics
 from deepgps.studies.plan import Plan
 from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from deepgps.methods.pose import Poses
+    from deepgps.positioner.pose import Poses
 
 UNDERSTATED, FLOOR_M = 2.0, 0.002
 """Errors of positions over ``Poses.position_std``, which knows only how straight segments are; and their least standard

@@ -8,10 +8,10 @@ import numpy as np
 
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.wheel_turns import find_chirality
-from deepgps.methods.pose import Poses, find_poses
-from deepgps.methods.positioner import Positioner, headings_of
-from deepgps.progress import Report
+from deepgps.initial_map.distances.wheel_turns import find_chirality
+from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.positioner import Positioner, headings_of
+from deepgps.terminal.progress import Report
 from deepgps.tracking.drive import Drive, find_shared, mend_wheels, read_drive
 from deepgps.tracking.filter import State, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fixes

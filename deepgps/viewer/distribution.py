@@ -6,8 +6,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.figures.style import colour_on_dark
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports.style import colour_on_dark
 from deepgps.viewer.plot import Curve, log_plot, make_axis, plot_view
 
 PATH = "report/distribution"

@@ -11,9 +11,9 @@ import pyarrow as pa
 import rerun as rr
 from matplotlib.colors import to_rgb
 
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
-from deepgps.figures.field_plot import REFUSED, colours_of
-from deepgps.methods.catalog import title_of
+from deepgps.reports.field_plot import REFUSED, colours_of
 from deepgps.viewer.scene import LAYER_M, Places, lift, put
 
 LARGE_M = 0.1

@@ -7,10 +7,10 @@ import numpy as np
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.figures.style import SCREEN
+from deepgps.reports.style import SCREEN
 from sim.errors import InputError
 from sim.occupancy import FreeSpace, limits
-from sim.sensors.lens import make_lens, project_polar, round_rays
+from sim.sensors.camera.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings
 
 JPEG_QUALITY = 85

@@ -10,8 +10,8 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.owned_folder import is_older
-from deepgps.run_folder import RUN
+from deepgps.runs.owned_folder import is_older
+from deepgps.runs.run_folder import RUN
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.atomic import write_bytes

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.field_plot import SCALE_M, TICKS_M, colours_of
+from deepgps.reports.field_plot import SCALE_M, TICKS_M, colours_of
 from deepgps.viewer import playback
 from sim.occupancy import FreeSpace, limits
 

@@ -17,9 +17,9 @@ from sim.recording.format import grid_file, measure_driven, observation_file, st
 from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
+from sim.sensors.camera.tag_camera import NAME, camera_matrix, mounting
 from sim.sensors.catalog import SENSORS, Measure, Measures, list_kept, load
 from sim.sensors.encoder import read_encoders
-from sim.sensors.tag_camera import NAME, camera_matrix, mounting
 from sim.settings import SimSettings
 
 JOINED = ("state", "segment", "observation", "wheel_angle", "time", "turn_kind")

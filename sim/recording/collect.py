@@ -45,8 +45,8 @@ from sim.recording.training_drive import link_training
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes
-from sim.sensors.camera_faults import spawn_streams
-from sim.sensors.camera_mount import draw_leans
+from sim.sensors.camera.faults import spawn_streams
+from sim.sensors.camera.mount import draw_leans
 from sim.sensors.catalog import SENSORS, list_kept
 from sim.sensors.encoder import describe_odometry
 from sim.settings import DeploymentSettings, SimSettings

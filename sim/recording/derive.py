@@ -36,7 +36,7 @@ from sim.recording.training_drive import OF_TESTS
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
-from sim.sensors.camera_faults import make_measures
+from sim.sensors.camera.faults import make_measures
 from sim.sensors.catalog import Measure
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings, ImageFaultSettings, SimSettings

@@ -28,8 +28,8 @@ from sim.robot_log.messages import (
 )
 from sim.robot_log.observe import JOINT_S, Observed
 from sim.robot_log.pictures import COLUMNS, PER_PART, ROWS, read_pictures
+from sim.sensors.camera.lens import make_lens
 from sim.sensors.encoder import read_encoders
-from sim.sensors.lens import make_lens
 from sim.settings import SimSettings
 
 JOINTS = ("wheel_left_joint", "wheel_right_joint")

@@ -30,7 +30,7 @@ from sim.robot_log.observe import Observed, join, observe
 from sim.robot_log.pictures import PER_PART, draw_part
 from sim.robot_log.robot_yaml import write_robot
 from sim.robot_log.trace import TracedWorld, trace_drive
-from sim.sensors.camera_mount import draw_leans
+from sim.sensors.camera.mount import draw_leans
 from sim.settings import SimSettings
 
 PARTS = re.compile(r"log\.json|picture-\d+\.npz")

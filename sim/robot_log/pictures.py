@@ -12,7 +12,7 @@ import numpy as np
 from sim.files.arrays import read_arrays, write_arrays
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld
-from sim.sensors.fisheye import Fisheye
+from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
 ROWS, COLUMNS = 480, 640

@@ -6,9 +6,9 @@ from typing import get_args
 import mujoco
 import numpy as np
 
-from sim.furniture import textures
-from sim.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
 from sim.rng import split
+from sim.rooms.furniture import textures
+from sim.rooms.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
 from sim.rooms.layout import Layout
 from sim.rooms.look_alike import hang_lamps, panel_ceiling, paper_wall
 from sim.rooms.outline import DOORWAY_M, outline, slabs

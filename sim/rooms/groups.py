@@ -4,9 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from sim.furniture import decor, seating, storage, tables
-from sim.furniture import fittings as wall
-from sim.furniture.primitives import Footprint
+from sim.rooms.furniture import decor, seating, storage, tables
+from sim.rooms.furniture import fittings as wall
+from sim.rooms.furniture.primitives import Footprint
 from sim.rooms.layout import Cost, Pose
 from sim.rooms.placement import (
     Room,

@@ -7,7 +7,7 @@ import numpy as np
 
 from sim.apriltag.detector import PLATE_M, TAGS, draw_tag
 from sim.errors import InputError
-from sim.furniture.primitives import Footprint, Look, Quaternion, box, paper, turned
+from sim.rooms.furniture.primitives import Footprint, Look, Quaternion, box, paper, turned
 from sim.rooms.layout import Pose
 from sim.rooms.placement import Room, centre, hang
 

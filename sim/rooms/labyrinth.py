@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sim.furniture import textures
-from sim.furniture.primitives import box
+from sim.rooms.furniture import textures
+from sim.rooms.furniture.primitives import box
 from sim.rooms.look_alike import hang_lamps
 from sim.rooms.placement import Finish, Room, surface
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from sim.furniture.primitives import Footprint
+from sim.rooms.furniture.primitives import Footprint
 from sim.rooms.outline import Wall, slabs
 
 CELL_M = 0.05

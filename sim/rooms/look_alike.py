@@ -3,9 +3,9 @@
 import mujoco
 import numpy as np
 
-from sim.furniture import ceiling, textures
-from sim.furniture.primitives import box, paper
 from sim.rng import split
+from sim.rooms.furniture import ceiling, textures
+from sim.rooms.furniture.primitives import box, paper
 from sim.rooms.layout import Pose
 from sim.rooms.placement import Footprint, Room
 

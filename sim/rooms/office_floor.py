@@ -8,10 +8,10 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from sim.furniture import fittings as wall
-from sim.furniture import storage, textures
-from sim.furniture.primitives import Look, box, turned
 from sim.rng import split
+from sim.rooms.furniture import fittings as wall
+from sim.rooms.furniture import storage, textures
+from sim.rooms.furniture.primitives import Look, box, turned
 from sim.rooms.groups import adorn, work
 from sim.rooms.layout import CELL_M, Layout, Pose
 from sim.rooms.look_alike import paper_wall

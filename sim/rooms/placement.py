@@ -7,10 +7,10 @@ from typing import Any, Literal, TypeVar
 import mujoco
 import numpy as np
 
-from sim.furniture import textures
-from sim.furniture.decor import rug
-from sim.furniture.primitives import Footprint, Look, paper, turned
 from sim.rng import split
+from sim.rooms.furniture import textures
+from sim.rooms.furniture.decor import rug
+from sim.rooms.furniture.primitives import Footprint, Look, paper, turned
 from sim.rooms.layout import CELL_M, Cost, Layout, Pose
 from sim.rooms.outline import Wall
 

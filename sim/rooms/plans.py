@@ -6,8 +6,8 @@ from functools import partial
 
 import numpy as np
 
-from sim.furniture import ceiling, decor, seating, storage, tables, textures
-from sim.furniture import fittings as wall
+from sim.rooms.furniture import ceiling, decor, seating, storage, tables, textures
+from sim.rooms.furniture import fittings as wall
 from sim.rooms.groups import adorn, dine, enter, put_stand, sit, sleep, work
 from sim.rooms.lab import hang_tags, place_posts
 from sim.rooms.labyrinth import draw_size, light_cells, raise_labyrinth

@@ -14,7 +14,7 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 from sim.processes import usable_cores
-from sim.sensors.gl import EGL_FIX
+from sim.sensors.camera.gl import EGL_FIX
 
 NVIDIA_FIX = "install NVIDIA's EGL library (Debian: libegl-nvidia0; in a container: NVIDIA_DRIVER_CAPABILITIES=all)"
 LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
@@ -141,7 +141,7 @@ def check_renderer() -> Check:
         return judge_renderer(backend, renderer)
     complaint = (child.stderr.strip().splitlines() or [""])[-1]
     if child.returncode == 1 and "Traceback" not in child.stderr:
-        problem, _, fix = complaint.rpartition(": ")  # the form of the errors of sim/sensors/gl.py
+        problem, _, fix = complaint.rpartition(": ")  # the form of the errors of sim/sensors/camera/gl.py
         return Check("renderer", False, problem, fix)
     text = f"opening an OpenGL context ended with code {child.returncode}: {complaint}"
     return Check("renderer", False, text, EGL_FIX)

@@ -15,8 +15,8 @@ from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
-from sim.sensors import gl
-from sim.sensors.fisheye import Fisheye
+from sim.sensors.camera import gl
+from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 from sim.settings.world import SMALLEST_M
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from sim.robot.world import RoomWorld
-from sim.sensors.fisheye import Fisheye
+from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import DeploymentSettings, SimSettings
 
 SIZE_PX = 512

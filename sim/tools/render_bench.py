@@ -14,7 +14,7 @@ from sim.errors import WorkError
 from sim.processes import WORKERS
 from sim.recording.sensing import observe
 from sim.robot.world import RoomWorld
-from sim.sensors.fisheye import CAMERA_SITE, Fisheye
+from sim.sensors.camera.fisheye import CAMERA_SITE, Fisheye
 from sim.settings import SimSettings
 
 CHUNK = 64

@@ -9,20 +9,20 @@ from pathlib import Path
 
 import pytest
 
-from deepgps import stages
-from deepgps.owned_folder import MARK
-from deepgps.progress import ignore
+from deepgps.config.scenario import Scenario, write_out
 from deepgps.run import run
-from deepgps.run_folder import RUN, claim, open_run
-from deepgps.scenario import Scenario, write_out
-from deepgps.timing import stage_times, timed
+from deepgps.runs import collect as stages
+from deepgps.runs.owned_folder import MARK
+from deepgps.runs.run_folder import RUN, claim, open_run
+from deepgps.runs.timing import stage_times, timed
+from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import work_folder
 from sim.settings import SimSettings
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
-WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.cli import main; main(sys.argv[1:])"
+WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.commands.main import main; main(sys.argv[1:])"
 
 
 def begin(folder: Path, scenario: Scenario = SCENARIO) -> None:

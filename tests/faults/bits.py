@@ -13,7 +13,7 @@ TRIES = {"collecting": 5, "collected": 5, "training": 5, "trained": 9, "evaluate
 VIEW = """
 import hashlib, sys
 from pathlib import Path
-from deepgps.run_folder import open_run
+from deepgps.runs.run_folder import open_run
 from deepgps.viewer.read import read_error_table
 from deepgps.viewer.window.show import find_shown
 from sim.errors import InputError, WorkError

@@ -120,7 +120,7 @@ def start(
         before: A command in front, as ``taskset -c 0``.
     """
     own = words[0] != "-c"
-    program = [sys.executable, *(["-m", "deepgps.cli"] if own else [])]
+    program = [sys.executable, *(["-m", "deepgps.commands.main"] if own else [])]
     mark = f"{os.getpid()}-{uuid.uuid4().hex}"
     out, err = (Path(gettempdir()) / f"{mark}.{name}" for name in ("out", "err"))
     with out.open("wb") as to_out, err.open("wb") as to_err:

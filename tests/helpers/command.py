@@ -13,7 +13,7 @@ from subprocess import CompletedProcess
 
 import pytest
 
-from deepgps.cli import main
+from deepgps.commands.main import main
 
 MINI = """
 room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
@@ -27,7 +27,7 @@ learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
 
 def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]:
     """Run ``deepgps`` with these words in a folder, in a process of its own."""
-    command = [sys.executable, "-m", "deepgps.cli", *words]
+    command = [sys.executable, "-m", "deepgps.commands.main", *words]
     return subprocess.run(
         command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
     )

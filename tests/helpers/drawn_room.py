@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
+from deepgps.config.learning import FeatureSettings, PixelValues
 from deepgps.data.features import fit_features
 from deepgps.data.segments import read_segments
 from deepgps.learning.trainer import make_generator
-from deepgps.methods.confidence_fit import make_confidence
-from deepgps.methods.positioner import NeighbourPositioner
-from deepgps.settings import FeatureSettings, PixelValues
+from deepgps.positioner.confidence_fit import make_confidence
+from deepgps.positioner.positioner import NeighbourPositioner
 from sim.recording.format import Recording
 from sim.recording.turns import Turns
-from sim.sensors.camera_mount import tilt
-from sim.sensors.lens import make_lens, polar_rays
+from sim.sensors.camera.lens import make_lens, polar_rays
+from sim.sensors.camera.mount import tilt
 from sim.settings import CameraSettings
 
 SIZE_M = np.array([3.0, 2.5, 2.0])

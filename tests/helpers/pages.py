@@ -19,12 +19,12 @@ import yaml
 from deepgps.commands.parse import parse
 from deepgps.commands.scenario import parse_scenario
 from deepgps.commands.study import StudyArguments
-from deepgps.logs.robot_config import load_config
-from deepgps.plain_yaml import read_yaml
-from deepgps.progress import ignore
-from deepgps.scenario import load_scenario
+from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.scenario import load_scenario
+from deepgps.robot_io.logs.robot_config import load_config
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import ignore
 from tests.helpers.command import MINI, deepgps_here
 from tests.helpers.live_server import serve_grpc
 
@@ -48,7 +48,9 @@ IN_USE = "--deployment.drive-samples"
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
-    "deepgps locate runs/mine drive.mcap --config robot.yaml --track": "tests/deepgps/locate/test_log_source.py",
+    "deepgps locate runs/mine drive.mcap --config robot.yaml --track": (
+        "tests/deepgps/robot_io/locate/test_log_source.py"
+    ),
     "deepgps study change": "tests/deepgps/studies/reports/test_change.py",
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps bench": "tests/deepgps/bench/test_bench.py",
@@ -218,7 +220,7 @@ class Reader:
         if kind in self.done:
             return
         self.done[kind] = None
-        command = [sys.executable, "-m", "deepgps.cli", "view", *folders, "--web"]
+        command = [sys.executable, "-m", "deepgps.commands.main", "view", *folders, "--web"]
         with subprocess.Popen(
             command, cwd=self.folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self.environment()
         ) as process:

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import yaml
 
-from deepgps.progress import Report, ignore
 from deepgps.studies.engine.engine import RunAll, carry_out, claim_study
 from deepgps.studies.engine.worker import Failures, do_run
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import Report, ignore
 from tests.helpers.command import drop_progress
 
 LEARN = "learn: {train: {steps: 20, segments: 4, samples: 4}, network: {width: 16}, fold: {restarts: 0}}"
@@ -50,7 +50,7 @@ def write_study(folder: Path, **changes: object) -> Path:
 
 def start(study: Path, out: Path, *more: str) -> subprocess.Popen[str]:
     """Start the command on a study, in a process group of its own."""
-    command = [sys.executable, "-m", "deepgps.cli", "study", str(study), "--out", str(out), *more]
+    command = [sys.executable, "-m", "deepgps.commands.main", "study", str(study), "--out", str(out), *more]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True, cwd=out.parent
     )

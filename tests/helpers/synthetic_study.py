@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.scenario import write_out as write_scenario
+from deepgps.config.scenario import write_out as write_scenario
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Study, write_out

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.run_folder import open_run
-from deepgps.scenario import Scenario, load_scenario, write_out
+from deepgps.config.scenario import Scenario, load_scenario, write_out
+from deepgps.runs.run_folder import open_run
 from sim import renamed
 from sim.errors import InputError
 from sim.files.checksums import sha256, write_lines

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from deepgps.progress import Look, Report
-from deepgps.scenario import Scenario
-from deepgps.stages import make_recording
+from deepgps.config.scenario import Scenario
+from deepgps.runs.collect import make_recording
 from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
+from deepgps.terminal.progress import Look, Report
 from sim.processes import usable_cores
 from sim.recording.format import is_whole
 from sim.recording.training_drive import has_same_training_drive

@@ -8,10 +8,10 @@ from pathlib import Path
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
-from deepgps.progress import Report
 from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.plan import Plan
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.processes import usable_cores
 from sim.recording.format import open_recording, read_manifest

@@ -12,13 +12,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
+from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import read_diagnosis
-from deepgps.owned_folder import Kind, choose_place, discard, hold, replace
-from deepgps.plain_yaml import read_yaml
-from deepgps.progress import Report
-from deepgps.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
-from deepgps.scenario import Scenario
-from deepgps.stages import read_measured
+from deepgps.evaluation.measure import read_measured
+from deepgps.runs.owned_folder import Kind, choose_place, discard, hold, replace
+from deepgps.runs.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.engine import local as engine_local
 from deepgps.studies.engine import ray_cluster
@@ -27,6 +26,7 @@ from deepgps.studies.engine.shared_recordings import find_undriven, record_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study, write_out
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.files.checksums import write_lines
 from sim.files.folders import sweep

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepgps.plugins import list_files
-from deepgps.progress import Look, Report
-from deepgps.scenario import Scenario
+from deepgps.config.plugins import list_files
+from deepgps.config.scenario import Scenario
 from deepgps.studies.engine.pool import Tell, do_all
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
 from deepgps.studies.plan import Plan
+from deepgps.terminal.progress import Look, Report
 from sim.processes import usable_cores
 
 GPU_BYTES = 3 * 2**30

@@ -17,10 +17,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from deepgps.plugins import list_files
-from deepgps.progress import Report, ignore
+from deepgps.config.plugins import list_files
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
 from deepgps.studies.plan import Plan
+from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, one_line
 from sim.processes import ENDINGS, usable_cores
 

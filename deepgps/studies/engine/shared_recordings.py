@@ -8,12 +8,12 @@ differ in deployment or test grid share all but their tests.
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from deepgps.progress import Report
-from deepgps.scenario import Scenario
-from deepgps.scenario_digest import digest_recording
+from deepgps.config.scenario import Scenario
+from deepgps.config.scenario_digest import digest_recording
 from deepgps.studies.engine.collecting import collect_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.plan import Plan
+from deepgps.terminal.progress import Report
 from sim.errors import InputError, WorkError, one_line
 from sim.recording.derive import can_be_cut, choose_drive, derive
 from sim.recording.format import is_whole

@@ -12,14 +12,14 @@ import re
 import secrets
 from pathlib import Path
 
+from deepgps.config.methods import METHODS
+from deepgps.config.scenario import Scenario
 from deepgps.data.features import check_features, has_features
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.learning.training_data import FEATURES, digest_features
-from deepgps.methods.catalog import METHODS
-from deepgps.methods.stored_positioner import is_finished, load_positioner, read_training
-from deepgps.run_folder import FEATURE_FILES, TRAINED_FILES
-from deepgps.scenario import Scenario
-from deepgps.stages import training_seed
+from deepgps.methods.train import training_seed
+from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training
+from deepgps.runs.run_folder import FEATURE_FILES, TRAINED_FILES
 from sim.errors import InputError
 from sim.files.atomic import PART, link_file
 from sim.files.folders import list_files, remove_files

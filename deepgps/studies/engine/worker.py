@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from deepgps.methods.catalog import METHODS
-from deepgps.plugins import load_plugins
-from deepgps.progress import Report
-from deepgps.run_folder import claim, list_trained
-from deepgps.scenario import Scenario
-from deepgps.stages import evaluate, train
+from deepgps.config.methods import METHODS
+from deepgps.config.plugins import load_plugins
+from deepgps.config.scenario import Scenario
+from deepgps.evaluation.measure import evaluate
+from deepgps.methods.train import train
+from deepgps.runs.run_folder import claim, list_trained
+from deepgps.terminal.progress import Report
 from sim.errors import InputError, WorkError, one_line
 from sim.files.atomic import write_text
 

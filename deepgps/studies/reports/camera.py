@@ -7,14 +7,14 @@ from typing import NamedTuple
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.style import count_by_decades
-from deepgps.figures.targets import Figure
-from deepgps.methods.catalog import colour_of, title_of
-from deepgps.scenario import Scenario
+from deepgps.config.methods import colour_of, title_of
+from deepgps.config.scenario import Scenario
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.style import count_by_decades
+from deepgps.reports.targets import Figure
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by, write_ratio
-from sim.sensors.camera_faults import FAULTS
+from sim.sensors.camera.faults import FAULTS
 
 CLEAN = "no fault"
 # formats of a fault's strength, by the setting's name

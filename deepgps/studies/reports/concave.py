@@ -8,13 +8,13 @@ import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Picture
 
+from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.evaluation.visibility import measure_visible
-from deepgps.figures.field_plot import add_scale, print_error_field
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.style import count_by_decades
-from deepgps.figures.targets import Figure, write
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.reports.field_plot import add_scale, print_error_field
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.style import count_by_decades
+from deepgps.reports.targets import Figure, write
 from deepgps.studies.grouping import group_rows
 from deepgps.studies.reports.compare import report as compare_choices
 from deepgps.studies.table import Row, find_methods

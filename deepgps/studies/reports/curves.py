@@ -8,10 +8,10 @@ from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.style import count_by_decades, draw_band
-from deepgps.figures.targets import Figure
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.config.methods import colour_of, title_of
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.style import count_by_decades, draw_band
+from deepgps.reports.targets import Figure
 from deepgps.studies.table import (
     ACCEPTED_NOTE,
     ERRORS,

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import FILE
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, median_of, share_of
-from deepgps.scenario import Scenario
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.targets import Figure, median_of, share_of
 from deepgps.studies.plan import Plan
 from deepgps.studies.table import Row, read_setting
 from sim.files.json_files import read_json

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_fields
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import read_metrics
-from deepgps.methods.catalog import title_of
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.run_report import read_metrics
 from deepgps.studies.reports.encoder_sweeps import (
     FEWER_IS_WORSE,
     TITLES,

@@ -6,8 +6,8 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.style import count_by_decades, draw_band
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.config.methods import colour_of, title_of
+from deepgps.reports.style import count_by_decades, draw_band
 from deepgps.studies.reports.encoder import EXPECTED, NEAR_M, PART, name_part
 from deepgps.studies.reports.encoder_sweeps import Sweep, find_sweeps
 from deepgps.studies.table import Row, find_methods, mean

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from deepgps.figures.targets import Figure, mean_of
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.reports.encoder_sweeps import FEWER_IS_WORSE, PERFECT, TITLES, UNEQUAL_WHEELS, find_sweeps
 from deepgps.studies.reports.seeds import is_folded
 from deepgps.studies.table import Row, mean

@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from matplotlib.patches import Rectangle
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, share_of, write
-from deepgps.methods.catalog import title_of
-from deepgps.monitoring.rules import TITLES
+from deepgps.config.methods import title_of
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.targets import Figure, share_of, write
 from deepgps.studies.reports.knowing_drives import JudgedDrive, read_drives
 from deepgps.studies.table import Row, split_by
+from deepgps.tracking.rules import TITLES
 
 VALUES, ROOM = "learn.features.values", "room.kind"
 RADII = {"grid_68": "68 %, grid", "grid_95": "95 %, grid", "use_68": "68 %, use", "use_95": "95 %, use"}

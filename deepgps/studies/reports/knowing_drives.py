@@ -12,20 +12,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from deepgps.config.methods import METHODS, folder_of, title_of
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.in_use import open_drive_in_use
-from deepgps.figures.run_report import read_metrics
-from deepgps.methods.catalog import METHODS, folder_of, title_of
 from deepgps.methods.fit import fit_method
-from deepgps.methods.pose import locate_camera
-from deepgps.methods.stored_positioner import load_positioner
-from deepgps.monitoring.causes import Causes, make_monitor
-from deepgps.monitoring.rules import TITLES
-from deepgps.run_folder import open_run
-from deepgps.stages import training_seed
+from deepgps.methods.train import training_seed
+from deepgps.positioner.pose import locate_camera
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.reports.run_report import read_metrics
+from deepgps.runs.run_folder import open_run
 from deepgps.studies.reports.change import group_changes
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.table import LEVELS, Row
+from deepgps.tracking.causes import Causes, make_monitor
+from deepgps.tracking.rules import TITLES
 from sim.errors import InputError
 from sim.files.arrays import read_arrays
 from sim.recording.format import Recording, open_recording

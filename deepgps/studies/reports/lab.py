@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
+from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_fields
-from deepgps.figures.field_plot import print_floor
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import read_metrics
-from deepgps.figures.targets import Figure, mean_of
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.reports.field_plot import print_floor
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.run_report import read_metrics
+from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, choose_accepted, split_by, write_accepted
 from sim.errors import InputError
 

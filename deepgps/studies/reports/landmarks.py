@@ -7,9 +7,9 @@ import numpy as np
 from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, mean_of
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.config.methods import colour_of, title_of
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.table import PAPERS_ERRORS, Row
 
 REACH = "landmarks.reach_m"

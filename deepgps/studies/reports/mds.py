@@ -18,16 +18,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from scipy.spatial.distance import pdist, squareform
 
-from deepgps.alignment import fit_alignment
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, mean_of
-from deepgps.initial_map.isomap import find_axes
-from deepgps.methods.catalog import folder_of
-from deepgps.methods.positioner import NetworkPositioner
-from deepgps.methods.stored_positioner import load_positioner
+from deepgps.config.methods import folder_of
+from deepgps.initial_map.distances.isomap import find_axes
+from deepgps.positioner.positioner import NetworkPositioner
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.grouping import choices, describe, group_rows
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import Row, mean
+from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_recording, open_truth

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deepgps.config.methods import folder_of
 from deepgps.evaluation.evaluate import measure_heading_spread
-from deepgps.figures.targets import Figure, mean_of
-from deepgps.methods.catalog import folder_of
-from deepgps.methods.positioner import Positioner
-from deepgps.methods.stored_positioner import load_positioner
+from deepgps.positioner.positioner import Positioner
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies import grouping
 from deepgps.studies.reports import compare
 from deepgps.studies.table import Row, mean

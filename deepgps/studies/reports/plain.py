@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from deepgps.figures.markdown import tabulate
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports.markdown import tabulate
 from deepgps.studies.table import ACCEPTED_NOTE, ERRORS, Row, choose_accepted, write_accepted, write_errors
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import read_metrics
-from deepgps.figures.style import to_png
-from deepgps.figures.targets import Figure, tabulate_targets
 from deepgps.learning.trainer import use_threads
-from deepgps.provenance import describe_origin
-from deepgps.run_folder import METRICS
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.run_report import read_metrics
+from deepgps.reports.style import to_png
+from deepgps.reports.targets import Figure, tabulate_targets
+from deepgps.runs.provenance import describe_origin
+from deepgps.runs.run_folder import METRICS
 from deepgps.studies.catalog import PICTURES, REPORTS
 from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study

@@ -7,10 +7,10 @@ import numpy as np
 from matplotlib.figure import Figure as Picture
 from scipy.stats import binomtest
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.style import count_by_decades
-from deepgps.figures.targets import Figure, mean_of, median_of, ratio_of, share_of, write
-from deepgps.methods.catalog import colour_of, title_of
+from deepgps.config.methods import colour_of, title_of
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.style import count_by_decades
+from deepgps.reports.targets import Figure, mean_of, median_of, ratio_of, share_of, write
 from deepgps.studies.table import (
     ACCEPTED,
     ACCEPTED_NOTE,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.targets import Figure, share_of, write
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.targets import Figure, share_of, write
 from deepgps.studies.table import ERRORS, Row, write_errors
 
 # In maps of 8,000 images, 1 to 5 % of the neighbourhoods were flipped if the map was right, 21 to 47 % if folded.

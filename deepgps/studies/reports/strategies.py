@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from deepgps.figures.targets import Figure
+from deepgps.reports.targets import Figure
 from deepgps.studies.table import Row, mean
 
 STRATEGY, SAMPLES = "drive.strategy", "drive.samples"

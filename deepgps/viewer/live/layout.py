@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
 from deepgps.viewer.run.drive import POLAR_PICTURES
 from deepgps.viewer.views import aim_eye, arrange, field_view, hold_still
 from sim.occupancy import FreeSpace

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import rerun as rr
 
-from deepgps.progress import Look, Report
-from deepgps.scenario import Scenario
+from deepgps.config.scenario import Scenario
+from deepgps.terminal.progress import Look, Report
 from deepgps.viewer.live.view import LiveView
 from deepgps.viewer.window.connect import ANSWER_S, find_url, knock, open_viewer
 from sim.errors import InputError, one_line

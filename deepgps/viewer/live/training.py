@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.figures.style import colour_on_dark
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports.style import colour_on_dark
 from deepgps.viewer import playback
 from deepgps.viewer.live.drive import Spread
 from deepgps.viewer.run.training import lay_upon, take_log

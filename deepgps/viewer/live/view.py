@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
+from deepgps.config.methods import title_of
+from deepgps.config.scenario import Scenario
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import read_all_headings
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import OVERVIEW, markdown_table, read_metrics
-from deepgps.methods.catalog import title_of
-from deepgps.run_folder import METRICS
-from deepgps.scenario import Scenario
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.run_report import OVERVIEW, markdown_table, read_metrics
+from deepgps.runs.run_folder import METRICS
 from deepgps.viewer.error_field import log_field
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles
 from deepgps.viewer.live.layout import RUN_TIME, make_live_blueprint

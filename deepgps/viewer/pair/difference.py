@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
+from deepgps.config.methods import title_of
+from deepgps.config.scenario import list_settings
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
-from deepgps.figures.field_plot import SCALE_M
-from deepgps.figures.markdown import tabulate
-from deepgps.figures.run_report import COLUMNS, Column, read_metrics
-from deepgps.methods.catalog import title_of
-from deepgps.run_folder import open_run
-from deepgps.scenario import list_settings
+from deepgps.reports.field_plot import SCALE_M
+from deepgps.reports.markdown import tabulate
+from deepgps.reports.run_report import COLUMNS, Column, read_metrics
+from deepgps.runs.run_folder import open_run
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth

@@ -8,8 +8,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.methods.catalog import title_of
-from deepgps.run_folder import open_run
+from deepgps.config.methods import title_of
+from deepgps.runs.run_folder import open_run
 from deepgps.viewer.distribution import distribution_view, log_distribution
 from deepgps.viewer.error_field import find_thinness, log_field
 from deepgps.viewer.pair.difference import (

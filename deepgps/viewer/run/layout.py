@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import rerun.blueprint as rrb
 
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
 from deepgps.viewer.distribution import distribution_view
 from deepgps.viewer.run.coverage import COVERAGE, DENSITY
 from deepgps.viewer.run.diagnosis import diagnosis_view

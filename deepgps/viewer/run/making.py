@@ -11,16 +11,16 @@ import pyarrow as pa
 import rerun as rr
 from scipy.spatial import KDTree
 
-from deepgps.alignment import Alignment, fit_alignment
+from deepgps.config.methods import folder_of
 from deepgps.data.runs import find_starts
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.map_errors import read_known_map
-from deepgps.figures.field_plot import colours_of
 from deepgps.initial_map.stored_map import StoredMap
-from deepgps.methods.catalog import folder_of
+from deepgps.reports.field_plot import colours_of
 from deepgps.viewer.run.coverage import make_tiles
 from deepgps.viewer.scene import LAYER_M, lift, put
 from deepgps.viewer.timeline import making_index
+from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
 MAKING, TEXT = "world/making", "making"

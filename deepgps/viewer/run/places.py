@@ -11,9 +11,9 @@ import numpy as np
 import rerun as rr
 from scipy.spatial import KDTree
 
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.figures.markdown import tabulate
-from deepgps.methods.catalog import title_of
+from deepgps.reports.markdown import tabulate
 from deepgps.viewer.run.alike import find_alike
 from deepgps.viewer.run.place_drawing import ALIKE, log_map, log_pictures, log_radii
 from deepgps.viewer.timeline import place_index

@@ -5,7 +5,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deepgps.evaluation.error_field import ErrorField, split_by_acceptance
-from deepgps.figures.field_plot import colours_of
+from deepgps.reports.field_plot import colours_of
 from deepgps.viewer.error_field import HEIGHT_M, find_thinness
 from deepgps.viewer.scene import LAYER_M, lift, put
 

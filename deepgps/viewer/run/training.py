@@ -5,11 +5,11 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 
-from deepgps.alignment import fit_alignment
-from deepgps.figures import field_plot, style
+from deepgps.reports import field_plot, style
 from deepgps.viewer import playback
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import send_series, step_index
+from sim.alignment import fit_alignment
 
 Data = Mapping[str, np.ndarray]
 

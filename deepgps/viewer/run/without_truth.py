@@ -10,14 +10,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from deepgps.config.methods import title_of
 from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.without_truth import read_judged
-from deepgps.figures import run_figures
-from deepgps.figures.without_truth import markdown
-from deepgps.methods.catalog import title_of
-from deepgps.run_folder import WITHOUT_TRUTH
+from deepgps.reports import run_figures
+from deepgps.reports.without_truth import markdown
+from deepgps.runs.run_folder import WITHOUT_TRUTH
 from deepgps.viewer.run.diagnosis import diagnosis_view, log_diagnosis
 from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
 from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import rerun.blueprint as rrb
 
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
 from deepgps.viewer.plot import plot_view
 from deepgps.viewer.study.sliders import Slider
 from deepgps.viewer.views import STILL, arrange

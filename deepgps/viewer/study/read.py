@@ -7,10 +7,10 @@ from pathlib import Path
 import pyarrow as pa
 from pydantic import ValidationError
 
+from deepgps.config.scenario import load_scenario, read_yaml
+from deepgps.config.setting_problems import describe_problems
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
-from deepgps.run_folder import is_study
-from deepgps.scenario import load_scenario, read_yaml
-from deepgps.setting_problems import describe_problems
+from deepgps.runs.run_folder import is_study
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, read_rows, read_setting

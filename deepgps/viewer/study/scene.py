@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import rerun as rr
 
-from deepgps.figures import field_plot
-from deepgps.figures.style import colour_on_dark
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports import field_plot
+from deepgps.reports.style import colour_on_dark
 from deepgps.studies.table import Row, find_methods
 from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis
 from deepgps.viewer.scene import Places, lift, log_floor, put

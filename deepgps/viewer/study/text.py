@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from deepgps.figures.markdown import tabulate
-from deepgps.methods.catalog import title_of
+from deepgps.config.methods import title_of
+from deepgps.reports.markdown import tabulate
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, split_by
 from deepgps.viewer.study.sliders import RUN, Slider, Step

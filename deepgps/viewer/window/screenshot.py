@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from deepgps.figures.field_plot import COLOURS
-from deepgps.run_folder import is_study
+from deepgps.reports.field_plot import COLOURS
+from deepgps.runs.run_folder import is_study
 from deepgps.viewer.pair.difference import CHANGE
 from deepgps.viewer.run.recording import lacks_truth
 from deepgps.viewer.window.chromium import Picture, find_chromium, open_page

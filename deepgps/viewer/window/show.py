@@ -6,7 +6,7 @@ import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 
-from deepgps.run_folder import is_study
+from deepgps.runs.run_folder import is_study
 from deepgps.viewer.pair.pair import write_pair
 from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.study.study import find_study

@@ -18,12 +18,12 @@ from deepgps.bench import rows as bench_rows
 from deepgps.bench.memory import Training, measure_peak, read_anonymous, repeat_recording
 from deepgps.bench.rows import Row, find_before, list_notes, read_bench, tabulate, write_bench, write_value
 from deepgps.bench.speed import locate_naively, measure_speed, measure_spread
+from deepgps.config.learning import LearnSettings, NetworkSettings, PixelValues
 from deepgps.data.features import Features, describe
 from deepgps.data.segments import read_segments
 from deepgps.learning.networks import make_network
-from deepgps.methods.positioner import NetworkPositioner
-from deepgps.progress import ignore
-from deepgps.settings import LearnSettings, NetworkSettings, PixelValues
+from deepgps.positioner.positioner import NetworkPositioner
+from deepgps.terminal.progress import ignore
 from sim.errors import InputError, WorkError
 from sim.recording.format import open_recording
 from sim.tools.render_bench import draw_poses, measure_rendering
@@ -38,7 +38,7 @@ ROWS = [
 
 
 def bench(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "deepgps.cli", "bench", *words]
+    command = [sys.executable, "-m", "deepgps.commands.main", "bench", *words]
     return subprocess.run(command, cwd=cwd, env=dict(os.environ), capture_output=True, text=True, check=False)
 
 

@@ -28,7 +28,7 @@ def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
     """Start the command in a session of its own, as a terminal does."""
-    command = [sys.executable, "-m", "deepgps.cli", *words]
+    command = [sys.executable, "-m", "deepgps.commands.main", *words]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # whoever starts the tests may ignore Ctrl-C, as a shell does for what runs in the background
     heard = signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -158,7 +158,7 @@ READERS = [
 
 @pytest.mark.parametrize(("words", "rest", "code"), READERS)
 def test_output_that_nobody_reads_is_dropped(tmp_path: Path, words: list[str], rest: str, code: int) -> None:
-    line = f"{sys.executable} -m deepgps.cli {' '.join(words)} {rest}; exit ${{PIPESTATUS[0]}}"
+    line = f"{sys.executable} -m deepgps.commands.main {' '.join(words)} {rest}; exit ${{PIPESTATUS[0]}}"
     done = subprocess.run(["bash", "-c", line], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
     assert done.returncode == code
     assert len(done.stderr.splitlines()) <= 1 and "Errno" not in done.stderr and "ignored" not in done.stderr

@@ -9,10 +9,10 @@ from typing import get_origin
 
 import pytest
 
-from deepgps.cli import COMMANDS, main
+from deepgps.commands.main import COMMANDS, main
 from deepgps.commands.short_help import COLUMNS, FIRST
-from deepgps.scenario import Scenario, names_in
-from deepgps.spelling import as_option, find_settings_like, from_option, list_settings
+from deepgps.config.scenario import Scenario, names_in
+from deepgps.config.spelling import as_option, find_settings_like, from_option, list_settings
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 
@@ -194,7 +194,7 @@ def test_completion_in_other_shells_names_the_same_words(shell, capsys):
 def test_a_pipe_that_closes_is_quiet():
     reader, writer = os.pipe()
     os.close(reader)
-    command = [sys.executable, "-m", "deepgps.cli", "run", "--help-all"]
+    command = [sys.executable, "-m", "deepgps.commands.main", "run", "--help-all"]
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, b"")
@@ -204,7 +204,7 @@ def test_a_wrong_study_is_refused_before_anything_heavy_is_imported(tmp_path: Pa
     path = tmp_path / "mine.yaml"
     path.write_text("{scenario: tiny, axes: {encoder.step_nose: [0, 0.1]}}")
     code = (
-        "import sys; from deepgps.cli import main\n"
+        "import sys; from deepgps.commands.main import main\n"
         "try: main(sys.argv[1:])\n"
         "except SystemExit as ended: print(ended.code, sorted({'torch', 'matplotlib', 'mujoco'} & set(sys.modules)))"
     )

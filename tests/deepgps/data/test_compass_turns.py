@@ -12,7 +12,7 @@ from deepgps.data.compass_turns import BACKED_OFF_M, MEETING_M, _join, measure_t
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.segments import find_runs
 from deepgps.data.turn_images import find_next
-from deepgps.initial_map.bars import turn
+from deepgps.initial_map.compass.bars import turn
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth

@@ -7,6 +7,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepgps.config.learning import FeatureSettings, LearnSettings
 from deepgps.data.features import (
     cached_features,
     describe,
@@ -18,7 +19,6 @@ from deepgps.data.features import (
 )
 from deepgps.data.segments import find_held_out, read_segments
 from deepgps.learning.training_data import prepare
-from deepgps.settings import FeatureSettings, LearnSettings
 from sim.errors import InputError
 from tests.helpers.toy import make_toy
 

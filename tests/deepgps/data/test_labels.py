@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.alignment import fit_alignment
 from deepgps.data.labels import read_places
+from sim.alignment import fit_alignment
 from sim.apriltag.bundle_adjustment import TagMap
 from sim.apriltag.detector import Detections
 from sim.apriltag.labels import find_level, flatten, write_labels

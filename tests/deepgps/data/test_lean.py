@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import pytest
 
-from deepgps.alignment import Alignment
+from deepgps.config.learning import LearnSettings
 from deepgps.data.compass_turns import measure_turns
 from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, ignore_small
 from deepgps.data.turn_images import find_in_place
@@ -15,15 +15,15 @@ from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare
 from deepgps.methods.fit import fit_method
-from deepgps.methods.positioner import NetworkPositioner, Positioner
-from deepgps.methods.stored_positioner import read_training
-from deepgps.settings import LearnSettings
+from deepgps.positioner.positioner import NetworkPositioner, Positioner
+from deepgps.positioner.stored_positioner import read_training
+from sim.alignment import Alignment
 from sim.geometry import wrap
 from sim.recording.collect import collect
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
-from sim.sensors.lens import make_lens
-from sim.sensors.upright import Upright
+from sim.sensors.camera.lens import make_lens
+from sim.sensors.camera.upright import Upright
 from sim.settings import (
     CameraMountSettings,
     CameraSettings,

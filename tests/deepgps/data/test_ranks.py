@@ -5,12 +5,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import rankdata
 
+from deepgps.config.learning import FeatureSettings
 from deepgps.data import features
 from deepgps.data.features import describe, fit_features
 from deepgps.data.ranks import rank_values
 from deepgps.data.relit import relight
 from deepgps.data.segments import Segments
-from deepgps.settings import FeatureSettings
 
 
 def images(count: int, seed: int = 0, values: int = 256) -> np.ndarray:

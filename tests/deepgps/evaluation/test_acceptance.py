@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepgps.alignment import Alignment
 from deepgps.evaluation.acceptance import (
     LEAST,
     REFUSED,
@@ -27,7 +26,8 @@ from deepgps.evaluation.error_field import (
     split_by_acceptance,
     write_fields,
 )
-from deepgps.methods.pose import Poses
+from deepgps.positioner.pose import Poses
+from sim.alignment import Alignment
 
 FIELDS = st.builds(
     lambda seed, cells, headings: make_field(np.random.default_rng(seed), cells, headings),

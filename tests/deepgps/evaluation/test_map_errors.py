@@ -18,7 +18,7 @@ from deepgps.evaluation.map_errors import (
 )
 from deepgps.initial_map.stored_map import StoredMap, read_map, write_map
 from sim.recording.format import Recording, Truth
-from tests.deepgps.initial_map.test_compass_map import drive, find_map
+from tests.deepgps.initial_map.compass.test_compass_map import drive, find_map
 
 TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
 FIELD = ErrorField(np.array([[1.0, 1.0], [2.0, 1.5], [3.0, 2.0]]), np.zeros(1), np.zeros((3, 1, 2)))

@@ -9,10 +9,10 @@ import pytest
 
 from deepgps.api.run import load
 from deepgps.evaluation.in_use import open_drive_in_use
+from deepgps.evaluation.measure import read_measured
 from deepgps.evaluation.stored_alignment import read_alignment
-from deepgps.owned_folder import hold
-from deepgps.run_folder import RUN
-from deepgps.stages import read_measured
+from deepgps.runs.owned_folder import hold
+from deepgps.runs.run_folder import RUN
 from deepgps.tracking.track import PATHS, read_track
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import open_recording, open_truth

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.cli import main
+from deepgps.commands.main import main
 from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.without_truth import judge_segments, read_judged
-from deepgps.figures.without_truth import describe, markdown, tabulate
-from deepgps.logs.importing import import_log
-from deepgps.logs.robot_config import RobotConfig
-from deepgps.progress import ignore
+from deepgps.reports.without_truth import describe, markdown, tabulate
+from deepgps.robot_io.logs.importing import import_log
+from deepgps.robot_io.logs.robot_config import RobotConfig
+from deepgps.terminal.progress import ignore
 from sim.recording.format import open_recording, open_truth
 from tests.helpers.robot_log import CONFIG, make_notes, write_log
 

@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.initial_map.compass_map import STAGES
+from deepgps.initial_map.compass.compass_map import STAGES
 from deepgps.initial_map.stored_map import FILE, read_map, write_map
 from sim.errors import DamagedError
 from sim.files.arrays import read_arrays, write_arrays
-from tests.deepgps.initial_map.test_compass_map import drive, error, find_map
+from tests.deepgps.initial_map.compass.test_compass_map import drive, error, find_map
 
 
 def test_a_map_is_read_back_with_all_its_stages(tmp_path: Path):

@@ -4,8 +4,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from deepgps.config.learning import PairLoss
 from deepgps.learning import losses
-from deepgps.settings import PairLoss
 
 KINDS: tuple[PairLoss, ...] = ("absolute", "normalised")
 SEEDS = st.integers(0, 2**32 - 1)

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from deepgps.config.learning import Architecture, NetworkSettings
 from deepgps.learning.networks import PADDING, count_parameters, make_network, pad
-from deepgps.settings import Architecture, NetworkSettings
 
 
 def build(architecture: Architecture, seed: int = 0, **more):

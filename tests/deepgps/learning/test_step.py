@@ -8,6 +8,7 @@ import pytest
 import torch
 from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
 
+from deepgps.config.learning import Architecture, LearnSettings, LiftSettings, NetworkSettings, TrainSettings
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Inputs
 from deepgps.learning.imitation import imitate_first
@@ -17,7 +18,6 @@ from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
 from deepgps.learning.trainer import make_generator, train
 from deepgps.methods.deepgps import segment_loss
 from deepgps.methods.deepgps_noise_aware import weigh_by_noise
-from deepgps.settings import Architecture, LearnSettings, LiftSettings, NetworkSettings, TrainSettings
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 KNOWN = torch.tensor([[0.1, 0.2], [float("nan")] * 2]).repeat(10, 1)

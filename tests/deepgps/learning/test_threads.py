@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from deepgps.methods import deepgps
 from deepgps.methods.fit import fit_method
-from deepgps.settings import LearnSettings
+from deepgps.config.learning import LearnSettings
 from sim.recording.format import open_recording
 
 class Cut(Exception):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from deepgps.config.learning import NetworkSettings, TrainSettings
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Inputs
 from deepgps.learning.networks import make_network
@@ -18,8 +19,7 @@ from deepgps.learning.trainer import (
     schedule,
     train,
 )
-from deepgps.progress import Look, Report, ignore
-from deepgps.settings import NetworkSettings, TrainSettings
+from deepgps.terminal.progress import Look, Report, ignore
 from sim.errors import InputError, WorkError
 from sim.rng import derive_seed
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 
+from deepgps.config.learning import LearnSettings
 from deepgps.learning import training_data
-from deepgps.settings import LearnSettings
 from tests.helpers.toy import make_toy
 
 

@@ -2,9 +2,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.alignment import fit_alignment
+from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
-from deepgps.settings import LearnSettings
+from sim.alignment import fit_alignment
 from sim.recording.format import Recording, open_truth
 from tests.helpers.toy import QUICK, make_toy
 

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.alignment import fit_alignment
+from deepgps.config.learning import LearnSettings, LiftSettings
 from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.learning.batches import Batch
 from deepgps.learning.imitation import imitate_first
 from deepgps.learning.lifting import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
-from deepgps.methods.positioner import Positioner
-from deepgps.progress import ignore
-from deepgps.settings import LearnSettings, LiftSettings
+from deepgps.positioner.positioner import Positioner
+from deepgps.terminal.progress import ignore
+from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.recording.format import Recording, open_truth
 from tests.deepgps.learning.test_trainer import Cut, cut_at
@@ -117,7 +117,7 @@ def test_a_fold_restarts_training_and_the_best_attempt_is_kept(
     toy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     train = SETTINGS.train.model_copy(update={"steps": 40})
-    monkeypatch.setattr("deepgps.initial_map.fold_detector.LENGTH_ERROR_LIMIT", 1e-9)
+    monkeypatch.setattr("deepgps.initial_map.distances.fold_detector.LENGTH_ERROR_LIMIT", 1e-9)
     once_more = SETTINGS.fold.model_copy(update={"restarts": 1})
     settings = SETTINGS.model_copy(update={"train": train, "fold": once_more, "start": "random"})
     labels = []

@@ -6,15 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.alignment import fit_alignment
+from deepgps.config.learning import LearnSettings
+from deepgps.config.scenario import load_scenario
 from deepgps.data.compass_turns import measure_turns
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps_compass import make_compass_map
 from deepgps.methods.fit import fit_method
-from deepgps.progress import ignore
-from deepgps.scenario import load_scenario
-from deepgps.settings import LearnSettings
+from deepgps.terminal.progress import ignore
+from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.recording.format import Recording, open_recording, open_truth
 from tests.helpers.toy import QUICK

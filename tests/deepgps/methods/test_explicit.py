@@ -9,11 +9,11 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepgps.alignment import fit_alignment
+from deepgps.config.learning import LearnSettings
 from deepgps.data.segments import read_segments
 from deepgps.methods.explicit import Equations, choose_readings, set_up, start_by_mds
 from deepgps.methods.fit import fit_method
-from deepgps.settings import LearnSettings
+from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.planar.landmarks import collect
 from sim.recording.format import Recording, Truth, open_recording, open_truth

@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
-from deepgps.settings import LearnSettings
 from sim.recording.format import open_truth
 from tests.helpers.toy import make_toy
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deepgps.config.learning import LearnSettings, PcaSettings
 from deepgps.methods.fit import fit_method
-from deepgps.methods.nearest_scan import ScanPositioner
 from deepgps.methods.pca_knn import draw_turns, turn_scans
-from deepgps.settings import LearnSettings, PcaSettings
+from deepgps.positioner.nearest_scan import ScanPositioner
 from sim.errors import InputError
 from sim.planar.obstacles import LidarWorld, collect
 from sim.recording.format import Recording, open_recording, open_truth

@@ -3,10 +3,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from deepgps.config.learning import LearnSettings
 from deepgps.methods import posenet
 from deepgps.methods.fit import fit_method
-from deepgps.progress import ignore
-from deepgps.settings import LearnSettings
+from deepgps.terminal.progress import ignore
 from sim.recording.format import open_truth
 from tests.helpers.toy import QUICK, make_toy
 

@@ -9,9 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from deepgps.progress import Report
-from deepgps.scenario import load_scenario, names_in
-from deepgps.scenario_digest import digest, digest_recording
+from deepgps.config.scenario import load_scenario, names_in
+from deepgps.config.scenario_digest import digest, digest_recording
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.shared_recordings import find_drives
@@ -20,6 +19,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import load, varied_names, write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, varied_in
+from deepgps.terminal.progress import Report
 from deepgps.viewer.run.recording import find_recording
 from sim.errors import InputError
 from sim.files.arrays import write_arrays

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepgps.methods.pose import Poses
+from deepgps.positioner.pose import Poses
 from deepgps.tracking.filter import State, advance, begin, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fix
 from deepgps.tracking.motion import make_motion, mirror, rotate

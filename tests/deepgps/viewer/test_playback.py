@@ -13,7 +13,7 @@ from deepgps.evaluation.segment_errors import measure_distances
 from deepgps.viewer.playback import draw_floor_plan, encode_jpeg, find_outline, make_warp, open_room, warp_round
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
-from sim.sensors.lens import make_lens, project_polar, project_round
+from sim.sensors.camera.lens import make_lens, project_polar, project_round
 from sim.settings import CameraSettings
 from tests.helpers.synthetic_run import TICKS_PER_REV, WHEEL_RADIUS_M, make_free_space, write_synthetic_run
 

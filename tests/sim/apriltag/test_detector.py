@@ -5,7 +5,7 @@ import pytest
 
 from sim.apriltag.detector import CORNERS, SIDE_M, TAGS, draw_tag, find_tags
 from sim.robot.world import RoomWorld
-from sim.sensors.tag_camera import TagCamera, camera_matrix, mounting
+from sim.sensors.camera.tag_camera import TagCamera, camera_matrix, mounting
 from sim.settings import RoomSettings, SimSettings, TagCameraSettings
 
 SETTINGS = SimSettings(room=RoomSettings(kind="lab", seed=10), tag_camera=TagCameraSettings(mounted=True))

@@ -19,9 +19,9 @@ from sim.recording.format import check_recording, is_whole, open_recording, open
 from sim.recording.renderers import Part
 from sim.recording.sensing import sense_part
 from sim.robot.world import RoomWorld
-from sim.sensors.camera_faults import decode
+from sim.sensors.camera.faults import decode
+from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.encoder import ticks_to_distance
-from sim.sensors.fisheye import Fisheye
 from sim.settings import CameraMountSettings, DeploymentSettings, GridSettings, Group, SimSettings
 
 

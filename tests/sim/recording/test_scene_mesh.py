@@ -15,8 +15,8 @@ import trimesh
 from trimesh.visual.texture import TextureVisuals
 
 from sim.recording.scene_mesh import write_scene
-from sim.sensors.fisheye import Fisheye
-from sim.sensors.lens import Lens, polar_rays
+from sim.sensors.camera.fisheye import Fisheye
+from sim.sensors.camera.lens import Lens, polar_rays
 from sim.settings import CameraSettings
 
 # Textures are 64 x 64 ramps: red grows with the column, green with the row.

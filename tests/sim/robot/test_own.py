@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from deepgps.scenario import load_scenario
-from deepgps.scenario_digest import digest
+from deepgps.config.scenario import load_scenario
+from deepgps.config.scenario_digest import digest
 from sim.errors import InputError
 from sim.robot.calibrate import run
 from sim.robot.drive import TOUCHED, next_segment

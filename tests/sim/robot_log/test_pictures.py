@@ -8,9 +8,9 @@ import pytest
 from sim.recording.renderers import Part
 from sim.robot.world import RoomWorld
 from sim.robot_log.pictures import COLUMNS, ROWS, draw_part, open_camera, read_pictures
-from sim.sensors.fisheye import Fisheye
-from sim.sensors.lens import make_lens
-from sim.sensors.unwrap import unwrap_fisheye
+from sim.sensors.camera.fisheye import Fisheye
+from sim.sensors.camera.lens import make_lens
+from sim.sensors.camera.unwrap import unwrap_fisheye
 from sim.settings import CameraMountSettings, CameraSettings, RoomSettings, SimSettings
 
 ROOM = RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8)

@@ -10,8 +10,8 @@ from sim.rooms.build import build_room
 from sim.rooms.deployment import GAMMA, MOVABLE, move_furniture
 from sim.rooms.free_space import collides
 from sim.rooms.spec import freeze
-from sim.sensors.camera_faults import decode
-from sim.sensors.fisheye import Fisheye
+from sim.sensors.camera.faults import decode
+from sim.sensors.camera.fisheye import Fisheye
 from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 
 ROOM = RoomSettings(kind="office", width_m=4.0, depth_m=3.5, seed=2)

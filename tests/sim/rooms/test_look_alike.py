@@ -4,8 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from sim.furniture import textures
 from sim.rooms.build import build_room
+from sim.rooms.furniture import textures
 from sim.rooms.look_alike import MOTIF_M, PX_PER_M, repeat
 from sim.settings import RoomSettings
 

@@ -105,7 +105,7 @@ def test_a_recording_of_scans_is_whole_and_repeats_with_its_noise(tmp_path: Path
 def test_a_room_is_run_with_a_lidar_and_without_a_renderer(tmp_path: Path) -> None:
     words = ["run", "tiny", "--sensor", "lidar", "--methods", "deepgps", "pca_knn", "--drive.samples", "200"]
     small = ["--learn.train.steps", "40", "--grid.spacing-m", "0.5", "--lidar.rays", "64", "--out", "one"]
-    command = [sys.executable, "-m", "deepgps.cli", *words, *small]
+    command = [sys.executable, "-m", "deepgps.commands.main", *words, *small]
     environment = {**os.environ, "MUJOCO_GL": "nothing"}
     done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

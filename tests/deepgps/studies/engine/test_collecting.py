@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.progress import ignore
 from deepgps.studies.engine import collecting
 from deepgps.studies.engine.collecting import collect_all, count_drives
 from deepgps.studies.engine.shared_recordings import record_all
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import ignore
 from sim.processes import start_process
 from sim.recording.format import is_whole, read_manifest
 from tests.helpers.small_study import write_study

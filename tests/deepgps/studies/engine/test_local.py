@@ -5,10 +5,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from deepgps.progress import ignore
 from deepgps.studies.engine.local import count_workers, run_all
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import ignore
 from sim.processes import start_process
 from tests.helpers.small_study import write_study
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 
-from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.shared_recordings import find_drives
@@ -15,9 +14,10 @@ from deepgps.studies.reports import camera
 from deepgps.studies.reports.report import report_study, write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from sim.paths import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest
-from sim.sensors.camera_faults import decode
+from sim.sensors.camera.faults import decode
 from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
 from tests.helpers.small_study import run_all_here
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.figures.style import to_png
-from deepgps.progress import ignore
+from deepgps.reports.style import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
@@ -13,6 +12,7 @@ from deepgps.studies.reports import change
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from tests.helpers.small_study import run_all_here
 
 VARIED = ["deployment.light", "deployment.daylight", change.LIGHT, change.VALUES]

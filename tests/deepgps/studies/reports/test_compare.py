@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from deepgps.config.learning import Architecture, NetworkSettings
 from deepgps.learning.networks import make_network
-from deepgps.methods.positioner import NetworkPositioner
-from deepgps.progress import ignore
-from deepgps.settings import Architecture, NetworkSettings
+from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.studies import grouping
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
@@ -18,6 +17,7 @@ from deepgps.studies.reports import compare, networks, strategies
 from deepgps.studies.reports.report import report_study, write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from tests.helpers.small_study import run_all_here
 
 COMMON = {"p95_m": 0.05, "max_m": 0.5, "flipped": 0.0, "train_s": 10.0, "heading_spread_m": 0.004, "fold_found": None}

@@ -5,7 +5,6 @@ import pytest
 
 from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.visibility import measure_visible
-from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
@@ -13,6 +12,7 @@ from deepgps.studies.reports.concave import EDGES, add_reach, measure, pool, rep
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from sim.recording.format import open_truth
 from tests.helpers.small_study import run_all_here
 

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
@@ -13,6 +12,7 @@ from deepgps.studies.reports import corridors
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from sim.files.json_files import read_json
 from tests.helpers.small_study import run_all_here
 

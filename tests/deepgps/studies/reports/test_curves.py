@@ -148,7 +148,7 @@ def test_noise_w_runs_small_in_both_worlds_and_is_published(tmp_path: Path):
     command = [
         sys.executable,
         "-m",
-        "deepgps.cli",
+        "deepgps.commands.main",
         "study",
         "noise_w",
         "--tiny",

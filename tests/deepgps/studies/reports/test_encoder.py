@@ -6,8 +6,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from deepgps.figures.style import to_png
-from deepgps.progress import ignore
+from deepgps.reports.style import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.engine.shared_recordings import find_drives
@@ -19,6 +18,7 @@ from deepgps.studies.reports.encoder_targets import measure
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from sim.settings import EncoderSettings
 from tests.helpers.small_study import run_all_here
 

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from deepgps.data.segments import find_runs
-from deepgps.monitoring.rules import TITLES
-from deepgps.progress import ignore
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
@@ -18,6 +16,8 @@ from deepgps.studies.reports.report import report_study
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
+from deepgps.tracking.rules import TITLES
 from sim.errors import InputError
 from sim.files.json_files import write_json
 from sim.recording.format import Recording, open_recording, open_truth

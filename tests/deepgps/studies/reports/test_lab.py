@@ -6,14 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.progress import ignore
+from deepgps.config.scenario import load_scenario
+from deepgps.evaluation.measure import evaluate
+from deepgps.methods.train import train
 from deepgps.run import show
-from deepgps.scenario import load_scenario
-from deepgps.stages import evaluate, make_recording, train
+from deepgps.runs.collect import make_recording
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.lab import PAPER, add, draw_places, measure, report
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import open_rrd
 from deepgps.viewer.run.recording import RECORDING
 from sim.errors import InputError

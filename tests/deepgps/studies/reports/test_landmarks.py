@@ -5,15 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.progress import ignore
+from deepgps.config.scenario import load_scenario
 from deepgps.run import run
-from deepgps.scenario import load_scenario
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.landmarks import PAPER, measure, report
 from deepgps.studies.reports.report import write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
+from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import read_error_field
 from deepgps.viewer.run.recording import RECORDING
 

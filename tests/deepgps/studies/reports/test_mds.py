@@ -7,11 +7,9 @@ import pytest
 from matplotlib.figure import Figure
 from scipy.spatial.distance import pdist, squareform
 
-from deepgps.alignment import fit_alignment
-from deepgps.figures.style import to_png
+from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
-from deepgps.progress import ignore
-from deepgps.settings import LearnSettings
+from deepgps.reports.style import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import (
@@ -25,6 +23,8 @@ from deepgps.studies.reports.mds import (
     scale_all,
 )
 from deepgps.studies.study import load_study
+from deepgps.terminal.progress import ignore
+from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
 from tests.helpers.toy import QUICK, make_toy

@@ -18,9 +18,9 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
+from deepgps.config.scenario import Scenario
 from deepgps.evaluation.error_field import find_worst, read_all_headings
-from deepgps.progress import Look, ignore
-from deepgps.scenario import Scenario
+from deepgps.terminal.progress import Look, ignore
 from deepgps.viewer.error_field import PARTS
 from deepgps.viewer.live.drive import LiveDrive
 from deepgps.viewer.live.layout import RUN_TIME
@@ -110,7 +110,9 @@ def test_a_viewer_killed_in_the_middle_is_one_line_and_changes_no_byte(finished_
     words = ["evaluate", str(finished_run.parent / "mini.yaml"), "--out", "run", "--live"]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     with serve_grpc("--serve-grpc") as (address, server):
-        process = subprocess.Popen([sys.executable, "-m", "deepgps.cli", *words, address], cwd=tmp_path, **pipes)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "deepgps.commands.main", *words, address], cwd=tmp_path, **pipes
+        )
         wait_until(lambda: list(tmp_path.glob("run/recording.collecting/drive-*.npz")), process)
         server.kill()
         _, said = process.communicate(timeout=300)
@@ -154,8 +156,8 @@ def count_rows(rows: int) -> list[rr.TimeColumn]:
 HANGING = """
 import os, signal, sys
 from pathlib import Path
-from deepgps.progress import ignore
-from deepgps.scenario import Scenario
+from deepgps.terminal.progress import ignore
+from deepgps.config.scenario import Scenario
 from deepgps.viewer.live import live
 
 live.STALL_S, live.PATIENCE_S = 1.0, 2.0

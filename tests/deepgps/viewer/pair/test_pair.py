@@ -11,8 +11,8 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.owned_folder import MARK, OLD_LOCK
-from deepgps.scenario import Scenario, write_out
+from deepgps.config.scenario import Scenario, write_out
+from deepgps.runs.owned_folder import MARK, OLD_LOCK
 from deepgps.viewer.pair.difference import (
     Pair,
     colours_of_change,

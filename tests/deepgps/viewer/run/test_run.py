@@ -14,9 +14,9 @@ import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.spatial.distance import pdist
 
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
-from deepgps.figures.run_report import describe
-from deepgps.methods.catalog import title_of
+from deepgps.reports.run_report import describe
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
 from deepgps.viewer.run.coverage import COVERAGE, DENSITY
@@ -31,7 +31,7 @@ from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
-from sim.sensors.lens import make_lens, project_polar
+from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
 from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import METHODS, REFUSING, write_synthetic_run

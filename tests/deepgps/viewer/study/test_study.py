@@ -14,7 +14,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.figures import field_plot
+from deepgps.reports import field_plot
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table

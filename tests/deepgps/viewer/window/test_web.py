@@ -20,9 +20,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from deepgps.cli import main
+from deepgps.commands.main import main
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
-from deepgps.figures.field_plot import COLOURS, colours_of
+from deepgps.reports.field_plot import COLOURS, colours_of
 from deepgps.viewer.run.recording import RECORDING, write_run
 from deepgps.viewer.window import chromium, screenshot
 from deepgps.viewer.window.chromium import NAMES, find_chromium, open_page
@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def served(*words: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Address and process of ``deepgps view`` with these words; ended when left."""
-    command = [sys.executable, "-m", "deepgps.cli", "view", *words]
+    command = [sys.executable, "-m", "deepgps.commands.main", "view", *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout

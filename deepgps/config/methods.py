@@ -1,0 +1,109 @@
+"""The methods by name, one record each. This module imports nothing heavy, so that settings and reports can use it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim import renamed
+from sim.alignment import AlignmentKind
+from sim.errors import InputError
+from sim.plugins import HOW_TO_LOAD, Source
+from sim.recording.manifest import ObservationKind
+
+
+@dataclass(frozen=True)
+class Method:
+    """The record of a method.
+
+    Attributes:
+        title: Its name in reports.
+        colour: Colour of its lines in figures, "#rrggbb".
+        alignment: Transform that evaluation fits: E2 if the method has a mirror ambiguity, else SE2.
+        fit: The function that trains it, or its name "module:function"; it takes a recording, settings, a seed, the
+            method's folder and a progress callback, and returns a positioner with a record of its training.
+        observes: The only kind of observation it takes; None: any.
+        in_steps: Whether it trains step by step and reports its steps.
+        reads_ticks: Whether it learns from the encoders.
+        reads_turns: Whether it needs the images after turns.
+        predict: For a plugin's method whose ``fit`` returns arrays by name in place of a positioner: (these arrays,
+            observations (B, ...)) -> positions (B, 2) [m].
+        source: Set when the plugin that defines the method is loaded.
+    """
+
+    title: str
+    colour: str
+    alignment: AlignmentKind
+    fit: str | Callable[..., Any]
+    observes: ObservationKind | None = None
+    in_steps: bool = True
+    reads_ticks: bool = True
+    reads_turns: bool = False
+    predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
+    source: Source | None = field(default=None, compare=False)
+
+
+METHODS: dict[str, Method] = {
+    "deepgps_compass": Method(
+        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", "polar_image", reads_turns=True
+    ),
+    "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
+    "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
+    "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),
+    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.posenet:fit", reads_ticks=False),
+    "posenet_noisy": Method(
+        "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.posenet:fit_noisy", reads_ticks=False
+    ),
+    "explicit": Method(
+        "Explicit positioning", "#7a4fbf", "E2", "deepgps.methods.explicit:fit", observes="vector", in_steps=False
+    ),
+    "explicit_mds": Method(
+        "Explicit, from MDS",
+        "#4b5563",
+        "E2",
+        "deepgps.methods.explicit:fit_from_mds",
+        observes="vector",
+        in_steps=False,
+    ),
+    "knn": Method("Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.knn:fit", in_steps=False, reads_ticks=False),
+    "pca_knn": Method(
+        "PCA + nearest neighbour",
+        "#6b8e23",
+        "SE2",
+        "deepgps.methods.pca_knn:fit",
+        observes="scan",
+        in_steps=False,
+        reads_ticks=False,
+    ),
+    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
+}
+"""The methods in the order of figures. Scenarios and studies can name every method that is added here.
+
+``deepgps.config.plugins.load_plugins`` adds those of plugins when a process starts: to this one table, as settings
+check themselves against it wherever they are made, and no other table can be passed there.
+"""
+
+
+def find_method(name: str) -> Method:
+    """The method of this name; raises InputError if it is a plugin's that is not loaded."""
+    if name not in METHODS:
+        raise InputError(f"method {name}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+    return METHODS[name]
+
+
+def title_of(name: str) -> str:
+    """A method's name in reports."""
+    return METHODS[name].title if name in METHODS else name
+
+
+def colour_of(name: str) -> str:
+    """A method's colour in figures; grey for an unknown method."""
+    return METHODS[name].colour if name in METHODS else "#555555"
+
+
+def folder_of(run: Path, name: str) -> Path:
+    """Folder of a method in a run; in an older run, the folder may have the method's old name."""
+    before = next((old for old, now in renamed.METHODS.items() if now == name), name)
+    return run / before if (run / before).is_dir() and not (run / name).exists() else run / name

@@ -1,0 +1,282 @@
+"""The scenario: every setting that determines a run, from YAML and dotted overrides, frozen and checked at once."""
+
+import re
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from os.path import exists, isfile
+from pathlib import Path
+from typing import Annotated, Any
+
+import yaml
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import ErrorDetails
+
+from deepgps.config.learning import LearnSettings, check_name
+from deepgps.config.methods import METHODS
+from deepgps.config.plain_yaml import read_yaml
+from deepgps.config.setting_problems import DEEPEST, describe_first, describe_problems
+from deepgps.config.spelling import as_key, find_like, suggest
+from sim.errors import InputError
+from sim.paths import SCENARIOS
+from sim.plugins import HOW_TO_LOAD
+from sim.recording.manifest import ObservationKind, name_sensors
+from sim.settings import Group, SimSettings
+from sim.settings.group import Seed, WithPlugins
+from sim.user_input import quote, shorten
+
+
+def _check_method(name: str, info: ValidationInfo) -> str:
+    """A run with a plugin's method can be opened without the plugin, though not continued."""
+    return name if name in info.data.get("plugins", {}) else check_name(name, METHODS, f"; {HOW_TO_LOAD}")
+
+
+MethodName = Annotated[str, AfterValidator(_check_method)]
+GIVEN_BY: dict[ObservationKind, str] = {
+    "polar_image": "images, which world room with sensor fisheye gives",
+    "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
+    "vector": "distances to landmarks, which world landmarks alone gives",
+}
+MOST_VALUES = 1000
+"""Limit of keys and values in a scenario's file; all existing settings together make 250."""
+LONGEST_NAME = 64
+NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
+"""Pattern of the names of scenarios and studies, which name folders."""
+
+
+class PluginSource(Group):
+    """The source of a plugin."""
+
+    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
+
+
+class Scenario(WithPlugins, SimSettings):
+    """Every setting that determines a run."""
+
+    name: str = Field(default="unnamed", pattern=NAME)
+    """Name of the scenario; its runs are stored under runs/<name>. In a file without it, the file's own name, with _
+    for other letters than a name may hold."""
+    seed: Seed = 0
+    """Seed of everything random; each part of the work draws from an RNG stream of its own."""
+    plugins: dict[str, PluginSource] = Field(default_factory=dict)
+    """The plugins of those methods that deepgps does not have itself; filled in from the plugins that are loaded."""
+    methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
+    """Methods to train and compare."""
+    learn: LearnSettings = LearnSettings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _add_the_sources(cls, values: Any) -> Any:
+        if not isinstance(values, Mapping) or not isinstance(values.get("methods"), list | tuple):
+            return values
+        given = values.get("plugins", {})
+        if not isinstance(given, Mapping):
+            return values  # which the field's own check refuses
+        names = [name for name in values["methods"] if isinstance(name, str)]
+        loaded = {name: METHODS[name].source for name in names if name in METHODS}
+        sources = {name: {"sha256": source.sha256} for name, source in loaded.items() if source}
+        return {**values, "plugins": {**sources, **{name: given[name] for name in names if name in given}}}
+
+    @field_validator("methods")
+    @classmethod
+    def _methods_differ(cls, methods: tuple[MethodName, ...]) -> tuple[MethodName, ...]:
+        if not methods or len(set(methods)) != len(methods):
+            raise ValueError("at least one method, each once")
+        return methods
+
+    @model_validator(mode="after")
+    def _methods_suit_the_world(self) -> "Scenario":
+        for name in self.methods:
+            observes = METHODS[name].observes if name in METHODS else None
+            if observes and observes != self.observation:
+                raise ValueError(f"methods: {name} needs {GIVEN_BY[observes]}")
+            if name in METHODS and METHODS[name].reads_turns and not self.drive.turn_images:
+                raise ValueError(f"methods: {name} needs drive.turn_images true")
+        if self.observation != "polar_image" and self.learn.network.architecture != "spectral":
+            by = "sensor lidar" if self.world == "room" else f"world {self.world}"
+            raise ValueError(
+                f"learn.network.architecture {self.learn.network.architecture!r} needs images, which {by} "
+                "does not give; spectral takes distances"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _the_circle_can_be_halved(self) -> "Scenario":
+        if self.learn.network.architecture == "invariant" and self.camera.sectors % 32 != 0:
+            raise ValueError(
+                "learn.network.architecture 'invariant' halves the circle five times, so camera.sectors must be a "
+                f"multiple of 32, and is {self.camera.sectors}"
+            )
+        return self
+
+    @property
+    def observation(self) -> ObservationKind:
+        """The kind of observation that methods learn from."""
+        return next(iter(name_sensors(self).values()))
+
+    @property
+    def title(self) -> str:
+        """The name that reports give a run, that of the scenario or of the file of the user's own room."""
+        return self.name if self.room.mjcf is None else Path(self.room.mjcf).name
+
+    @property
+    def sim(self) -> SimSettings:
+        """The part that determines the recording."""
+        return SimSettings.model_validate({name: getattr(self, name) for name in SimSettings.model_fields})
+
+
+Spell = Callable[[str], str]
+"""Writes the dotted name of a setting as the user has written it."""
+
+
+def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_key) -> Scenario:
+    """Read a scenario and apply overrides.
+
+    Args:
+        source: A name in assets/scenarios, or the path of a YAML file.
+        overrides: Values by dotted name, such as ``{"room.seed": "3"}``.
+        spell: How messages write the names of overrides.
+
+    Raises:
+        InputError: A setting is wrong; the message names the field, the value and what is allowed.
+    """
+    path = find_settings("scenario", SCENARIOS, source)
+    return override_scenario(read_yaml(path, MOST_VALUES), path, overrides, spell)
+
+
+def override_scenario(
+    values: Mapping[str, Any], path: Path, overrides: Mapping[str, Any], spell: Spell = as_key
+) -> Scenario:
+    """Make a scenario from the plain values of a file, which are not modified, and overrides.
+
+    Raises:
+        InputError: Settings are wrong; one line names them, their values and what is allowed, and the file unless the
+            overrides alone are wrong.
+    """
+    given, overrides = {"name": clean_name(path.stem), **values}, flatten(overrides)
+    values = given
+    for dotted, value in overrides.items():
+        values = _set(values, dotted, dotted.split("."), value)
+    try:
+        return Scenario.model_validate(values)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        names = [_find_override(problem, overrides) for problem in problems]
+        text = describe_first(problems, Scenario, [spell(name) if name else None for name in names])
+        ours = all(name is not None for name in names) or (overrides and _is_valid(given))
+        raise InputError(text if ours else f"{shorten(str(path), 300)}: {text}") from None
+
+
+def clean_name(text: str) -> str:
+    """A name after that of a file or folder: without what no name of a scenario, study or recording may hold."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", text)[:LONGEST_NAME]
+
+
+def flatten(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides by the dotted names of single settings: a group given as a mapping sets what it names, and no more.
+
+    Args:
+        overrides: Values by dotted name, such as ``{"drive": {"samples": 300}, "room.seed": 3}``.
+
+    Raises:
+        InputError: A setting is given twice, as by ``drive.samples`` and in ``drive``.
+    """
+    flat: dict[str, Any] = {}
+    for name, value in _list_leaves(overrides):
+        if name in flat:
+            raise InputError(f"{shorten(name)}: given twice, as {quote(flat[name])} and {quote(value)}; give it once")
+        flat[name] = value
+    return flat
+
+
+def _list_leaves(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _list_leaves(value, f"{before}{name}.")
+        else:
+            yield f"{before}{name}", value
+
+
+def find_settings(kind: str, folder: Path, source: str) -> Path:
+    """Path of the settings file called ``source`` in a folder, or at that path.
+
+    Raises:
+        InputError: There is no such file; the message names it as a ``kind`` of thing, and those that exist.
+    """
+    path = Path(source)
+    if path.suffix in {".yaml", ".yml"} or "/" in source:
+        if not isfile(path):
+            raise InputError(f"{kind} {shorten(source, 300)}: {'it is no file' if exists(path) else 'no such file'}")
+        return path
+    path = folder / f"{source}.yaml"
+    if not isfile(path):
+        names = names_in(folder)
+        hint = suggest([find_like(source, names)]) or f"; there are {', '.join(names)}, or a path"
+        raise InputError(f"{kind} {quote(source)} does not exist{hint}")
+    return path
+
+
+def names_in(folder: Path) -> list[str]:
+    """Names of the settings files in a folder."""
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
+    """Make a scenario from the plain values of a file; raises InputError that names it, and the settings."""
+    try:
+        return Scenario.model_validate(values)
+    except ValidationError as error:
+        raise InputError(f"{shorten(str(origin), 300)}: {describe_problems(error, Scenario)}") from None
+
+
+def _is_valid(values: Mapping[str, Any]) -> bool:
+    try:
+        Scenario.model_validate(values)
+    except ValidationError:
+        return False
+    return True
+
+
+def _find_override(problem: ErrorDetails, overrides: Collection[str]) -> str | None:
+    """The override that a problem is about, or in whose list it is."""
+    dotted = ".".join(map(str, problem["loc"]))
+    return next((name for name in overrides if dotted == name or dotted.startswith(f"{name}.")), None)
+
+
+def write_out(scenario: Scenario) -> str:
+    """The resolved scenario as YAML."""
+    return yaml.safe_dump(scenario.model_dump(mode="json"), sort_keys=False)
+
+
+def list_settings(group: BaseModel, before: str = "") -> dict[str, Any]:
+    """All settings of a scenario, or of a group of it, by dotted name, with those that are at their defaults."""
+    found: dict[str, Any] = {}
+    for name in type(group).model_fields:
+        value = getattr(group, name)
+        if isinstance(value, BaseModel):
+            found |= list_settings(value, f"{before}{name}.")
+        elif isinstance(value, Mapping):  # plugins by name
+            found |= {f"{before}{name}.{key}": one for key, one in value.items()}
+        else:
+            found[before + name] = list(value) if isinstance(value, tuple) else value
+    return found
+
+
+def _set(values: Mapping[str, Any], dotted: str, names: Sequence[str], value: Any) -> dict[str, Any]:
+    """A copy of nested groups in which the field with the path ``names`` is set."""
+    name, *inner = names
+    if not inner:
+        nothing = isinstance(value, Mapping) and isinstance(values.get(name), Mapping)  # it is empty after flatten
+        return dict(values) if nothing else {**values, name: value}
+    group = values.get(name, {})
+    if not isinstance(group, Mapping):
+        raise InputError(f"{shorten(dotted)}: {shorten(name)} is not a group of settings")
+    if len(inner) > DEEPEST:
+        raise InputError(f"{shorten(dotted)}: there is no such setting")
+    return {**values, name: _set(group, dotted, inner, value)}

@@ -1,0 +1,84 @@
+"""The third stage of a run: measure its methods against the truth, or judge them without it."""
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from deepgps.config.scenario import Scenario
+from deepgps.runs.owned_folder import is_older
+from deepgps.runs.provenance import describe_environment
+from deepgps.runs.run_folder import METRICS, RUN, WITHOUT_TRUTH
+from deepgps.runs.timing import stage_times, timed
+from deepgps.terminal.progress import Report
+from sim.errors import DamagedError
+from sim.files.arrays import read_arrays
+from sim.files.checksums import drop_sum
+from sim.files.json_files import read_json, write_json
+from sim.recording.format import has_truth, open_recording
+from sim.renamed import name_methods
+
+log = logging.getLogger(__name__)
+NO_TESTS = "all methods are trained; errors cannot be measured, since the recording holds no test observations"
+
+
+def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any] | None:
+    """Measure all methods; write ``metrics.json``, ``error_field.npz`` and each method's alignment.
+
+    On a recording without truth, ``without_truth.json`` is written in their place. Returns the file's contents; None if
+    the recording holds the truth, but no test observations to measure errors at.
+    """
+    from deepgps.evaluation.evaluate import align_methods
+    from deepgps.evaluation.evaluate import evaluate as measure
+
+    metrics = read_measured(folder)
+    if metrics and set(scenario.methods) <= set(name_methods(metrics["methods"])):
+        if not is_older(folder, RUN):
+            align_methods(folder, scenario)
+        return metrics
+    if not has_truth(folder / "recording"):
+        return evaluate_without_truth(scenario, folder, progress)
+    if not open_recording(folder / "recording").test_observation.size:
+        return None
+    with timed(folder, "evaluate"):
+        measured = measure(folder, scenario, progress)
+    remove_recording_of_run(folder)
+    head = {"scenario": scenario.title, "seed": scenario.seed}
+    made_with = describe_environment(folder, measured["methods"].values())
+    tail = {"timing_s": stage_times(folder), "environment": made_with}
+    write_json(folder / METRICS, {**head, **measured, **tail})
+    return read_json(folder / METRICS)
+
+
+def evaluate_without_truth(scenario: Scenario, folder: Path, progress: Report) -> dict[str, Any]:
+    """Write what can be said of all methods without the truth: ``without_truth.json``."""
+    from deepgps.evaluation.without_truth import judge, read_judged
+
+    judged = read_judged(folder)
+    if judged and set(scenario.methods) <= set(judged["methods"]):
+        return judged
+    with timed(folder, "evaluate"):
+        judged = judge(folder, scenario, progress)
+    remove_recording_of_run(folder)
+    write_json(folder / WITHOUT_TRUTH, judged)
+    return judged
+
+
+def remove_recording_of_run(folder: Path) -> None:
+    """Remove the Rerun recording of figures that are about to change; it is made again with the new ones."""
+    drop_sum(folder / "run.rrd")
+    (folder / "run.rrd").unlink(missing_ok=True)
+
+
+def read_measured(folder: Path) -> dict[str, Any] | None:
+    """The contents of a run's ``metrics.json``; None if that file or an error field is missing or damaged."""
+    if not (folder / METRICS).is_file():
+        return None
+    try:
+        metrics = read_json(folder / METRICS)
+        for field, measured in (("error", True), ("label", "labels" in metrics), ("use", "in_use" in metrics)):
+            if measured:
+                read_arrays(folder / f"{field}_field.npz")
+    except DamagedError as error:
+        log.warning("%s; the methods are measured again", error)
+        return None
+    return metrics

@@ -1,0 +1,1 @@
+"""The initial map from distances and the visual compass."""

@@ -1,0 +1,187 @@
+"""Which loop closures of a map are believed, and what the rejected ones say about the map."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from deepgps.data.segments import measure_spacing
+from deepgps.initial_map.compass.bars import Bars
+from sim.geometry import wrap
+
+GATE = 4.0
+"""Standard deviations within which a loop closure is believed."""
+SURE_M, FAR_M, FURTHEST_M = 0.3, 0.5, 2.0
+"""A gate below ``SURE_M`` means that the distance of the two observations is known; above ``FAR_M`` they only look
+alike. No gate is wider than ``FURTHEST_M`` [m]."""
+REPEATS, ENOUGH = 0.02, 20
+"""The world repeats after a distance d if at least ``ENOUGH`` closures have a known distance, and ``REPEATS`` of these
+only look alike and are no more than d apart."""
+LOOK, LOOK_PER_M = 0.22, 0.62
+"""Standard deviation of a loop closure: in one place, in steps between readings, and per metre between its ends."""
+WIDTH = 3.0
+"""Standard deviations at which a loop closure has lost three quarters of its weight."""
+TURNED_RAD, TURNED_PER_M, ASIDE_RAD = np.radians(0.2), np.radians(13.0), 0.35
+"""Standard deviation of a loop closure's relative heading in one place, and for each metre between its ends. A closure
+whose heading differs from the map's by more than ``ASIDE_RAD`` is false."""
+FEW, HALF = 4, 0.5
+"""A segment is doubted if it has at least ``FEW`` loop closures and less than ``HALF`` of these are believed."""
+CROSSING, CONTRADICTED = 10, 0.1
+"""A turn is wrong if at least ``CROSSING`` loop closures connect what was driven before and after it, and no more than
+``CONTRADICTED`` of these are believed."""
+
+
+@dataclass(frozen=True)
+class Closures:
+    """Loop closures: images of almost one place.
+
+    Attributes:
+        first: First observation of each (n,).
+        second: Second (n,).
+        length: Estimated distance between them (n,) [m].
+        turn: Angle from the first's heading to the second's, to the left (n,) [rad]; NaN: open.
+    """
+
+    first: np.ndarray
+    second: np.ndarray
+    length: np.ndarray
+    turn: np.ndarray
+
+
+class Links(NamedTuple):
+    """Loop closures between readings of bars.
+
+    Attributes:
+        number: Number of each in ``Closures`` (m,).
+        one: First reading (m,).
+        other: Second reading (m,).
+        variance: Expected square of their distance along each axis (m,) [m^2].
+        turn: Angle from the first's heading to the second's (m,) [rad]; NaN: open.
+        turn_std: Its standard deviation (m,) [rad].
+    """
+
+    number: np.ndarray
+    one: np.ndarray
+    other: np.ndarray
+    variance: np.ndarray
+    turn: np.ndarray
+    turn_std: np.ndarray
+
+
+class Belief(NamedTuple):
+    """Which loop closures are believed, with the weights of their squared residuals.
+
+    Attributes:
+        believed: Whether each is believed (m,) bool.
+        place: Weight of its position (m,).
+        turn: Weight of its relative heading (m,).
+        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
+    """
+
+    believed: np.ndarray
+    place: np.ndarray
+    turn: np.ndarray
+    repeats_m: float
+
+
+def link(bars: Bars, closures: Closures, observations: int) -> Links:
+    """Loop closures between the bars' readings; those without a reading are left out."""
+    reading = np.full(observations, -1)
+    reading[bars.observation[::-1]] = np.arange(len(bars.row))[::-1]
+    one, other = reading[closures.first], reading[closures.second]
+    number = np.flatnonzero((one >= 0) & (other >= 0))
+    step = measure_spacing(np.diff(bars.along)[np.diff(bars.row) == 0])
+    length = closures.length[number]
+    return Links(
+        number,
+        one[number],
+        other[number],
+        (LOOK * step) ** 2
+        + (LOOK_PER_M * length) ** 2
+        + (bars.uneven_m2[one[number]] + bars.uneven_m2[other[number]]) / 2.0,
+        closures.turn[number],
+        np.hypot(TURNED_RAD, TURNED_PER_M * length),
+    )
+
+
+def believe(bars: Bars, error: np.ndarray, part: np.ndarray, links: Links, narrow: bool) -> Belief:
+    """Believe the loop closures within the gate, if the gate is narrower than half of where the world repeats.
+
+    Args:
+        bars: The bars.
+        error: Samples of the errors of readings' positions (r, 2, k) [m].
+        part: Part of the drive of each bar (B,): between parts none is believed.
+        links: The loop closures.
+        narrow: Whether only gates below ``SURE_M`` count, which need not know after what distance the world repeats.
+    """
+    _, heading, _, point = bars.locate(slice(None))
+    squared = ((point[links.one] - point[links.other]) ** 2).sum(axis=1)
+    known = ((error[links.one] - error[links.other]) ** 2).mean(axis=2).sum(axis=1) / 2.0
+    away = np.nan_to_num(wrap(heading[links.other] - heading[links.one] - links.turn))
+    possible = (part[bars.row[links.one]] == part[bars.row[links.other]]) & (np.abs(away) < ASIDE_RAD)
+    gate = GATE * np.sqrt(2.0 * known)
+    sure = np.concatenate([np.sqrt(squared[possible & (gate < SURE_M)]), _measure_twins(error, point, links)])
+    repeats_m = _find_repeat(sure)
+    reach = SURE_M if narrow else limit_gate(repeats_m)
+    believed = possible & (gate < reach) & (squared < 2.0 * GATE**2 * (known + links.variance))
+    place = (1.0 + squared / (2.0 * WIDTH**2 * links.variance)) ** -2.0
+    return Belief(believed, place, (1.0 + (away / (WIDTH * links.turn_std)) ** 2) ** -2.0, repeats_m)
+
+
+def limit_gate(repeats_m: float) -> float:
+    """Width of the widest gate [m]: half of the distance after which the world repeats."""
+    return float(np.clip(repeats_m / 2.0, SURE_M, FURTHEST_M))
+
+
+def _measure_twins(error: np.ndarray, point: np.ndarray, links: Links) -> np.ndarray:
+    """Distances (k,) [m] between two readings that both look like a third, where these distances are known well."""
+    of, end = np.concatenate([links.one, links.other]), np.concatenate([links.other, links.one])
+    order = np.argsort(of, kind="stable")
+    same = np.diff(of[order]) == 0
+    first, second = end[order][:-1][same], end[order][1:][same]
+    known = ((error[first] - error[second]) ** 2).mean(axis=2).sum(axis=1)
+    sure = GATE * np.sqrt(known) < SURE_M
+    return np.linalg.norm(point[first[sure]] - point[second[sure]], axis=1)
+
+
+def _find_repeat(apart: np.ndarray) -> float:
+    """Distance [m] after which the world repeats, from well-known distances (k,) between look-alikes; 0: unknown."""
+    if len(apart) < ENOUGH:
+        return 0.0
+    far = np.sort(apart[apart > FAR_M])
+    few = int(np.ceil(REPEATS * len(apart)))
+    return float(far[few]) if len(far) > few else np.inf
+
+
+def find_parts(bars: Bars, links: Links, cut: np.ndarray, belief: Belief) -> np.ndarray:
+    """Part of the drive of each bar (B,): joints that are not ``cut`` (B - 1,) and closures connect it."""
+    joint = np.flatnonzero(~cut)
+    one = np.concatenate([joint, bars.row[links.one[belief.believed]]])
+    other = np.concatenate([joint + 1, bars.row[links.other[belief.believed]]])
+    size = len(bars.unknown)
+    graph = csr_array((np.ones(len(one)), (one, other)), shape=(size, size))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def find_contradicted(bars: Bars, part: np.ndarray, links: Links, belief: Belief) -> np.ndarray:
+    """Joints (B - 1,) bool at whose turn something is wrong: of the loop closures across it hardly any is believed."""
+    low, high = np.sort([bars.row[links.one], bars.row[links.other]], axis=0)
+    same = part[low] == part[high]
+
+    def count(chosen: np.ndarray) -> np.ndarray:
+        change = np.bincount(low[chosen], minlength=len(part)) - np.bincount(high[chosen], minlength=len(part))
+        return np.cumsum(change)[:-1]
+
+    across = count(same)
+    return (across >= CROSSING) & (count(same & belief.believed) < CONTRADICTED * across) & (np.diff(bars.segment) > 0)
+
+
+def find_doubted(bars: Bars, links: Links, belief: Belief) -> np.ndarray:
+    """Segments (L,) bool whose place most of their loop closures contradict."""
+    ends = bars.segment[bars.row[np.concatenate([links.one, links.other])]]
+    segments = bars.segment[-1] + 1
+    count = np.bincount(ends, minlength=segments)
+    agreed = np.bincount(ends, np.tile(belief.believed, 2), segments)
+    return (count >= FEW) & (agreed < HALF * count)

@@ -1,0 +1,295 @@
+"""An initial map by the compass: segments laid end to end along its headings, then refined by loop closures.
+
+The compass gives the differences of headings, the encoders the lengths, so the map can neither fold nor mirror. A loop
+closure says that two images were taken in almost one place, and how far the second is turned against the first. It is
+believed only within a gate: a few standard deviations of the distance between its two ends, from the covariance of the
+map itself, so that a place that only looks alike is never joined with one far away.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from deepgps.data.compass_turns import CompassTurns
+from deepgps.data.segments import Segments
+from deepgps.initial_map.compass.bars import SHARED, Bars, lay_out
+from deepgps.initial_map.compass.closures import (
+    GATE,
+    Belief,
+    Closures,
+    Links,
+    believe,
+    find_contradicted,
+    find_doubted,
+    find_parts,
+    limit_gate,
+    link,
+)
+from deepgps.initial_map.distances.join_parts import join_parts
+from deepgps.initial_map.distances.odometry import (
+    Joints,
+    Scale,
+    add_links,
+    add_odometry,
+    carry,
+    hold_length,
+    make_joints,
+    rescale,
+)
+from deepgps.initial_map.least_squares import SAMPLES, Equations
+
+NEIGHBOURS = 3
+ROUNDS, LATELY, GROWN = 20, 5, 0.1
+"""Most rounds after the map has grown. It grows while this part more loop closures are believed than ``LATELY`` rounds
+before: in a long drive, each drift can be seen only after shorter ones are mended."""
+ATTEMPTS = 10
+"""Times that parts are joined although they have come apart again when refined."""
+SETTLED_M, SETTLED = 0.001, 0.001
+"""The map is finished once no round moves it further than this [m], or changes this part of the closures believed."""
+CUT_RAD, CUT_M = 0.15, 0.5
+"""A turn, or a way between two segments, that is known less well cuts the drive into parts."""
+RECUTS = 3
+"""Times that turns which loop closures contradict are cut."""
+UNDERSTATED = 1.5
+"""Where lengths err so many times more than expected, the map is made again with shorter bars."""
+LARGEST_TURN = 0.5
+STAGES = 8
+"""Most stages of the map's making that are kept; the first rounds move it most, and most of these are kept."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The map after one round of its making.
+
+    Attributes:
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where they are unknown.
+        heading: Heading of the robot at each (N,) [rad].
+        believed: Which loop closures are believed (n,) bool.
+        number: Rounds before it; 0: as laid out along the compass headings.
+    """
+
+    places: np.ndarray
+    heading: np.ndarray
+    believed: np.ndarray
+    number: int
+
+
+@dataclass(frozen=True)
+class CompassMap:
+    """A map and how well it is known.
+
+    Attributes:
+        places: Positions of the camera at the observations (N, 2) [m]; NaN where nothing joins them to the rest.
+        heading: Heading of the robot at each (N,) [rad].
+        std: Standard deviation of each position along either axis, after alignment of the whole map (N,) [m].
+        error: Samples of the positions' errors after alignment (N, 2, SAMPLES) [m].
+        believed: Which loop closures are believed (n,) bool.
+        undecided: Observations that look-alikes would let lie elsewhere, or that nothing joins to the rest (N,) bool.
+        repeats_m: Distance after which the world repeats [m]; infinite: it does not repeat; 0: unknown.
+        shared: Curvature of what the robot drives for straight [1 / m], the camera's place ahead of the axle and to
+            its left [m] (3,).
+        shared_std: Their standard deviations (3,).
+        scale: How many times larger the errors of turns and lengths were than expected.
+        closures: The loop closures that were tried.
+        stages: How the map was made, its last stage last.
+    """
+
+    places: np.ndarray
+    heading: np.ndarray
+    std: np.ndarray
+    error: np.ndarray
+    believed: np.ndarray
+    undecided: np.ndarray
+    repeats_m: float
+    shared: np.ndarray
+    shared_std: np.ndarray
+    scale: Scale
+    closures: Closures
+    stages: tuple[Stage, ...]
+
+
+def find_compass_map(
+    segments: Segments,
+    turns: CompassTurns,
+    closures: Closures,
+    observations: int,
+    rng: np.random.Generator,
+    curvature: float = 0.0,
+) -> CompassMap:
+    """Lay the segments out, refine them with their loop closures, and join the parts of the drive.
+
+    Args:
+        segments: Weak constraints, all of them, in the order driven, with expected errors.
+        turns: Turns between them.
+        closures: Loop closures.
+        observations: Number of observations, N.
+        rng: Draws the samples of the map's errors.
+        curvature: Of what the robot drives for straight, as far as it is known before the map [1 / m].
+    """
+    bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
+    if fit.scale.length > UNDERSTATED:  # bars are too long for readings that err so much more
+        assert segments.variance is not None
+        variance, rounding_m2 = (part * fit.scale.length**2 for part in (segments.variance, segments.rounding_m2))
+        segments = replace(segments, variance=variance, rounding_m2=rounding_m2)
+        bars, links, fit = _find(segments, turns, closures, observations, rng, curvature)
+    return _describe(bars, links, fit, closures, observations, rng)
+
+
+def _find(
+    segments: Segments,
+    turns: CompassTurns,
+    closures: Closures,
+    observations: int,
+    rng: np.random.Generator,
+    curvature: float,
+) -> tuple[Bars, Links, "_Fit"]:
+    """Find the map, with turns that loop closures contradict cut."""
+    bars = lay_out(segments, turns, curvature)
+    joints, links = make_joints(bars, turns), link(bars, closures, observations)
+    cut = (joints.angle_std > CUT_RAD) | (joints.jump_std > CUT_M)
+    fit = _fit(bars, joints, links, cut, curvature, rng)
+    for _ in range(RECUTS):
+        wrong = find_contradicted(bars, fit.part, links, fit.belief) & ~cut
+        if not wrong.any():
+            break
+        cut, before = cut | wrong, fit.rounds
+        fit = _fit(bars, joints, links, cut, curvature, rng)
+        fit.rounds[:0] = before
+    return bars, links, fit
+
+
+@dataclass
+class _Fit:
+    """A fit of the bars: their parts (B,), samples of the unknowns' errors (count, SAMPLES), what is believed; and of
+    each round, positions (r, 2) and headings (r,) of the readings, and what is believed (m,).
+    """
+
+    part: np.ndarray
+    samples: np.ndarray
+    belief: Belief
+    scale: Scale
+    rounds: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
+
+    def keep(self, bars: Bars) -> None:
+        """Keep the round for the history of the map's making."""
+        _, heading, _, camera = bars.locate(slice(None))
+        self.rounds.append((camera.astype(np.float32), heading.astype(np.float32), self.belief.believed))
+
+
+def _fit(bars: Bars, joints: Joints, links: Links, cut: np.ndarray, curvature: float, rng: np.random.Generator) -> _Fit:
+    """Refine the parts between the joints ``cut`` (J,), and join them, until no more stay joined when refined."""
+    none = np.zeros(len(links.one), bool)
+    belief = Belief(none, np.ones(len(none)), np.ones(len(none)), np.inf)
+    fit = _Fit(np.append(0, np.cumsum(cut)), np.empty(0), belief, Scale())
+    fit.keep(bars)
+    fewest, attempts = len(cut) + 2, 0
+    while True:
+        _refine(fit, bars, joints, links, cut, curvature, rng)
+        parts = len(np.unique(fit.part))
+        attempts = 0 if parts < fewest else attempts + 1
+        if attempts == ATTEMPTS:
+            return fit
+        fewest, joined = min(parts, fewest), none.copy()
+        while (more := join_parts(bars, fit.part, links)).any():
+            joined |= more
+        if not joined.any():
+            return fit
+        fit.belief = fit.belief._replace(believed=fit.belief.believed | joined)
+
+
+def _refine(
+    fit: _Fit,
+    bars: Bars,
+    joints: Joints,
+    links: Links,
+    cut: np.ndarray,
+    curvature: float,
+    rng: np.random.Generator,
+) -> None:
+    """Move the bars by Gauss-Newton with robust weights until they rest, at first with narrow gates alone."""
+    narrow, believed, left = True, [0], ROUNDS
+    while left > 0:
+        fit.part = find_parts(bars, links, cut, fit.belief)
+        equations = Equations()
+        add_odometry(equations, bars, joints, fit.part, cut, curvature, fit.scale)
+        add_links(equations, bars, links, fit.belief)
+        move, fit.samples = equations.solve(*hold_length(bars, links, fit.belief), rng)
+        angles = move[:-SHARED].reshape(-1, 4)[:, 2:]
+        angles[...] = angles.clip(-LARGEST_TURN, LARGEST_TURN)
+        before = bars.camera
+        bars.move(move)
+        fit.belief = believe(bars, carry(bars, fit.samples), fit.part, links, narrow)
+        fit.scale = rescale(bars, joints, fit.part, cut, fit.samples, fit.scale)
+        fit.keep(bars)
+        believed.append(int(fit.belief.believed.sum()))
+        grows = believed[-1] > (1.0 + GROWN) * believed[max(-1 - LATELY, -len(believed))]
+        rests = np.abs(bars.camera - before).max() < SETTLED_M and abs(np.diff(believed[-2:])) <= SETTLED * believed[-1]
+        if rests and not narrow:
+            break
+        narrow = narrow and grows and not rests
+        left = ROUNDS if grows else left - 1
+
+
+def _describe(
+    bars: Bars, links: Links, fit: _Fit, closures: Closures, observations: int, rng: np.random.Generator
+) -> CompassMap:
+    part, belief, samples = fit.part, fit.belief, fit.samples
+    main = part[bars.row] == np.bincount(part[bars.row]).argmax()
+    places, heading = np.full((observations, 2), np.nan), np.full(observations, np.nan)
+    error = np.full((observations, 2, SAMPLES), np.nan)
+    seen, first = np.unique(bars.observation[main], return_index=True)  # at a turn: as it was before the turn
+    taken = np.flatnonzero(main)[first]
+    camera, heading[seen] = bars.camera[taken], bars.heading[taken]
+    places[seen] = camera
+    uneven = fit.scale.length * bars.draw_unevenness(SAMPLES, rng)
+    error[seen] = align_samples(camera, (carry(bars, samples) + uneven)[taken])
+    std = np.sqrt((error**2).mean(axis=2).sum(axis=1) / 2.0)
+    undecided = np.zeros(observations, bool)
+    undecided[bars.observation] = True  # an observation whose readings were all lost is no part of the map
+    undecided &= ~(GATE * np.sqrt(2.0) * std < limit_gate(belief.repeats_m))
+    doubted = find_doubted(bars, links, belief)
+    undecided[bars.observation[doubted[bars.segment[bars.row]]]] = True
+    stages = _thin_out(bars, links, fit, main, len(closures.first), observations)
+    shared_std = np.sqrt((samples[-SHARED:] ** 2).mean(axis=1))
+    return CompassMap(
+        places,
+        heading,
+        std,
+        error,
+        stages[-1].believed,
+        undecided,
+        belief.repeats_m,
+        bars.shared,
+        shared_std,
+        fit.scale,
+        closures,
+        stages,
+    )
+
+
+def _thin_out(
+    bars: Bars, links: Links, fit: _Fit, main: np.ndarray, closures: int, observations: int
+) -> tuple[Stage, ...]:
+    """At most ``STAGES`` of a fit's rounds, the first and the last among them; readings of the ``main`` part first."""
+    rounds = len(fit.rounds)
+    chosen = np.unique(np.geomspace(1, rounds, min(STAGES, rounds)).round().astype(int)) - 1
+    order = np.argsort(~main, kind="stable")
+    seen, first = np.unique(bars.observation[order], return_index=True)
+    first, stages = order[first], []
+    for number in chosen:
+        camera, direction, believed = fit.rounds[number]
+        places, heading = np.full((observations, 2), np.nan, np.float32), np.full(observations, np.nan, np.float32)
+        places[seen], heading[seen] = camera[first], direction[first]
+        of_all = np.zeros(closures, bool)
+        of_all[links.number] = believed
+        stages.append(Stage(places, heading, of_all, int(number)))
+    return tuple(stages)
+
+
+def align_samples(places: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Errors (r, 2, k) without the motion of the whole map that each sample contains."""
+    centred = places - places.mean(axis=0)
+    error = error - error.mean(axis=0)
+    about = np.stack([-centred[:, 1], centred[:, 0]], axis=1)
+    angle = np.einsum("ra,rak->k", about, error) / (about**2).sum()
+    return error - about[:, :, None] * angle

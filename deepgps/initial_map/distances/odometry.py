@@ -1,0 +1,198 @@
+"""The least squares of a map by compass: residuals of turns, lengths, loop closures and of what all bars share."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgps.data.compass_turns import CompassTurns
+from deepgps.initial_map.compass.bars import CONTINUED_M, CONTINUED_RAD, OF_AXLE, OF_CAMERA, SHARED, Bars, expand, turn
+from deepgps.initial_map.compass.closures import Belief, Links
+from deepgps.initial_map.least_squares import Equations
+from sim.geometry import wrap
+
+FIXED = 1e-4
+"""Standard deviation that holds a part's first bar in place: the map may move and turn freely [m], [rad]."""
+CURVATURE, MOUNT_M = 0.01, 0.05
+"""Standard deviations of the curvature [1 / m] and of the camera's place off the axle [m], before the map."""
+KNOWN = 20
+"""The expected errors count as much as so many residuals when these are rescaled."""
+OUTLIER = 9.0
+"""Squared residuals, in variances, count at most this much when errors are rescaled."""
+MOST = 4.0
+"""Errors are rescaled at most by this factor, up or down."""
+
+
+@dataclass(frozen=True)
+class Joints:
+    """How consecutive bars are joined; J = B - 1.
+
+    Attributes:
+        before: Last reading of the bar before each (J,).
+        after: First reading of the bar after each (J,).
+        new: Whether a segment ends there (J,) bool.
+        angle: Turn to the left (J,) [rad].
+        angle_std: Its standard deviation (J,) [rad].
+        jump: From the end of a bar to the beginning of the next, in the frame of the robot before (J, 2) [m].
+        jump_std: Its standard deviation along each axis (J,) [m].
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    new: np.ndarray
+    angle: np.ndarray
+    angle_std: np.ndarray
+    jump: np.ndarray
+    jump_std: np.ndarray
+
+
+class Scale(NamedTuple):
+    """Factors of the standard deviations of turns and lengths."""
+
+    turn: float = 1.0
+    length: float = 1.0
+
+
+def make_joints(bars: Bars, turns: CompassTurns) -> Joints:
+    """Joints of the bars of all segments, from the turns between these."""
+    return Joints(
+        bars.last[:-1],
+        bars.first[1:],
+        np.diff(bars.segment) > 0,
+        expand(bars, turns.angle, 0.0),
+        expand(bars, turns.angle_std, CONTINUED_RAD),
+        expand(bars, turns.jump, 0.0),
+        expand(bars, turns.jump_std, CONTINUED_M),
+    )
+
+
+def add_odometry(
+    equations: Equations, bars: Bars, joints: Joints, part: np.ndarray, cut: np.ndarray, curvature: float, scale: Scale
+) -> None:
+    """Add the residuals of turns, of bars that meet, of lengths and of what all share.
+
+    Args:
+        equations: To which they are added.
+        bars: The bars.
+        joints: How they are joined.
+        part: Part of the drive of each bar (B,): different parts are not joined, and each is held by its first bar.
+        cut: Joints whose turn, or way, says nothing (J,) bool.
+        curvature: Of what the robot drives for straight, before the map [1 / m].
+        scale: Factors of the standard deviations.
+    """
+    used = np.flatnonzero((np.diff(part) == 0) & ~cut)
+    before, after = joints.before[used], joints.after[used]
+    turn_std = joints.angle_std[used] * np.where(joints.new[used], scale.turn, 1.0)
+    _add_turns(equations, bars, before, after, joints.angle[used], 1.0 / turn_std)
+    begin, end = bars.locate(after), bars.locate(before)
+    apart = begin.axle - end.axle - turn(end.heading, joints.jump[used])
+    _add_pairs(equations, bars, after, before, apart, 1.0 / joints.jump_std[used], OF_AXLE)
+    lengths = 4 * np.arange(len(bars.unknown))[:, None] + 3
+    equations.add(lengths, np.ones(1), bars.unknown[:, 3], 1.0 / (bars.scale_std * scale.length))
+    _, held = np.unique(part, return_index=True)
+    fixed = (4 * held[:, None] + np.arange(3)).reshape(-1, 1)
+    equations.add(fixed, np.ones(1), np.zeros(len(fixed)), np.full(len(fixed), 1.0 / FIXED))
+    shared = bars.unknown.size + np.arange(SHARED)[:, None]
+    prior = 1.0 / np.array([CURVATURE, MOUNT_M, MOUNT_M])
+    equations.add(shared, np.ones(1), bars.shared - np.array([curvature, 0.0, 0.0]), prior)
+
+
+def add_links(equations: Equations, bars: Bars, links: Links, belief: Belief) -> None:
+    """Add the positions and relative headings of the loop closures that are believed."""
+    used = np.flatnonzero(belief.believed)
+    one, other = links.one[used], links.other[used]
+    weight = np.sqrt(belief.place[used] / links.variance[used])
+    apart = bars.locate(one).camera - bars.locate(other).camera
+    _add_pairs(equations, bars, one, other, apart, weight, OF_CAMERA)
+    used = used[np.isfinite(links.turn[used])]
+    weight = np.sqrt(belief.turn[used]) / links.turn_std[used]
+    _add_turns(equations, bars, links.one[used], links.other[used], links.turn[used], weight)
+
+
+def rescale(bars: Bars, joints: Joints, part: np.ndarray, cut: np.ndarray, samples: np.ndarray, scale: Scale) -> Scale:
+    """Rescale the expected errors of turns and lengths by the residuals that the loop closures left.
+
+    A residual's expected square is its variance minus what remains uncertain after the fit (variance components:
+    Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und Kovarianzkomponenten", 1979).
+    """
+    used = np.flatnonzero((np.diff(part) == 0) & ~cut & joints.new)
+    before, after = joints.before[used], joints.after[used]
+    residual = wrap(bars.locate(after).heading - bars.locate(before).heading - joints.angle[used])
+    left = _carry_headings(bars, samples, after) - _carry_headings(bars, samples, before)
+    turn_scale = _rescale(residual, left, joints.angle_std[used], scale.turn)
+    moved = samples[:-SHARED].reshape(*bars.unknown.shape, -1)[:, 3]
+    return Scale(turn_scale, _rescale(bars.unknown[:, 3], moved, bars.scale_std, scale.length))
+
+
+def _rescale(residual: np.ndarray, left: np.ndarray, std: np.ndarray, scale: float) -> float:
+    variance = (scale * std) ** 2
+    redundant = (1.0 - (left**2).mean(axis=1) / variance).clip(0.0, 1.0)
+    squared = np.minimum(residual**2 / variance, OUTLIER)
+    # in units of the errors as expected, whose weight is that of KNOWN residuals
+    factor = (squared.sum() * scale**2 + KNOWN) / (redundant.sum() + KNOWN)
+    return float(np.clip(np.sqrt(factor), 1.0 / MOST, MOST))
+
+
+def hold_length(bars: Bars, links: Links, belief: Belief) -> tuple[np.ndarray, float]:
+    """Derivative (count,) of the total length of the bars, and by how much it exceeds the distance driven [m].
+
+    Both ends of a loop closure are a few centimetres apart, and loop closures that pull them together would shrink a
+    map whose lengths are free. Only bars that a loop closure pulls count: a loose one would take up what the others
+    lack.
+    """
+    pulled = np.zeros(len(bars.unknown))
+    for end in (links.one, links.other):
+        pulled[bars.row[end[belief.believed]]] = 1.0
+    length, scale = pulled * bars.along[bars.last], np.exp(bars.unknown[:, 3])
+    held = np.zeros(bars.count)
+    held[3:-SHARED:4] = length * scale
+    return held, float(length @ (scale - 1.0))
+
+
+def carry(bars: Bars, samples: np.ndarray) -> np.ndarray:
+    """Samples of the errors of readings' positions (r, 2, SAMPLES) [m] from those of the unknowns."""
+    values = bars.derive(np.arange(len(bars.row)))[1][..., None]
+    moved, shared = samples[:-SHARED].reshape(*bars.unknown.shape, -1), samples[-SHARED:]
+    error = moved[bars.row, :2] + values[:, :, 3:, 0] @ shared
+    for number in (2, 3):
+        error += values[:, :, number - 1] * moved[bars.row, None, number]
+    return error
+
+
+def _carry_headings(bars: Bars, samples: np.ndarray, reading: np.ndarray) -> np.ndarray:
+    columns, values = bars.derive_heading(reading)
+    return np.einsum("nk,nks->ns", values, samples[columns])
+
+
+def _add_turns(
+    equations: Equations, bars: Bars, one: np.ndarray, other: np.ndarray, angle: np.ndarray, weight: np.ndarray
+) -> None:
+    """Add the angles from the readings ``one`` to ``other`` (n,) minus ``angle`` (n,) [rad]."""
+    (columns, values), (columns_other, values_other) = bars.derive_heading(one), bars.derive_heading(other)
+    residual = wrap(bars.locate(other).heading - bars.locate(one).heading - angle)
+    equations.add(
+        np.concatenate([columns_other, columns], axis=1),
+        np.concatenate([values_other, -values], axis=1),
+        residual,
+        weight,
+    )
+
+
+def _add_pairs(
+    equations: Equations,
+    bars: Bars,
+    one: np.ndarray,
+    other: np.ndarray,
+    apart: np.ndarray,
+    weight: np.ndarray,
+    depends_on: slice,
+) -> None:
+    """Add residuals ``apart`` (n, 2) [m], which depend on the difference of the places of two readings."""
+    (columns, values), (columns_other, values_other) = bars.derive(one), bars.derive(other)
+    for axis in range(2):
+        equations.add(
+            np.concatenate([columns[:, axis, depends_on], columns_other[:, axis, depends_on]], axis=1),
+            np.concatenate([values[:, axis, depends_on], -values_other[:, axis, depends_on]], axis=1),
+            apart[:, axis],
+            weight,
+        )

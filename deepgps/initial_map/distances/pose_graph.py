@@ -1,0 +1,159 @@
+"""Refinement of an initial map: segments as rigid bars, connected by loop closures (Lu and Milios 1997).
+
+A straight segment is a bar with its observations at the distances travelled; its unknowns are its middle (x, y) and
+heading. Where a segment begins at the end of the last one, the two bars meet; at a loop closure, the two observations
+nearly coincide. A few loop closures are false, such as the undersides of two desks: they lose their weight as the scale
+of the robust weights shrinks (graduated non-convexity with Geman and McClure's cost; Yang et al. 2020).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array, eye_array
+
+from deepgps.data.segments import Segments, measure_spacing
+from deepgps.initial_map.distances.isomap import LoopClosures
+from deepgps.initial_map.least_squares import factorise
+
+ROUNDS = 12
+BELIEVED_FIRST, BELIEVED_LAST = 32.0, 1.0
+"""Scale of the robust weights in the first and the last round, in steps between readings."""
+LOOK, MEET = 0.25, 0.06
+"""Standard deviations of a loop closure at distance zero and of two bars that meet, in steps between readings."""
+LARGEST_TURN = 0.5
+DAMPING = 1e-9
+
+
+class PoseGraph(NamedTuple):
+    """Readings on bars, and the pairs of them that should coincide.
+
+    Attributes:
+        observation: Observation of each reading (r,).
+        along: Distance of each from the mean of its segment's readings (r,) [m].
+        bar: Bar of each, counted from 0 (r,).
+        a: First reading of each pair (p,).
+        b: Second reading of each pair (p,).
+        firm: Whether the two are one observation, at which two bars meet, and not a loop closure (p,) bool.
+        weight: Inverse expected squared distance of each pair (p,) [1 / m^2].
+        step: Median distance between consecutive readings [m].
+    """
+
+    observation: np.ndarray
+    along: np.ndarray
+    bar: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    firm: np.ndarray
+    weight: np.ndarray
+    step: float
+
+
+def relax(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tuple[np.ndarray, float]:
+    """Move all segments, as rigid bars, to where they fit one another.
+
+    Minimises ``sum_l w_l |p_i - p_j|^2`` over each bar's middle and heading by Gauss-Newton, with
+    ``w_l = s_l^-2 (1 + |p_i - p_j|^2 / b^2)^-2``, ``s_l`` the expected difference and ``b`` the scale. Two bars always
+    meet in an observation that they share: there ``w_l = s_l^-2``.
+
+    Args:
+        places: Initial positions of the observations (N, 2) [m]; those that are NaN stay NaN.
+        segments: Weak constraints.
+        closures: Loop closures, each pair in both orders.
+
+    Returns:
+        Positions (N, 2) float64 [m]; observations on no segment keep theirs. And the cost, the sum of
+        ``s_l^-2 |p_i - p_j|^2 / (1 + |p_i - p_j|^2 / b^2)`` with the last b, without the divisor where two bars meet.
+    """
+    graph = build_pose_graph(segments, closures, np.asarray(np.isfinite(places).all(axis=1)))
+    middle, heading = lay_bars(places[graph.observation], graph)
+    for believed in graph.step * np.geomspace(BELIEVED_FIRST, BELIEVED_LAST, ROUNDS):
+        ahead = point_along(heading, graph, graph.along)
+        apart = (middle[graph.bar] + ahead)[graph.a] - (middle[graph.bar] + ahead)[graph.b]
+        jacobian, trust = derive_apart(graph, move_rigidly(ahead)), np.tile(weigh(graph, apart, believed), 2)
+        pull = jacobian.T @ (trust * apart.T.ravel())
+        move = -factorise(make_normal(jacobian, trust)).solve(pull).reshape(-1, 3)
+        middle += move[:, :2]
+        heading += move[:, 2].clip(-LARGEST_TURN, LARGEST_TURN)
+    point = middle[graph.bar] + point_along(heading, graph, graph.along)
+    squared = ((point[graph.a] - point[graph.b]) ** 2).sum(axis=1)
+    robust = np.where(graph.firm, squared, squared / (1.0 + squared / (BELIEVED_LAST * graph.step) ** 2))
+    found = np.array(places, float)
+    found[graph.observation] = point
+    return found, float((graph.weight * robust).sum())
+
+
+def build_pose_graph(segments: Segments, closures: LoopClosures, placed: np.ndarray) -> PoseGraph:
+    """Bars and pairs of readings among the observations ``placed`` (N,) bool. Arguments as in ``relax``."""
+    index = segments.index.numpy()
+    row, column = np.nonzero(segments.valid.numpy() & placed[index])
+    observation, along = index[row, column], _from_middle(segments)[row, column]
+    bar = np.unique(row, return_inverse=True)[1]
+    step = measure_spacing(np.diff(along)[np.diff(bar) == 0])
+    reading = np.full(len(placed), -1)
+    reading[observation[::-1]] = np.arange(len(bar))[::-1]
+    meet = np.flatnonzero(reading[observation] != np.arange(len(bar)))
+    first, second, length = closures
+    known = (reading[first] >= 0) & (reading[second] >= 0) & (first < second)
+    a = np.concatenate([reading[first[known]], reading[observation[meet]]])
+    b = np.concatenate([reading[second[known]], meet])
+    firm = np.arange(len(a)) >= known.sum()
+    weight = 1.0 / np.where(firm, (MEET * step) ** 2, (LOOK * step) ** 2 + np.pad(length[known], (0, len(meet))) ** 2)
+    return PoseGraph(observation, along, bar, a, b, firm, weight, step)
+
+
+def _from_middle(segments: Segments) -> np.ndarray:
+    """Distance of each reading from the mean of its segment's readings (L, longest) [m]."""
+    valid = segments.valid
+    distance = segments.distance.double() * valid
+    return (distance - (distance.sum(dim=1) / segments.count)[:, None]).numpy()
+
+
+def lay_bars(point: np.ndarray, graph: PoseGraph) -> tuple[np.ndarray, np.ndarray]:
+    """Middle (L, 2) [m] and heading (L,) [rad] of the bars that fit the readings' points (r, 2) best."""
+    bar, count = graph.bar, np.bincount(graph.bar)
+    middle = np.stack([np.bincount(bar, point[:, axis]) / count for axis in range(2)], axis=1)
+    pull = [np.bincount(bar, graph.along * point[:, axis]) for axis in range(2)]
+    return middle, np.arctan2(pull[1], pull[0])
+
+
+def point_along(heading: np.ndarray, graph: PoseGraph, way: np.ndarray) -> np.ndarray:
+    """Offsets (r, 2) [m] of readings that are ``way`` (r,) [m] ahead of the middle of their bars."""
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)[graph.bar] * way[:, None]
+
+
+def move_rigidly(ahead: np.ndarray) -> np.ndarray:
+    """How readings at offsets (r, 2) from their bars' middles move with x, y [m] and heading [rad] (r, 2, 3)."""
+    one, none = np.ones(len(ahead)), np.zeros(len(ahead))
+    return np.stack([one, none, -ahead[:, 1], none, one, ahead[:, 0]], axis=1).reshape(-1, 2, 3)
+
+
+def derive_apart(graph: PoseGraph, moves: np.ndarray) -> csc_array:
+    """Derivatives (2 p, k L) of the differences of all pairs, in x and then in y.
+
+    Args:
+        graph: Bars and pairs.
+        moves: How each reading moves with each of its bar's k unknowns (r, 2, k).
+    """
+    (_, _, unknowns), pairs, bars = moves.shape, len(graph.a), int(graph.bar[-1]) + 1
+    columns = unknowns * graph.bar[:, None] + np.arange(unknowns)
+    columns = np.tile(np.concatenate([columns[graph.a], columns[graph.b]], axis=1), (2, 1))
+    values = np.concatenate([moves[graph.a], -moves[graph.b]], axis=2).transpose(1, 0, 2)
+    rows = np.repeat(np.arange(2 * pairs), 2 * unknowns)
+    derived = csc_array((values.ravel(), (rows, columns.ravel())), shape=(2 * pairs, unknowns * bars))
+    derived.eliminate_zeros()
+    return derived
+
+
+def make_normal(jacobian: csc_array, trust: np.ndarray) -> csc_array:
+    """Normal equations of residuals with weights (n,), damped, because the map may move and turn freely.
+
+    So a bar that no link reaches stays, even if there is no link.
+    """
+    normal = (jacobian.T @ jacobian.multiply(trust[:, None]).tocsc()).tocsc()
+    return normal + DAMPING * (normal.diagonal().max() or 1.0) * eye_array(normal.shape[0], format="csc")
+
+
+def weigh(graph: PoseGraph, apart: np.ndarray, believed: float) -> np.ndarray:
+    """Robust weights (p,) [1 / m^2] of pairs that are ``apart`` (p, 2) [m], by the scale ``believed`` [m]."""
+    robust = (1.0 + (apart**2).sum(axis=1) / believed**2) ** -2
+    return graph.weight * np.where(graph.firm, 1.0, robust)

@@ -1,0 +1,35 @@
+"""The second stage of a run: train its methods. What is trained already stays."""
+
+from pathlib import Path
+
+from deepgps.config.scenario import Scenario
+from deepgps.runs.timing import timed
+from deepgps.terminal.progress import Report
+from sim.recording.format import is_whole, open_recording
+
+
+def ask_for_device(scenario: Scenario, folder: Path) -> None:
+    """Raise InputError if the recording is still to be made and the device for training on it does not exist here."""
+    if scenario.learn.train.device.startswith("cuda") and not is_whole(folder / "recording"):
+        from deepgps.learning.trainer import choose_device
+
+        choose_device(scenario.learn.train.device)
+
+
+def train(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Train each method that is not trained yet."""
+    from deepgps.config.methods import folder_of
+    from deepgps.methods.fit import fit_method
+    from deepgps.positioner.stored_positioner import is_finished
+
+    recording = open_recording(folder / "recording")
+    seed = training_seed(scenario)
+    for method in scenario.methods:
+        place = folder_of(folder, method)
+        with timed(folder, f"train {method}", done=is_finished(place)):
+            fit_method(method, recording, scenario.learn, seed, place, progress)
+
+
+def training_seed(scenario: Scenario) -> int:
+    """The seed of weights and shuffling: the scenario's, unless learning has one of its own."""
+    return scenario.seed if scenario.learn.seed is None else scenario.learn.seed

@@ -1,0 +1,99 @@
+"""Whole poses of observations: position and yaw, each with a standard deviation."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of, headings_of
+from sim.alignment import Alignment
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Where B observations were taken, and which way the robot looked.
+
+    Only methods on polar images tell more than a position. The yaw is NaN where an image shows no direction, and the
+    other yaw is NaN where the image leaves no second hypothesis.
+
+    Attributes:
+        position: Positions x, y (B, 2) [m].
+        position_std: Standard deviation along each axis (B,) [m]: how far the training images near by are from the
+            straight lines driven. It knows nothing of places that look alike. None: unknown.
+        yaw: Counter-clockwise from x (B,) [rad]; None: the method gives no yaw.
+        yaw_std: Its standard deviation if the hypothesis is right (B,) [rad]; None like ``yaw``.
+        yaw_weight: Share of the stored images near by and of those most alike that agree on the yaw (B,); low where a
+            place is new or looks like another. None like ``yaw``.
+        other_yaw: Second hypothesis of the yaw (B,) [rad]; None like ``yaw``.
+        other_weight: Its share (B,), 0 where there is none; None like ``yaw``.
+        novelty: How unlike the training images near by each image is, as a distance on the map (B,) [m]; None: the
+            method does not say.
+        radius_68: Radius of the circle that holds the true position with a probability of 68 % (B,) [m]; None: unknown.
+        radius_95: The same for 95 % (B,) [m]; None: unknown.
+        accepted: Whether the novelty is one that images of the drive have (B,) bool; positions of the others should not
+            be used. None: the method accepts all.
+    """
+
+    position: np.ndarray
+    position_std: np.ndarray | None = None
+    yaw: np.ndarray | None = None
+    yaw_std: np.ndarray | None = None
+    yaw_weight: np.ndarray | None = None
+    other_yaw: np.ndarray | None = None
+    other_weight: np.ndarray | None = None
+    novelty: np.ndarray | None = None
+    radius_68: np.ndarray | None = None
+    radius_95: np.ndarray | None = None
+    accepted: np.ndarray | None = None
+
+    def align(self, alignment: Alignment) -> "Poses":
+        """The same poses in the frame that an alignment leads to."""
+        yaw, other = (None if one is None else alignment.turn(one) for one in (self.yaw, self.other_yaw))
+        return replace(self, position=alignment.apply(self.position), yaw=yaw, other_yaw=other)
+
+    def take(self, index: int | np.ndarray) -> "Poses":
+        """One of the poses, without the axis B, or some."""
+        return replace(self, **{name: part[index] for name, part in vars(self).items() if part is not None})
+
+
+def find_poses(positioner: Positioner, observations: np.ndarray) -> Poses:
+    """Poses of observations (B, ...) in the method's own frame."""
+    table = confidence_of(positioner)
+    if table is None or not isinstance(positioner, FeaturePositioner):
+        return _add_yaw(positioner, observations, locate_camera(positioner, observations))
+    camera, features = positioner.locate_with_features(observations)
+    trust = table.find(features, camera)
+    known = np.isfinite(trust.radius).all()
+    return replace(
+        _add_yaw(positioner, observations, camera),
+        novelty=trust.novelty,
+        accepted=trust.accepted,
+        radius_68=trust.radius[:, 0] if known else None,
+        radius_95=trust.radius[:, 1] if known else None,
+    )
+
+
+def locate_camera(positioner: Positioner, observations: np.ndarray) -> np.ndarray:
+    """Positions of the camera (B, 2) [m] in the method's frame; a network's own positions may be the axle's."""
+    network = isinstance(positioner, NetworkPositioner)
+    return positioner.locate_camera(observations) if network else positioner(observations)
+
+
+def _add_yaw(positioner: Positioner, observations: np.ndarray, camera: np.ndarray) -> Poses:
+    """Poses of observations taken where the camera is at (B, 2) [m]."""
+    headings = headings_of(positioner)
+    if headings is None:
+        return Poses(camera)
+    if isinstance(positioner, NetworkPositioner):
+        found = positioner.find_yaws(observations, camera)
+        position = positioner.leave_camera(camera, found.yaw[:, 0])
+    else:
+        position, found = camera, headings.find(observations, camera)
+    return Poses(
+        position,
+        headings.find_position_std(camera),
+        found.yaw[:, 0],
+        found.std[:, 0],
+        found.weight[:, 0],
+        found.yaw[:, 1],
+        found.weight[:, 1],
+    )

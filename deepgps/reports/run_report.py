@@ -1,0 +1,297 @@
+"""A run's results as text: one table with sentences, for the terminal, for the recording and for a report."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepgps.config.methods import folder_of, title_of
+from deepgps.data.plausible_readings import describe_readings
+from deepgps.evaluation.error_field import MEASURE_AGAIN
+from deepgps.reports import markdown
+from deepgps.reports.verdict import judge_run
+from deepgps.reports.without_truth import print_without_truth, write_hundredths
+from deepgps.runs.run_folder import METRICS
+from deepgps.tracking.words import describe_causes
+from sim.errors import DamagedError, InputError
+from sim.files.json_files import read_json
+from sim.renamed import name_methods
+
+Row = tuple[str, ...]
+
+Column = tuple[str, str, Callable[[Any], str]]
+# heading, key in metrics.json, function that formats a value
+COLUMNS: tuple[Column, ...] = (
+    ("RMS [cm]", "rms_m", write_hundredths),
+    ("median [cm]", "median_m", write_hundredths),
+    ("p75 [cm]", "p75_m", write_hundredths),
+    ("p95 [cm]", "p95_m", write_hundredths),
+    ("max [cm]", "max_m", write_hundredths),
+    ("yaw [deg]", "yaw_rms_deg", lambda value: f"{value:.1f}"),
+    ("RMS / side", "relative_rms", lambda value: f"{100 * value:.2f} %"),
+    ("scale", "scale", lambda value: f"{value:.4f}"),
+    ("align", "alignment", str),
+    ("train [s]", "train_s", lambda value: f"{value:.1f}"),
+)
+VISIBLE_DEG = 0.1
+"""Smallest lean of the camera that is reported [deg]."""
+OVERVIEW = tuple(column for column in COLUMNS if column[1] in {"rms_m", "median_m", "max_m", "relative_rms"})
+
+
+def read_metrics(run: Path) -> dict[str, Any]:
+    """Read a run's metrics.json; raises InputError for a folder that holds no run or broken metrics."""
+    path = run / METRICS
+    if not path.is_file():
+        raise InputError(f"{run} is not a run: it has no metrics.json (deepgps run writes one)")
+    try:
+        metrics = read_json(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
+    if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
+        raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
+    return {**metrics, "methods": name_methods(metrics["methods"])}
+
+
+def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
+    """Headings and one row per method, with a dash for a figure that a method does not have.
+
+    Below the row of a method that refuses images is one with the same errors of what it accepts.
+    """
+    columns = [column for column in columns if column[1] != "yaw_rms_deg" or _has_yaw(metrics)]
+    headings = ("method", *(heading for heading, _, _ in columns))
+    return headings, [row for name, values in metrics["methods"].items() for row in _rows(name, values, columns)]
+
+
+def describe_time(times: Mapping[str, float]) -> str:
+    """Describe in a sentence how long each stage took."""
+    parts = ", ".join(f"{name} {float(value):.1f} s" for name, value in times.items())
+    return f"Time: {parts}; {sum(times.values()):.1f} s in all."
+
+
+def read_times(run: Path, metrics: Mapping[str, Any]) -> dict[str, float]:
+    """Seconds of each stage of a run in all sittings; if ``timing.json`` cannot be read, those in the metrics."""
+    try:
+        stored = {name: float(value) for name, value in read_json(run / "timing.json").items()}
+    except (OSError, ValueError, TypeError, AttributeError):
+        return dict(metrics["timing_s"])
+    times: dict[str, float] = {}
+    for name, seconds in stored.items():
+        stage = name.partition(" ")[0]  # a training is timed as "train" and its method
+        times[stage] = times.get(stage, 0.0) + seconds
+    return times
+
+
+def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = None) -> list[str]:
+    """Describe the drive, the encoders, the coverage, what is accepted, the camera, the drive in use and the time.
+
+    Args:
+        metrics: Contents of ``metrics.json``.
+        times: Seconds of each stage; none: those in the metrics, which do not include ``show``.
+    """
+    coverage = metrics["coverage"]
+    seen, reachable = coverage["cells_seen"], coverage["reachable_cells"]
+    places = "test samples" if _is_held_out(metrics) else "reachable test positions"
+    sentences = [
+        f"{metrics['samples']} observations on {metrics['segments']} straight segments, "
+        f"{metrics['distance_driven_m']:.0f} m driven; the room's shorter side is {metrics['shorter_side_m']:.2f} m.",
+        f"{seen} of {reachable} {places} ({100 * seen / max(reachable, 1):.1f} %) are within "
+        "0.25 m of a training observation.",
+        describe_time(metrics["timing_s"] if times is None else times),
+    ]
+    if trajectory := metrics.get("trajectory"):
+        error = f"RMS {trajectory['rms_m']:.2f} m, at most {trajectory['max_m']:.2f} m"
+        sentences.insert(1, f"The dead-reckoned path, best aligned with the true one, is off by {error}.")
+    if distances := metrics.get("distances"):
+        measured, expected = (f"{100 * distances[f'segment_{name}']:.2f} cm" for name in ("rms_m", "expected_m"))
+        sentences.insert(
+            1,
+            f"The encoders' segment lengths have an RMS error of {measured}; theory predicts {expected}."
+            f"{_describe_wrong(distances)}",
+        )
+    sentences[-1:-1] = [
+        *_describe_accepted(metrics["methods"]),
+        *_describe_maps(metrics["methods"]),
+        *_describe_leans(metrics["methods"]),
+        *_describe_in_use(metrics),
+    ]
+    if left_out := describe_readings(metrics.get("readings", {})):
+        sentences.insert(1, left_out)
+    return sentences
+
+
+def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
+    """Describe in a sentence which readings training left out or repaired; None: nothing."""
+    counts = (read_json(folder_of(run, method) / "training.json").get("readings", {}) for method in methods)
+    return next(filter(None, map(describe_readings, counts)), None)
+
+
+def describe_errors(metrics: Mapping[str, Any]) -> str:
+    """Describe in a sentence where the errors were measured and how predictions were aligned."""
+    where = "at test samples of the same drive" if _is_held_out(metrics) else "on the test grid"
+    worst = "" if metrics.get("test", {}).get("headings") == 1 else " for the worst heading of each position"
+    return f"Errors {where}{worst}; aligned on training samples, never scaled."
+
+
+def markdown_table(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> str:
+    """The methods' figures as a Markdown table."""
+    return markdown.tabulate(*tabulate(metrics, columns))
+
+
+def markdown_report(metrics: Mapping[str, Any]) -> str:
+    """The complete report in Markdown: title, table, sentences about the drive, environment."""
+    environment = [f"- {name}: {_plain(value)}" for name, value in metrics["environment"].items()]
+    return "\n".join(
+        [
+            f"# {metrics['scenario']}, seed {metrics['seed']}",
+            "",
+            markdown_table(metrics),
+            "",
+            describe_errors(metrics),
+            "",
+            *(f"- **{sentence}**" for sentence in judge_run(metrics)),
+            *(f"- {sentence}" for sentence in describe(metrics)),
+            "",
+            "## Environment",
+            "",
+            *environment,
+            "",
+        ]
+    )
+
+
+def print_report(run: Path, console: Console, sitting_s: float | None = None) -> None:
+    """Print a run's table and the sentences under it.
+
+    Args:
+        run: The run folder.
+        console: Where to print.
+        sitting_s: Seconds since the command began, including its start-up and the time between stages.
+
+    Raises:
+        InputError: The folder holds no run.
+    """
+    if not (run / METRICS).is_file() and print_without_truth(run, console):
+        return
+    metrics = read_metrics(run)
+    headings, rows = tabulate(metrics)
+    title = f"{metrics['scenario']}, seed {metrics['seed']}"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=0, show_edge=False)
+    for index, heading in enumerate(headings):
+        # the unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
+        table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
+    for row in rows:
+        table.add_row(*map(escape, row), style="bold" if row[0] == title_of("deepgps") else None)
+    console.print(table)
+    console.print()
+    for sentence in describe(metrics, read_times(run, metrics)):
+        console.print(sentence, markup=False, highlight=False)
+    for sentence in judge_run(metrics):
+        console.print(sentence, style="yellow", markup=False, soft_wrap=True)
+    if sitting_s is not None:
+        console.print(f"This command took {sitting_s:.1f} s, its start included.", highlight=False)
+
+
+def _describe_accepted(methods: Mapping[str, Any]) -> list[str]:
+    """What each method accepts, and how often its radii hold the true position of that."""
+    return [
+        *_list_shares("Accepted images (places)", methods, ("accepted", "accepted_places"), 1),
+        *_list_shares(
+            "Accepted images within their 68 % radius (95 %)", methods, ("radius_68_holds", "radius_95_holds"), 0
+        ),
+    ]
+
+
+def _list_shares(what: str, methods: Mapping[str, Any], keys: tuple[str, str], digits: int) -> list[str]:
+    """A sentence with two shares of each method that has both; none where no method has."""
+    both = {name: [values.get(key) for key in keys] for name, values in methods.items()}
+    parts = [
+        f"{title_of(name)} {100 * first:.{digits}f} % ({100 * second:.{digits}f} %)"
+        for name, (first, second) in both.items()
+        if first is not None and second is not None
+    ]
+    return [f"{what}: {'; '.join(parts)}."] if parts else []
+
+
+def _describe_maps(methods: Mapping[str, Any]) -> list[str]:
+    """Errors of the initial maps that know how good they are, beside what they expect of themselves."""
+    maps = ((name, values.get("map", {})) for name, values in methods.items())
+    return [
+        f"The initial map of {title_of(name)} has an RMS error of {100 * found['rms_m']:.2f} cm; from its turns, "
+        f"encoders and loop closures, {100 * found['expected_rms_m']:.2f} cm are expected."
+        for name, found in maps
+        if "rms_m" in found
+    ]
+
+
+def _describe_leans(methods: Mapping[str, Any]) -> list[str]:
+    """How the camera leans, in training and in use, by the first method that measures it, if it does so visibly."""
+    leans = ((values, values.get("in_use", {})) for values in methods.values() if "lean_roll_deg" in values)
+    trained, in_use = next(leans, ({}, {}))
+    found = {where: _read_lean(some) for where, some in (("training", trained), ("use", in_use))}
+    if not any(lean and max(map(abs, lean)) >= VISIBLE_DEG for lean in found.values()):
+        return []
+    parts = (
+        f"{lean[0]:.2f}° to the right and {lean[1]:.2f}° forward in {where}" for where, lean in found.items() if lean
+    )
+    return [f"By its turns, the camera leans {', '.join(parts)}."]
+
+
+def _read_lean(values: Mapping[str, Any]) -> tuple[float, float] | None:
+    return (values["lean_roll_deg"], values["lean_pitch_deg"]) if "lean_roll_deg" in values else None
+
+
+def _describe_in_use(metrics: Mapping[str, Any]) -> list[str]:
+    """Errors on the images of the drive in use, if there was one, and what the first method that tells says of it."""
+    found = {name: values["in_use"] for name, values in metrics["methods"].items() if "in_use" in values}
+    if not found:
+        return []
+    parts = (f"{title_of(name)} {_describe_errors_in_use(values)}" for name, values in found.items())
+    errors = f"RMS (median) on the {metrics['in_use']['samples']} images of the drive in use [cm]: {'; '.join(parts)}."
+    causes = (describe_causes(values["causes"]) for values in found.values() if "causes" in values)
+    return [errors, *islice(causes, 1)]
+
+
+def _describe_errors_in_use(values: Mapping[str, Any]) -> str:
+    of_all = f"{write_hundredths(values['rms_m'])} ({write_hundredths(values['median_m'])})"
+    if values.get("rms_accepted_m") is None:
+        return of_all
+    accepted = f"{write_hundredths(values['rms_accepted_m'])} ({write_hundredths(values['median_accepted_m'])})"
+    return f"{of_all}, of the {100 * values['accepted']:.1f} % accepted {accepted}"
+
+
+def _describe_wrong(distances: Mapping[str, Any]) -> str:
+    if not (wrong := distances["segments_wrong"]):
+        return ""
+    found = distances["wrong_doubted"]
+    return f" {wrong} segments have larger errors than noise explains; disagreement of the wheels reveals {found}."
+
+
+def _has_yaw(metrics: Mapping[str, Any]) -> bool:
+    return any("yaw_rms_deg" in values for values in metrics["methods"].values())
+
+
+def _is_held_out(metrics: Mapping[str, Any]) -> bool:
+    return metrics.get("test", {}).get("held_out", False)  # older runs do not say
+
+
+def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> list[Row]:
+    """A method's figures; if it refuses images, also those of what it accepts."""
+    of_all = (form(values[key]) if values.get(key) is not None else "-" for _, key, form in columns)
+    rows = [(title_of(name), *of_all)]
+    if values.get("accepted") is not None:
+        keys = ("_accepted_".join(key.rpartition("_")[::2]) for _, key, _ in columns)  # of rms_m: rms_accepted_m
+        accepted = (values.get(key) for key in keys)
+        figures = ("" if value is None else form(value) for value, (*_, form) in zip(accepted, columns, strict=True))
+        rows.append((f" {100 * values['accepted']:.3g} % accepted", *figures))
+    return rows
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {item}" for name, item in value.items())
+    return str(value)

@@ -1,0 +1,133 @@
+"""The figures by which a study is judged, with their intervals, their targets and the paper's figures."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from deepgps.reports.markdown import tabulate
+
+LEVEL, LEAST_VALUES, RESAMPLES = 0.95, 5, 9999
+"""Of intervals; with fewer values than this, a figure has none."""
+
+# unit -> factor, digits, suffix
+FORMS = {
+    "cm": (100, 1, " cm"),
+    "mm": (1000, 2, " mm"),
+    "s": (1, 0, " s"),
+    "%": (100, 1, " %"),
+    "": (1, 2, ""),
+    "count": (1, 0, ""),
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One figure that may have a target.
+
+    Attributes:
+        title: What it measures.
+        value: Its value in metres, in seconds or as a ratio; none: there was nothing to compute it from.
+        unit: The unit in which it is written, one of ``FORMS``.
+        at_least: Whether a target is a minimum rather than a maximum.
+        worst: The worst of the values behind it, where meaningful.
+        interval: Its 95 % interval, where there are enough values behind it.
+    """
+
+    title: str
+    value: float | None
+    unit: str
+    at_least: bool = False
+    worst: float | None = None
+    interval: tuple[float, float] | None = None
+
+
+def mean_of(title: str, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:
+    """The mean of values, such as one for each room, with the worst of them and an interval by bootstrap."""
+    return _summarise(title, np.mean, values, unit, at_least)
+
+
+def median_of(title: str, values: Sequence[float], unit: str, at_least: bool = False) -> Figure:
+    """The same of their median."""
+    return _summarise(title, np.median, values, unit, at_least)
+
+
+def share_of(title: str, held: Sequence[bool], at_least: bool = True) -> Figure:
+    """In what share of the cases something held, with Wilson's score interval; without cases there is no value."""
+    if not held:
+        return Figure(title, None, "%", at_least)
+    count = sum(map(bool, held))
+    found = stats.binomtest(count, len(held)).proportion_ci(LEVEL, "wilson")
+    interval = (float(found.low), float(found.high)) if len(held) >= LEAST_VALUES else None
+    return Figure(title, count / len(held), "%", at_least, interval=interval)
+
+
+def ratio_of(title: str, ours: Sequence[float], theirs: Sequence[float]) -> Figure:
+    """The ratio of two means over the same cases, such as rooms, with that of the worst case."""
+    value, worst = float(np.mean(ours) / np.mean(theirs)), float(np.max(np.divide(ours, theirs)))
+    return Figure(title, value, "", worst=worst, interval=_resample(_divide_means, ours, theirs))
+
+
+def _summarise(title: str, middle: Callable, values: Sequence[float], unit: str, at_least: bool) -> Figure:
+    worst = min(values) if at_least else max(values)
+    return Figure(title, float(middle(values)), unit, at_least, float(worst), _resample(middle, values))
+
+
+def _resample(middle: Callable, *values: Sequence[float]) -> tuple[float, float] | None:
+    """Interval of a figure by drawing its cases again (percentile bootstrap, Efron 1979)."""
+    if len(values[0]) < LEAST_VALUES:
+        return None
+    drawn = np.random.default_rng(0).integers(len(values[0]), size=(RESAMPLES, len(values[0])))
+    found = middle(*(np.asarray(one, float)[drawn] for one in values), axis=1)
+    low, high = np.quantile(found, [(1.0 - LEVEL) / 2, (1.0 + LEVEL) / 2])
+    return float(low), float(high)
+
+
+def _divide_means(ours: np.ndarray, theirs: np.ndarray, axis: int) -> np.ndarray:
+    return ours.mean(axis=axis) / theirs.mean(axis=axis)
+
+
+def tabulate_targets(figures: Mapping[str, Figure], target: Mapping[str, float], paper: Mapping[str, float]) -> str:
+    """A Markdown table of figures by name, with the targets and the paper's figures of the same names."""
+    rows = []
+    for name, figure in figures.items():
+        wanted = target.get(name)
+        sign = ">= " if figure.at_least else "<= "
+        rows.append(
+            [
+                figure.title,
+                write(figure.value, figure.unit),
+                _write_interval(figure),
+                write(figure.worst, figure.unit),
+                "-" if wanted is None else sign + write(wanted, figure.unit),
+                judge(figure.value, wanted, figure.at_least) or "-",
+                write(paper.get(name), figure.unit),
+            ]
+        )
+    return tabulate(["figure", "measured", "95 % interval", "worst", "target", "verdict", "paper"], rows)
+
+
+def _write_interval(figure: Figure) -> str:
+    return "-" if figure.interval is None else " to ".join(write(end, figure.unit) for end in figure.interval)
+
+
+def judge(value: float | None, target: float | None, at_least: bool = False) -> str:
+    """The verdict on a target: met, missed, not measured, or empty without a target."""
+    if target is None:
+        return ""
+    if value is None:
+        return "not measured"
+    met = value >= target if at_least else value <= target
+    return "met" if met else "missed"
+
+
+def write(value: float | None, unit: str) -> str:
+    """A value in its unit, or a dash; a value too small for the digits is written as "< ..." rather than as zero."""
+    if value is None:
+        return "-"
+    factor, digits, after = FORMS[unit]
+    least = 10**-digits
+    if 0 < abs(factor * value) < least / 2:
+        return f"< {least:g}{after}"
+    return f"{factor * value:.{digits}f}{after}"

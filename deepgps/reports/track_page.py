@@ -1,0 +1,125 @@
+"""The page of a tracked drive: a table of its errors, and a picture of the path and of the errors over time."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from deepgps.config.methods import title_of
+from deepgps.evaluation.track_errors import APART, measure_distances, take_in_world
+from deepgps.evaluation.track_run import Reference, Tracked
+from deepgps.reports.field_plot import SCALE_M, add_scale, colours_of, draw_room
+from deepgps.reports.style import PAPER, count_by_decades, to_png
+from deepgps.tracking.track import PATHS, Track
+from deepgps.tracking.words import describe_causes
+from sim.files.atomic import write_bytes
+from sim.recording.turns import NO_IMAGE
+
+COLUMNS = (
+    ("RMS, cm", "rms_m", 100.0),
+    ("median", "median_m", 100.0),
+    ("95 %", "p95_m", 100.0),
+    ("max", "max_m", 100.0),
+    ("ATE", "ate_m", 100.0),
+    ("RPE", "rpe_m", 100.0),
+    ("yaw, deg", "yaw_rms_deg", 1.0),
+    ("accepted, %", "accepted", 100.0),
+)
+"""Columns of the table: heading, key, factor to the unit."""
+COLOURS = {"single": "#9aa5b1", "causal": "#e07b00", "smoothed": "#0b62d6", "dead_reckoning": "#7a5c3e"}
+"""Paths that are drawn."""
+
+
+def print_track(tracked: Tracked, console: Console) -> None:
+    """Print what was tracked, and the table of errors where the truth is known."""
+    figures = tracked.figures
+    accepted = figures["accepted"]
+    console.print(
+        f"{title_of(tracked.method)}: {figures['tracked']} of {figures['images']} images tracked; "
+        f"{accepted['causal']:.1%} accepted while driving, {accepted['smoothed']:.1%} afterwards.\n",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    if "causes" in figures:
+        console.print(f"{describe_causes(figures['causes'])}\n", highlight=False, soft_wrap=True)
+    if "paths" not in figures:
+        frame = "map's own frame" if tracked.alignment is None else "world's frame"
+        console.print(
+            f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.", soft_wrap=True
+        )
+        return
+    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
+    for index, heading in enumerate(("path", *(one[0] for one in COLUMNS))):
+        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=index == 0)
+    for row in list_rows(figures["paths"]):
+        table.add_row(*row)
+    console.print(table)
+    console.print(
+        f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {APART} images.",
+        highlight=False,
+        soft_wrap=True,
+    )
+
+
+def list_rows(paths: dict[str, dict[str, Any]]) -> list[list[str]]:
+    """A row for each path: its title and figures, a dash where it has none."""
+    return [
+        [title, *("-" if key not in paths[name] else f"{factor * paths[name][key]:.2f}" for _, key, factor in COLUMNS)]
+        for name, title in PATHS.items()
+    ]
+
+
+def draw_track(tracked: Tracked) -> Path | None:
+    """Draw the tracked path and its errors beside the run's track; None where the truth is not known."""
+    if tracked.reference is None:
+        return None
+    path = tracked.path.with_suffix(".png")
+    write_bytes(path, to_png(make_figure(tracked.track, tracked.reference, title_of(tracked.method))))
+    return path
+
+
+def make_figure(track: Track, reference: Reference, title: str) -> Figure:
+    """The path while driving over the room, coloured by its error, and all errors over time."""
+    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    room, time = figure.subplots(1, 2, width_ratios=(1.0, 1.2))
+    draw_room(room, reference.space, PAPER)
+    _draw_path(room, track, reference)
+    room.set_title(f"{title}, tracked while driving", fontsize=11)
+    add_scale(figure, [room], label="error of the position [m]")
+    _draw_errors(time, track, reference)
+    return figure
+
+
+def _draw_path(axes: Axes, track: Track, reference: Reference) -> None:
+    seen = track.observation != NO_IMAGE
+    place = take_in_world(track.paths["causal"], reference.alignment)[seen, :2]
+    error = measure_distances(track.paths["causal"], reference.alignment, reference.pose)[seen]
+    known = np.isfinite(error)
+    place, error = place[known], error[known]
+    lines = np.stack([place[:-1], place[1:]], axis=1)
+    near = np.hypot(*(lines[:, 1] - lines[:, 0]).T) < 0.5  # a jump is not a way
+    colours = colours_of(np.maximum(error[:-1], error[1:])[near], SCALE_M) / 255
+    axes.add_collection(LineCollection(list(lines[near]), colors=colours, linewidths=1.4))
+    axes.scatter(*place[:1].T, marker="o", s=40, facecolors="none", edgecolors="#161a22", label="first image")
+    axes.legend(fontsize=8, loc="upper right")
+
+
+def _draw_errors(axes: Axes, track: Track, reference: Reference) -> None:
+    seen, since = track.observation != NO_IMAGE, track.time - np.nanmin(track.time)
+    for name, colour in COLOURS.items():
+        error = 100.0 * measure_distances(track.paths[name], reference.alignment, reference.pose)
+        width = 0.7 if name == "single" else 1.2
+        axes.plot(since[seen], error[seen], color=colour, lw=width, label=PATHS[name])
+    lost = seen & ~track.paths["causal"].accepted
+    axes.plot(since[lost], np.full(lost.sum(), 0.02), "|", color="#e8254f", label="causal, not accepted")
+    axes.set(yscale="log", xlabel="time [s]", ylabel="error of the position [cm]", ylim=(0.015, None))
+    count_by_decades(axes.yaxis)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)

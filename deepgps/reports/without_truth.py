@@ -1,0 +1,126 @@
+"""What is known of a run without truth, as text: a table and sentences, for the terminal and the viewer."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from deepgps.config.methods import title_of
+from deepgps.data.plausible_readings import describe_readings
+from deepgps.evaluation.without_truth import read_judged
+from deepgps.tracking.words import describe_causes
+from sim.errors import InputError
+
+NO_ERRORS = "There is no ground truth, so no figure here is an error of a position."
+
+
+def write_hundredths(value: float) -> str:
+    """A length [m] in centimetres, or a share in per cent."""
+    return f"{100 * value:.1f}"
+
+
+COLUMNS: tuple[tuple[str, str, Callable[[float], str]], ...] = (
+    ("length, RMS [cm]", "length_rms_m", write_hundredths),
+    ("length, accepted [cm]", "length_rms_accepted_m", write_hundredths),
+    ("length, median [cm]", "length_median_m", write_hundredths),
+    ("off the line [cm]", "straight_rms_m", write_hundredths),
+    ("scale", "scale", lambda value: f"{value:.4f}"),
+    ("turns [deg]", "turn_rms_deg", lambda value: f"{value:.2f}"),
+    ("accepted [%]", "accepted", write_hundredths),
+    ("radius 68 % [cm]", "radius_68_median_m", write_hundredths),
+    ("new places [%]", "new", write_hundredths),
+)
+"""Heading, key of a method's figures on what is held out, and how a value is written."""
+
+
+def print_without_truth(run: Path, console: Console) -> bool:
+    """Print what is known of a run; returns whether it is one without truth."""
+    found = read_judged(run)
+    if found is None:
+        return False
+    headings, rows = tabulate(found)
+    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
+    for index, heading in enumerate(headings):
+        table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console.print(table)
+    console.print()
+    for sentence in describe(found):
+        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    return True
+
+
+def tabulate(found: Mapping[str, Any]) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and one row per method, of the segments held out or, if there are none, of those trained on."""
+    kind = "held_out" if "held_out" in found else "segments"
+    rows = []
+    for name, values in found["methods"].items():
+        given = values.get(kind, {})
+        cells = ("-" if given.get(key) is None else write(given[key]) for _, key, write in COLUMNS)
+        rows.append((title_of(name), *cells))
+    return ("method", *(heading for heading, _, _ in COLUMNS)), rows
+
+
+def markdown(run: Path) -> str:
+    """The table and the sentences in Markdown; raises InputError if the run has not been judged."""
+    found = read_judged(run)
+    if found is None:
+        raise InputError(f"{run} has not been evaluated without truth")
+    headings, rows = tabulate(found)
+    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
+    table = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    return "\n\n".join([table, *describe(found)])
+
+
+def describe(found: Mapping[str, Any]) -> list[str]:
+    """What was driven, what the table holds, and what each method knows of its own map."""
+    held_out = found.get("held_out")
+    summary = (
+        f"{found['samples']} observations on {found['segments']} straight segments, {found['distance_driven_m']:.0f} m"
+    )
+    if held_out:
+        summary += (
+            f"; held out and in the table: {held_out['samples']} on {held_out['segments']}, "
+            f"{held_out['distance_driven_m']:.0f} m"
+        )
+    else:
+        summary += "; none are held out, so the table tells only how well the segments were learned"
+    sentences = [f"{summary}.", NO_ERRORS, _describe_new(found["methods"])]
+    causes = (one.get("held_out", {}).get("causes") for one in found["methods"].values())
+    sentences += [describe_causes(one) for one in causes if one is not None][:1]
+    if (wheels := found.get("wheels")) is not None:
+        sentences.append("Wheels: " + (" ".join(wheels) or "nothing is wrong with them, as far as can be known."))
+    if left_out := describe_readings(found.get("readings", {})):
+        sentences.append(left_out)
+    return [*sentences, *filter(None, (_describe_method(name, one) for name, one in found["methods"].items()))]
+
+
+def _describe_new(methods: Mapping[str, Any]) -> str:
+    parts = ", ".join(f"{title_of(name)} {100 * one['new_expected']:.1f} %" for name, one in methods.items())
+    return (
+        f"Of the floor that a further segment would pass, about so much is new (Good-Turing, cells of 0.25 m): {parts}."
+    )
+
+
+def _describe_method(name: str, values: Mapping[str, Any]) -> str | None:
+    """Signs of a fold, what the map expects of itself, the camera's lean."""
+    parts = []
+    if values.get("fold", {}).get("found"):
+        parts.append("its map looks folded")
+    known_map = values.get("map", {})
+    if known_map.get("expected_rms_m") is not None:
+        parts.append(f"its map expects an RMS error of {100 * known_map['expected_rms_m']:.1f} cm of itself")
+    if known_map.get("undecided"):
+        parts.append(f"{100 * known_map['undecided']:.1f} % of its map is undecided")
+    if known_map.get("believed") is not None:
+        parts.append(f"{100 * known_map['believed']:.1f} % of its loop closures agree")
+    if values.get("lean_roll_deg") is not None:
+        parts.append(
+            f"the camera leans {values['lean_roll_deg']:.2f} deg right, {values['lean_pitch_deg']:.2f} deg forward"
+        )
+    return f"{title_of(name)}: {'; '.join(parts)}." if parts else None

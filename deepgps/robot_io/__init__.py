@@ -1,0 +1,1 @@
+"""Logs of real robots in; poses, trajectories and models out."""

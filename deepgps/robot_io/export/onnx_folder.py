@@ -1,0 +1,158 @@
+"""A trained method as a folder for a robot: a model in ONNX, what it takes and gives, tables, and an example.
+
+The folder needs numpy, OpenCV and onnxruntime alone. What warps images (the unwrapping of a raw image, and what sets
+images of a leaning camera upright) is done by OpenCV with tables in the folder, as it is in training; all else is in
+the model.
+"""
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from deepgps.positioner.positioner import NetworkPositioner, Positioner
+from deepgps.robot_io.export.deployed import Deployed
+from sim.alignment import Alignment
+from sim.errors import InputError, WorkError
+from sim.files.arrays import write_arrays
+from sim.files.atomic import write_atomic, write_size, write_text
+from sim.files.json_files import write_json
+from sim.sensors.camera.unwrap import RoundImage
+from sim.sensors.camera.upright import map_pixels, pad
+
+MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
+MOST_BYTES = 20_000_000
+"""Largest folder that is written."""
+OUTPUTS = {
+    "position": "x, y of the robot [m]",
+    "position_std": "standard deviation of the position along one axis by the map alone [m]",
+    "yaw": "counter-clockwise from x [rad]; NaN: the image shows no direction",
+    "yaw_std": "standard deviation of the yaw if it is right [rad]",
+    "yaw_weight": "share of the stored images that agree on the yaw",
+    "other_yaw": "second hypothesis of the yaw [rad]; NaN: there is none",
+    "other_weight": "its share",
+    "novelty": "how unlike the training images near by the image is, as a distance on the map [m]",
+    "radius_68": "radius that holds the true position with a probability of 68 % [m]",
+    "radius_95": "the same for 95 % [m]",
+    "accepted": "whether the novelty is one that images of the drive have; do not use other positions",
+}
+
+
+def write_onnx(
+    folder: Path,
+    method: str,
+    positioner: Positioner,
+    alignment: Alignment | None,
+    raw: RoundImage | None,
+) -> None:
+    """Write the folder.
+
+    Args:
+        folder: Where to.
+        method: Name of the method.
+        positioner: What it has learned.
+        alignment: From its map to the frame of the poses; None: they are in the map's own frame.
+        raw: Where the image circle is in raw images; None: the folder takes polar images alone.
+
+    Raises:
+        InputError: The method is no network on polar images, or a package is missing.
+        WorkError: The folder would have more than 20 MB.
+    """
+    if not isinstance(positioner, NetworkPositioner) or len(positioner.shape) != 3:
+        raise InputError(f"--onnx: method {method} is no network on polar images, and only these are written as ONNX")
+    model, names = build_model(positioner, alignment)
+    tables = make_tables(positioner, raw)
+    size = len(model) + sum(table.nbytes for table in tables.values())
+    if size > MOST_BYTES:
+        raise WorkError(f"--onnx: the folder would have {write_size(size)}, and at most {write_size(MOST_BYTES)} fit")
+    write_atomic(folder / MODEL, lambda part: part.write_bytes(model), len(model))
+    write_arrays(folder / TABLES, tables)
+    write_text(folder / EXAMPLE, Path(__file__).with_name(EXAMPLE).read_text(encoding="utf-8"))
+    write_json(folder / META, describe_folder(method, positioner, names, alignment, raw))
+
+
+def build_model(positioner: NetworkPositioner, alignment: Alignment | None) -> tuple[bytes, list[str]]:
+    """The model, which takes images (B, rings, sectors, 3) uint8 of an upright camera, and the names of its outputs."""
+    try:
+        import onnxscript  # noqa: F401  torch imports it too, with a longer message
+    except ModuleNotFoundError:
+        raise InputError(
+            "--onnx needs pip install onnx onnxscript onnxruntime (in a checkout: make setup-dev)"
+        ) from None
+    module = Deployed(positioner, alignment).eval()
+    some = torch.zeros((2, *positioner.shape), dtype=torch.uint8)
+    with _quiet(), torch.inference_mode():
+        names = list(module(some))
+        program = torch.onnx.export(
+            module,
+            (some,),
+            dynamo=True,
+            input_names=["image"],
+            output_names=names,
+            dynamic_shapes=({0: torch.export.Dim("batch")},),
+            verbose=False,
+        )
+    assert program is not None
+    return program.model_proto.SerializeToString(), names
+
+
+def make_tables(positioner: NetworkPositioner, raw: RoundImage | None) -> dict[str, np.ndarray]:
+    """What ``cv2.remap`` needs to make the model's images of raw ones, and of those of a leaning camera."""
+    rings, sectors, _ = positioner.shape
+    tables = {}
+    if raw is not None:
+        column, row = raw.find_points(rings, sectors)
+        tables |= {"raw_column": column, "raw_row": row}
+    if positioner.upright is not None and any(positioner.upright.lean):
+        pixel = pad(np.arange(rings * sectors, dtype=np.int32).reshape(rings, sectors, 1))[..., 0]
+        column, row = map_pixels(positioner.upright, rings, sectors)
+        tables |= {"lean_pixel": pixel, "lean_column": column, "lean_row": row}
+    return tables
+
+
+def describe_folder(
+    method: str,
+    positioner: NetworkPositioner,
+    outputs: list[str],
+    alignment: Alignment | None,
+    raw: RoundImage | None,
+) -> dict[str, Any]:
+    """Contents of ``meta.json``."""
+    lean = positioner.upright.lean if positioner.upright else (0.0, 0.0)
+    return {
+        "method": method,
+        "frame": "map" if alignment is None else "world",
+        "image": list(positioner.shape),
+        "mirrored": is_mirrored(positioner, alignment),
+        "outputs": {name: OUTPUTS[name] for name in outputs},
+        "raw": raw and {"centre_px": list(raw.centre), "radius_px": raw.radius_px, "forward_deg": raw.forward_deg},
+        "lean_deg": np.degrees(lean).round(4).tolist(),
+        "mount_m": list(positioner.mount),
+    }
+
+
+def is_mirrored(positioner: NetworkPositioner, alignment: Alignment | None) -> bool | None:
+    """Whether a turn to the left is one to the right in the frame of the poses; None: the method gives no yaw."""
+    if positioner.headings is None:
+        return None
+    turn = 1.0 if alignment is None else float(np.linalg.det(alignment.rotation))
+    return positioner.headings.chirality * turn < 0
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without what torch's exporter says of itself and of packages that are not needed."""
+    logger = logging.getLogger("torch.onnx")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(before)

@@ -1,0 +1,167 @@
+"""The wheels' angles in a log, from joint states or, without them, from the path of an odometry."""
+
+import math
+from array import array
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from deepgps.robot_io.logs.containers import Log
+from deepgps.robot_io.logs.robot_config import WheelConfig
+from deepgps.robot_io.logs.sample import Part, Sample
+from sim.errors import InputError
+from sim.geometry import wrap
+from sim.user_input import quote
+
+JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
+KINDS = (JOINT_STATE, ODOMETRY)
+LEAST_LENGTH = 1e-6
+"""Length of a quaternion up to which it tells no orientation."""
+MOST_SIDEWAYS = 0.2
+"""Part of an odometry's path that may go sideways; more, and its orientation is wrong."""
+UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"
+"""Why a message of a pose is left out."""
+
+
+@dataclass
+class WheelLog:
+    """The wheels of a log, in the order in which they were logged.
+
+    Only positions are read: TurtleBot3 writes m/s where the message promises rad/s.
+
+    Attributes:
+        config: Topic, names and sizes of the wheels.
+        from_odometry: Whether the angles are computed from an odometry's path.
+        log_ns: When each message was logged (n,) [ns].
+        stamp_ns: Its stamp (n,) [ns]; 0: none.
+        values: Angles of the left and of the right wheel [rad], in turn; NaN where a message lacks one.
+        without: Messages without any wheel.
+        names: Names of all joints.
+    """
+
+    config: WheelConfig
+    from_odometry: bool
+    log_ns: array = field(default_factory=lambda: array("q"))
+    stamp_ns: array = field(default_factory=lambda: array("q"))
+    values: array = field(default_factory=lambda: array("d"))
+    without: int = 0
+    names: set[str] = field(default_factory=set)
+    _path: "OdometryPath | None" = None
+
+    @property
+    def angle(self) -> np.ndarray:
+        """Angles (n, 2) [rad]."""
+        return np.array(self.values).reshape(-1, 2)
+
+    def take(self, sample: Sample, part: Part) -> None:
+        """Read a message; one without any wheel is only counted."""
+        message = part.decode(sample)
+        left, right = self._follow(message.pose.pose) if self.from_odometry else self._find(message)
+        if math.isnan(left) and math.isnan(right):
+            self.without += 1
+            return
+        self.log_ns.append(sample.log_ns)
+        self.stamp_ns.append(sample.stamp_ns)
+        self.values.extend((left, right))
+
+    @property
+    def goes_sideways(self) -> bool:
+        """Whether an odometry's path goes sideways by more than its noise does."""
+        return self._path is not None and self._path.sideways_m > MOST_SIDEWAYS * self._path.way_m
+
+    def check(self) -> None:
+        """Raise InputError unless there are positions of both wheels."""
+        topic = self.config.topic
+        if not self.names and not self.log_ns:
+            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            raise InputError(f"{topic} holds no message of wheels{why}")
+        known = [bool(np.isfinite(wheel).any()) for wheel in self.angle.T]
+        for name, has in zip((self.config.left, self.config.right), known, strict=True):
+            if not has:
+                there = ", ".join(sorted(self.names)[:12])
+                raise InputError(f"{topic} has no position of a joint {quote(name)}; its joints are {there}")
+
+    def _find(self, message: Any) -> tuple[float, float]:
+        self.names.update(message.name)
+        left, right = (_take(message, name, self.config.topic) for name in (self.config.left, self.config.right))
+        backward = self.config.backward
+        return -left if backward in {"left", "both"} else left, -right if backward in {"right", "both"} else right
+
+    def _follow(self, pose: Any) -> tuple[float, float]:
+        self._path = self._path or OdometryPath(self.config.radius_m, self.config.track_m)
+        return self._path.follow(float(pose.position.x), float(pose.position.y), read_yaw(pose.orientation))
+
+
+def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
+    """Prepare to read the wheels of a log; raises InputError if it lacks the topic, or an odometry is reversed."""
+    from_odometry = log.check_topic(config.topic, "wheels.topic", KINDS) == ODOMETRY
+    if from_odometry and config.backward != "none":
+        raise InputError(f"wheels.backward {config.backward} must be none: {config.topic} is an odometry")
+    return WheelLog(config, from_odometry)
+
+
+def find_joint(names: Sequence[str], wanted: str) -> int | None:
+    """Index of a joint by its name or the end of its name after a prefix such as ``tb3_0/``.
+
+    Raises:
+        InputError: Two joints have such names.
+    """
+    same = [index for index, name in enumerate(names) if name == wanted]
+    like = same or [index for index, name in enumerate(names) if name.endswith((f"/{wanted}", f".{wanted}"))]
+    if len(like) > 1:
+        raise InputError(f"{wanted}: several joints have this name, {', '.join(names[index] for index in like)}")
+    return like[0] if like else None
+
+
+def _take(message: Any, wanted: str, topic: str) -> float:
+    """The position of a joint in a message, which may hold only some joints or no positions; NaN: not there."""
+    try:
+        index = find_joint(message.name, wanted)
+    except InputError as error:
+        raise InputError(f"{topic}: {error}; give the complete name in wheels.left and wheels.right") from None
+    there = index is not None and index < len(message.position)
+    value = float(message.position[index]) if there and index is not None else math.nan
+    return value if math.isfinite(value) else math.nan
+
+
+class OdometryPath:
+    """Angles of wheels that drive an odometry's path; each step is projected on the mean heading of its ends.
+
+    Attributes:
+        way_m: Length of the path [m].
+        sideways_m: What of it goes sideways, as no two wheels can drive [m].
+    """
+
+    def __init__(self, radius_m: float, track_m: float) -> None:
+        self._radius_m, self._track_m = radius_m, track_m
+        self._before: tuple[float, float, float] | None = None
+        self._travelled = self._turned = 0.0
+        self.way_m = self.sideways_m = 0.0
+
+    def follow(self, x: float, y: float, yaw: float) -> tuple[float, float]:
+        """Angles of the left and of the right wheel [rad] at the next pose [m], [rad]; NaN if it is not finite."""
+        if not all(map(math.isfinite, (x, y, yaw))):
+            return math.nan, math.nan
+        if self._before is not None:
+            turn = float(wrap(yaw - self._before[2]))
+            heading = self._before[2] + turn / 2
+            step_x, step_y = x - self._before[0], y - self._before[1]
+            self._travelled += step_x * math.cos(heading) + step_y * math.sin(heading)
+            self._turned += turn
+            self.way_m += math.hypot(step_x, step_y)
+            self.sideways_m += abs(step_y * math.cos(heading) - step_x * math.sin(heading))
+        self._before = x, y, yaw
+        ahead, apart = self._travelled / self._radius_m, self._turned * self._track_m / 2 / self._radius_m
+        return ahead - apart, ahead + apart
+
+
+def read_yaw(turn: Any) -> float:
+    """Yaw of a quaternion message [rad], of any length; NaN if it is 0, which some drivers send for no orientation."""
+    w, x, y, z = (float(getattr(turn, axis)) for axis in "wxyz")
+    length = math.hypot(w, x, y, z)
+    if not length > LEAST_LENGTH:
+        return math.nan
+    w, x, y, z = w / length, x / length, y / length, z / length
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -1,0 +1,213 @@
+"""What a log holds, as comments of a ``robot.yaml`` that is proposed for it: the text is such a file as it is."""
+
+from array import array
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deepgps.robot_io.logs import plain_folder, poses
+from deepgps.robot_io.logs.camera import INFO, read_info
+from deepgps.robot_io.logs.clocks import APART_S, compare, find_starts, take_times
+from deepgps.robot_io.logs.containers import Log, open_log
+from deepgps.robot_io.logs.images import COMPRESSED, RAW, decoder
+from deepgps.robot_io.logs.joints import JOINT_STATE, ODOMETRY
+from deepgps.terminal.progress import Report
+from sim.errors import InputError
+from sim.user_input import shorten
+
+FIRST = 50
+"""Messages of a topic that are decoded."""
+TURTLEBOT3 = ("wheel_left_joint", "wheel_right_joint")
+BURGER = {"radius_m": 0.033, "track_m": 0.16}
+DECODED = (JOINT_STATE, INFO, RAW, COMPRESSED)
+DESCRIBED = (*DECODED, ODOMETRY, *poses.KINDS)
+"""Types of which more is said than the number of messages."""
+
+
+@dataclass
+class Seen:
+    """What was seen of a topic.
+
+    Attributes:
+        kind: Its type.
+        log_ns: When each message was logged (n,) [ns].
+        stamp_ns: Its stamp (n,) [ns]; 0: none.
+        details: What its first messages say.
+        names: Names of joints.
+        calibrated: Whether there is a calibration that can be used.
+        size: Width and height of the first image [px]; empty: there is none.
+    """
+
+    kind: str
+    log_ns: array = field(default_factory=lambda: array("q"))
+    stamp_ns: array = field(default_factory=lambda: array("q"))
+    details: dict[str, None] = field(default_factory=dict)
+    names: dict[str, None] = field(default_factory=dict)
+    calibrated: bool = False
+    size: tuple[int, ...] = ()
+
+
+def look(path: Path, progress: Report) -> str:
+    """Read a log and describe it.
+
+    Args:
+        path: The log.
+        progress: Called with the messages read.
+
+    Returns:
+        A ``robot.yaml`` with what was found as comments.
+
+    Raises:
+        InputError: It is no log.
+    """
+    with open_log(path) as log:
+        seen = {topic: Seen(kind) for topic, kind in sorted(log.types.items())}
+        for sample, part in log.show(list(seen), "look", progress):
+            one = seen[sample.topic]
+            one.log_ns.append(sample.log_ns)
+            one.stamp_ns.append(sample.stamp_ns)
+            if len(one.log_ns) <= FIRST and one.kind in DECODED:
+                _take_details(one, part.decode(sample))
+        lines = [f"# {shorten(str(path), 300)}", *(f"# note: {note}" for note in log.notes), "#"]
+        for topic, one in seen.items():
+            lines += [f"# {line}" for line in _describe(topic, one)]
+        plain = plain_folder.is_plain(path)
+        return "\n".join([*lines, "#", *_compare_clocks(seen), *_propose(log, seen, plain)])
+
+
+def _take_details(one: Seen, message: Any) -> None:
+    if one.kind == JOINT_STATE:
+        one.names.update(dict.fromkeys(message.name))
+    elif one.kind == INFO:
+        one.details[_describe_info(one, message)] = None
+    elif not one.details:
+        said = message.encoding if one.kind == RAW else f"format {message.format!r}"
+        try:
+            height, width = decoder(one.kind)(message).shape[:2]
+            one.details[f"{said}, {width} x {height} px"] = None
+            one.size = width, height
+        except InputError as error:
+            one.details[f"{said}: {error}"] = None
+
+
+def _describe_info(one: Seen, message: Any) -> str:
+    try:
+        camera = read_info(message)
+    except InputError as error:
+        return f"cannot be used: {error}"
+    if camera is None:
+        return "not calibrated: K is 0"
+    one.calibrated = True
+    numbers = ", ".join(f"{value:.6g}" for value in (*camera.focal, *camera.centre))
+    return f"{camera.model}, {camera.size[0]} x {camera.size[1]} px, fx fy cx cy {numbers}"
+
+
+def _describe(topic: str, one: Seen) -> list[str]:
+    """Lines on a topic: its type and number of messages, their rate, gaps, order and clock, and what they hold."""
+    count = len(one.log_ns)
+    lines = [f"{topic}  {one.kind}  {count} messages"]
+    if one.kind not in DESCRIBED:
+        return lines
+    if count > 1:
+        time_s = np.array(one.log_ns) * 1e-9
+        steps = np.diff(np.sort(time_s))
+        typical = float(np.median(steps))
+        rate = f"{1 / typical:.1f} Hz" if typical > 0 else "all at once"
+        lines.append(f"    {rate}, {np.ptp(time_s):.1f} s, longest gap {steps.max():.2f} s")
+    stamp = np.array(one.stamp_ns, np.int64)
+    if count and stamp.any():
+        late = (np.array(one.log_ns) - stamp)[stamp != 0] * 1e-9
+        disordered = int((np.diff(stamp[stamp != 0]) < 0).sum())
+        lines.append(
+            f"    logged {np.median(late):+.4f} s after its stamp, in the median; {int((stamp == 0).sum())} without "
+            f"stamp, {disordered} out of order"
+        )
+    lines += [f"    {detail}" for detail in one.details]
+    return [*lines, *([f"    joints: {', '.join(one.names)}"] if one.names else [])]
+
+
+def _propose(log: Log, seen: dict[str, Seen], plain: bool) -> list[str]:
+    """The lines of a proposed ``robot.yaml``."""
+    wheels, camera, pose = _find_wheels(seen), _find_camera(seen), _find_pose(seen)
+    lines = ["wheels:"]
+    left, right = (plain_folder.JOINTS if plain else _find_joints(seen[wheels])) if wheels else TURTLEBOT3
+    lines += [f"  topic: {wheels or '/joint_states  # no JointState or Odometry is in the log'}"]
+    if wheels is None or seen[wheels].kind == JOINT_STATE:
+        lines += [f"  left: {left}", f"  right: {right}"]
+    known = "TurtleBot3 Burger; measure your robot's"
+    lines += [f"  radius_m: {BURGER['radius_m']}  # {known}", f"  track_m: {BURGER['track_m']}  # {known}"]
+    lines += ["  lag_s: estimate  # or a number, such as 0.05 for TurtleBot3", "camera:"]
+    lines += [f"  topic: {camera or '/camera/image_raw  # no Image or CompressedImage is in the log'}"]
+    info = _find_info(seen, camera)
+    if info:
+        lines += [f"  info: {info}"]
+    else:
+        radius = min(seen[camera].size) // 2 if camera and seen[camera].size else 240
+        lines += [f"  circle_px: {radius}  # no calibration is in the log: radius of the round picture"]
+        lines += ["  field_of_view_deg: 185  # of the lens; or give file or intrinsics for both"]
+    lines += ["  height_m: 0.35  # of the lens above the floor", "  forward_deg: 0  # the robot's front in the image"]
+    if pose:
+        lines += ["pose:", f"  topic: {pose}", "  use: truth"]
+    return [*lines, f"clocks: {'align' if _clocks_differ(seen, wheels, camera) else 'refuse'}"]
+
+
+def _find_wheels(seen: dict[str, Seen]) -> str | None:
+    """The topic with most messages on two joints or more, otherwise an odometry."""
+    some = [topic for topic, one in seen.items() if one.kind == JOINT_STATE and one.log_ns]
+    best = sorted(some, key=lambda topic: (_has_wheels(seen[topic]), len(seen[topic].log_ns)))
+    odometry = [topic for topic, one in seen.items() if one.kind == ODOMETRY and one.log_ns]
+    return next(iter([*best[::-1], *odometry]), None)
+
+
+def _has_wheels(one: Seen) -> bool:
+    return any("wheel" in name for name in one.names)
+
+
+def _find_joints(one: Seen) -> tuple[str, str]:
+    """Names of the wheels' joints, without a prefix."""
+    names = sorted(one.names, key=lambda name: "wheel" not in name)
+    left = next((name for name in names if "left" in name), TURTLEBOT3[0])
+    right = next((name for name in names if "right" in name), TURTLEBOT3[1])
+    return left.rpartition("/")[2], right.rpartition("/")[2]
+
+
+def _find_camera(seen: dict[str, Seen]) -> str | None:
+    """The topic with most images that are no depths."""
+    images = [topic for topic, one in seen.items() if one.kind in {RAW, COMPRESSED} and one.log_ns]
+    some = [topic for topic in images if "depth" not in topic.lower()]
+    return max(some, key=lambda topic: len(seen[topic].log_ns), default=None)
+
+
+def _find_info(seen: dict[str, Seen], camera: str | None) -> str | None:
+    """The calibrated CameraInfo that shares most of its name with the camera."""
+    some = [topic for topic, one in seen.items() if one.kind == INFO and one.calibrated]
+
+    def share(topic: str) -> int:
+        same = [a == b for a, b in zip(topic.split("/"), (camera or "").split("/"), strict=False)]
+        return (same + [False]).index(False)
+
+    return max(some, key=share, default=None)
+
+
+def _find_pose(seen: dict[str, Seen]) -> str | None:
+    """A topic of poses that does not come from the wheels."""
+    times = {topic: np.sort(one.log_ns) for topic, one in seen.items() if one.kind in poses.KINDS[:3]}
+    often = [topic for topic, ns in times.items() if len(ns) > 1 and np.median(np.diff(ns)) <= poses.GAP_S * 1e9]
+    return max(often, key=lambda topic: len(times[topic]), default=None)  # a goal is sent seldom
+
+
+def _compare_clocks(seen: dict[str, Seen]) -> list[str]:
+    wheels, camera = _find_wheels(seen), _find_camera(seen)
+    problem = _clocks_differ(seen, wheels, camera)
+    return [f"# {problem}: more than {1000 * APART_S:.0f} ms, so they must be aligned", "#"] if problem else []
+
+
+def _clocks_differ(seen: dict[str, Seen], wheels: str | None, camera: str | None) -> str | None:
+    if wheels is None or camera is None:
+        return None
+    two = [seen[topic] for topic in (wheels, camera)]
+    starts = find_starts([topic.log_ns for topic in two], [topic.stamp_ns for topic in two])
+    one, other = (take_times(topic, seen[topic].log_ns, seen[topic].stamp_ns, starts) for topic in (wheels, camera))
+    return compare(one, other)

@@ -1,0 +1,214 @@
+"""Which images of a log become observations, with the wheels' ticks at their times, and images after turns."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from deepgps.robot_io.logs.segmentation import Motion, Path
+from deepgps.robot_io.logs.wheels import Wheels
+from sim.recording.turns import KINDS, NO_IMAGE
+
+NEAR_M, NEAR_RAD = 0.003, np.radians(0.4)
+"""An image shows the place and heading at which a turn begins or ends if it is as near as this [m], [rad]."""
+IN_PLACE_M, NEARBY_M = 0.02, 0.3
+"""Way between two segments up to which the robot turned in place, and up to which the next one begins nearby [m]."""
+DOUBTFUL_M = 0.12
+"""Before the robot backs off, it has touched something: its wheels may have slipped over this last distance [m]."""
+CLOSE = 0.4
+"""The last images of a segment are at least this part of the spacing apart."""
+IN_PLACE, BACKED_OFF, RELOCATED = (KINDS.index(name) for name in ("in_place", "backed_off", "relocated"))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a recording is made of; images are numbered as in the log.
+
+    Attributes:
+        observation: Image of each observation (N,).
+        reading: Segment, observation, ticks of the left and of the right wheel (R, 4).
+        time_s: Time of each reading (R,) [s].
+        turn_image: Image after each turn in place (K,).
+        turns: As stored in a recording (T, 4).
+        motions: Number of the motion of each segment (S,).
+    """
+
+    observation: np.ndarray
+    reading: np.ndarray
+    time_s: np.ndarray
+    turn_image: np.ndarray
+    turns: np.ndarray
+    motions: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Images:
+    """The images of a log whose time is known and at whose time the wheels' angles are.
+
+    Attributes:
+        number: Number of each in the log (m,).
+        time_s: Its time (m,) [s], increasing.
+        wheel_s: The time of the wheels' messages that tell where the robot was then (m,) [s]: later by their lag.
+        angle: The wheels' angles then (m, 2) [rad].
+        path: Distance and heading then.
+    """
+
+    number: np.ndarray
+    time_s: np.ndarray
+    wheel_s: np.ndarray
+    angle: np.ndarray
+    path: Path
+
+
+def plan_recording(
+    motions: Sequence[Motion], some: range, wheels: Wheels, path: Path, images: Images, spacing_m: float, ticks: int
+) -> Plan:
+    """Choose images for the segments among some of a drive's motions.
+
+    Args:
+        motions: All motions.
+        some: Numbers of those that are used.
+        wheels: The wheels.
+        path: Distance and heading at each of their messages.
+        images: The images.
+        spacing_m: Distance between images on a segment [m].
+        ticks: Ticks of a revolution.
+    """
+    chosen = [(number, _choose(motions, number, wheels, path, images, spacing_m)) for number in some]
+    chosen = [(number, rows) for number, rows in chosen if len(rows) >= 2]
+    builder = _Builder(images, ticks)
+    for (before, _), (number, rows) in pairwise([(-1, np.empty(0, int)), *chosen]):
+        if before < 0:
+            builder.begin(rows)
+            continue
+        kind = judge_turn(motions[before + 1 : number], wheels, path)
+        last = builder.rows[-1]
+        after = _find_after(motions, number, wheels, path, images, last)
+        at_rest = _is_near(images, last, path, motions[before].last)
+        if kind == IN_PLACE and at_rest and after is not None:
+            builder.turn_in_place(rows, after, spacing_m)
+        else:
+            builder.begin(rows, kind)
+    return builder.finish(tuple(number for number, _ in chosen))
+
+
+def judge_turn(between: Sequence[Motion], wheels: Wheels, path: Path) -> int:
+    """Number of the kind of turn that motions between two segments are together."""
+    way = turned = 0.0
+    for one in between:
+        if one.kind == "unknown" and wheels.broken[one.first : one.last].any():
+            return RELOCATED
+        if one.kind not in {"rest", "turn"}:
+            way += path.find_way(one)
+            turned += abs(path.yaw[one.last] - path.yaw[one.first]) if one.kind != "back" else 0.0
+    if way <= IN_PLACE_M:
+        return IN_PLACE
+    return BACKED_OFF if way <= NEARBY_M and turned * way < IN_PLACE_M else RELOCATED
+
+
+def _choose(
+    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, spacing_m: float
+) -> np.ndarray:
+    """Rows of the images of a segment, evenly spaced, its first and last included; none if it is no segment."""
+    if motions[number].kind != "straight":
+        return np.empty(0, int)
+    first, last = _range_at_rest(motions, number)
+    rows = np.arange(*np.searchsorted(images.wheel_s, (wheels.time_s[first], wheels.time_s[last])))
+    if _backs_off(motions[number + 1 :]):
+        rows = rows[images.path.travelled_m[rows] <= path.travelled_m[motions[number].last] - DOUBTFUL_M]
+    if not len(rows):
+        return rows
+    place = np.maximum.accumulate(images.path.travelled_m[rows])
+    target = np.arange(place[0], place[-1], spacing_m)
+    after = np.clip(np.searchsorted(place, target), 1, max(len(place) - 1, 1))
+    after = np.minimum(after, len(place) - 1)
+    nearer = np.where(target - place[after - 1] < place[after] - target, after - 1, after)
+    nearer[:1] = np.searchsorted(place, place[0] + NEAR_M / 3) - 1  # at rest, the latest
+    kept = np.unique(np.append(nearer[place[-1] - place[nearer] >= CLOSE * spacing_m], len(place) - 1))
+    return rows[kept]
+
+
+def _backs_off(motions: Sequence[Motion]) -> bool:
+    """Whether the robot backs off next, at once or after a rest."""
+    return next((one.kind == "back" for one in motions if one.kind != "rest"), False)
+
+
+def _range_at_rest(motions: Sequence[Motion], number: int) -> tuple[int, int]:
+    """First and last message of the wheels of a segment and of the rests before and after it."""
+    first, last = motions[number].first, motions[number].last
+    if number > 0 and motions[number - 1].kind == "rest":
+        first = motions[number - 1].first
+    if number + 1 < len(motions) and motions[number + 1].kind == "rest":
+        last = motions[number + 1].last
+    return first, last
+
+
+def _find_after(
+    motions: Sequence[Motion], number: int, wheels: Wheels, path: Path, images: Images, last: int
+) -> int | None:
+    """Row of the first image that shows a segment's beginning after a turn in place; None: there is none.
+
+    It comes after the last row of the segment before, as segments may share a rest.
+    """
+    first, _ = _range_at_rest(motions, number)
+    begin, end = np.searchsorted(images.wheel_s, wheels.time_s[[first, motions[number].last]])
+    return next(
+        (
+            row
+            for row in range(max(int(begin), last + 1), int(end))
+            if _is_near(images, row, path, motions[number].first)
+        ),
+        None,
+    )
+
+
+def _is_near(images: Images, row: int, path: Path, message: int) -> bool:
+    """Whether an image was taken where the robot was at a message of the wheels, under the same heading."""
+    apart_m = images.path.travelled_m[row] - path.travelled_m[message]
+    return abs(apart_m) <= NEAR_M and abs(images.path.yaw[row] - path.yaw[message]) <= NEAR_RAD
+
+
+class _Builder:
+    """Collects observations, readings and turns in the order driven."""
+
+    def __init__(self, images: Images, ticks: int) -> None:
+        self.images, self.ticks = images, ticks / (2 * np.pi)
+        self.rows: list[int] = []
+        self.readings: list[tuple[int, int, int]] = []  # segment, observation, row of the image that tells the ticks
+        self.turn_rows: list[int] = []
+        self.turns: list[tuple[int, int, int, int]] = []
+        self.segment = -1
+
+    def begin(self, rows: np.ndarray, kind: int | None = None) -> None:
+        """Append a segment that begins with an observation of its own."""
+        if kind is not None:
+            self.turns.append((len(self.rows) - 1, NO_IMAGE, len(self.readings), kind))
+        self.segment += 1
+        self._extend(rows)
+
+    def turn_in_place(self, rows: np.ndarray, after: int, spacing_m: float) -> None:
+        """Append a segment that begins with the observation before the turn, which the image after it shows again."""
+        self.turns.append((len(self.rows) - 1, len(self.turn_rows), len(self.readings), IN_PLACE))
+        self.turn_rows.append(after)
+        self.segment += 1
+        self.readings.append((self.segment, len(self.rows) - 1, after))
+        place = self.images.path.travelled_m
+        self._extend(rows[place[rows] - place[after] >= CLOSE * spacing_m])
+
+    def _extend(self, rows: np.ndarray) -> None:
+        for row in rows.tolist():
+            self.readings.append((self.segment, len(self.rows), row))
+            self.rows.append(row)
+
+    def finish(self, motions: tuple[int, ...]) -> Plan:
+        table = np.array(self.readings, np.int64).reshape(-1, 3)
+        ticks = np.rint(self.images.angle[table[:, 2]] * self.ticks).astype(np.int64)
+        return Plan(
+            observation=self.images.number[self.rows],
+            reading=np.column_stack([table[:, :2], ticks]),
+            time_s=self.images.time_s[table[:, 2]],
+            turn_image=self.images.number[self.turn_rows],
+            turns=np.array(self.turns, np.int64).reshape(-1, 4),
+            motions=motions,
+        )

@@ -1,0 +1,197 @@
+"""Straight segments and turns in place, found from the wheels; arcs, rests and backward motion are neither.
+
+Wheels that differ a little make a straight drive look like a slight curve. The usual curvature of the drive is
+therefore taken off before a stretch is judged.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from deepgps.robot_io.logs.wheels import Wheels
+
+Kind = Literal["straight", "turn", "rest", "arc", "back", "unknown"]
+KINDS: tuple[Kind, ...] = ("straight", "turn", "rest", "arc", "back", "unknown")
+WINDOW_S = 0.1
+"""Speeds are measured over this much before and after [s]."""
+REST_MPS = 0.005
+"""Speed of both rims up to which the robot rests [m/s]."""
+DRIVING_MPS = 0.025
+"""Speed from which the usual curvature and the noise of turn rates are measured [m/s]."""
+DEVIATIONS = 3.0
+"""Standard deviations of turn rates by which a straight drive may seem to turn."""
+CURVED_PER_M = 0.25
+"""Curvature from which a drive is an arc [1/m]: a radius of 4 m."""
+CURVED_RADPS = 0.02
+"""Turn rate of a straight drive that is always allowed, for the encoders' resolution [rad/s]."""
+USUAL_PER_M = 0.15
+"""Largest curvature that is taken off as the usual one [1/m]."""
+BENT_RAD = np.radians(8.0)
+"""Largest change of heading on a segment [rad]."""
+JOIN_RAD = np.radians(1.0)
+"""Heading that may change where a segment speeds up or brakes, or rests in between [rad]."""
+JOIN_M = 0.03
+"""Way of a motion that is too short to count, between two that do [m]."""
+SHORTEST_M, SHORTEST_BACK_M = 0.03, 0.015
+"""Shortest segment and shortest way back [m]; what is shorter is an arc. Wheels that come to rest do not back off."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A part of the drive.
+
+    Attributes:
+        kind: What the robot did.
+        first: Number of the first message of the wheels in it.
+        last: Number of the last one.
+    """
+
+    kind: Kind
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Path:
+    """How far the robot drove and turned by its wheels.
+
+    Attributes:
+        travelled_m: Distance at each message of the wheels (n,) [m].
+        yaw: Heading at each (n,) [rad].
+    """
+
+    travelled_m: np.ndarray
+    yaw: np.ndarray
+
+    def find_way(self, motion: Motion) -> float:
+        """Distance driven in a motion, forward or backward [m]."""
+        return abs(float(self.travelled_m[motion.last] - self.travelled_m[motion.first]))
+
+
+def find_path(angle: np.ndarray, radius_m: float, track_m: float) -> Path:
+    """Distance and heading by wheel angles (n, 2) [rad]: the wheels' mean, and their difference over the track."""
+    rim = angle * radius_m
+    return Path(rim.mean(axis=1), (rim[:, 1] - rim[:, 0]) / track_m)
+
+
+def find_motions(wheels: Wheels, path: Path, track_m: float) -> list[Motion]:
+    """Divide a drive into motions, in order; together they cover it."""
+    path = _take_off_usual(wheels, path)
+    motions = _leave_out_short(_group(_judge(wheels, path, track_m)), "back", SHORTEST_BACK_M, path)
+    motions = [part for motion in motions for part in _divide_bent(motion, path)]
+    return _join(motions, path)
+
+
+def _take_off_usual(wheels: Wheels, path: Path) -> Path:
+    """The path without the curvature that it usually has where the robot drives nearly straight."""
+    speed, rate = _find_speeds(wheels, path)
+    driving = (np.abs(speed) > DRIVING_MPS) & (np.abs(rate) < CURVED_PER_M * np.abs(speed))
+    usual = float(np.median(rate[driving] / speed[driving])) if driving.any() else 0.0
+    return Path(path.travelled_m, path.yaw - np.clip(usual, -USUAL_PER_M, USUAL_PER_M) * path.travelled_m)
+
+
+def _find_speeds(wheels: Wheels, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Speed [m/s] and turn rate [rad/s] in each interval (n - 1,), each over a window around it."""
+    time_s, middle = wheels.time_s, (wheels.time_s[1:] + wheels.time_s[:-1]) / 2
+    early, late = np.maximum(middle - WINDOW_S, time_s[0]), np.minimum(middle + WINDOW_S, time_s[-1])
+    changes = [np.interp(late, time_s, one) - np.interp(early, time_s, one) for one in (path.travelled_m, path.yaw)]
+    return changes[0] / (late - early), changes[1] / (late - early)
+
+
+def _judge(wheels: Wheels, path: Path, track_m: float) -> np.ndarray:
+    """Number of the kind in each interval (n - 1,)."""
+    speed, rate = _find_speeds(wheels, path)
+    curved = CURVED_PER_M * np.abs(speed) + CURVED_RADPS + DEVIATIONS * _measure_noise(wheels.time_s, rate, speed)
+    rim = np.abs(rate) * track_m / 2
+    return np.select(
+        [
+            wheels.broken | wheels.gap,
+            (np.abs(speed) < REST_MPS) & (rim < REST_MPS),
+            rim > 2 * np.abs(speed),
+            speed < 0,
+            np.abs(rate) > curved,
+        ],
+        [KINDS.index(name) for name in ("unknown", "rest", "turn", "back", "arc")],
+        KINDS.index("straight"),
+    )
+
+
+def _measure_noise(time_s: np.ndarray, rate: np.ndarray, speed: np.ndarray) -> float:
+    """Standard deviation of turn rates while the robot drives [rad/s], from rates that share no message of the wheels.
+
+    A steady turn, as on an arc, has no part in it.
+    """
+    step = max(round(2 * WINDOW_S / float(np.median(np.diff(time_s)))) + 1, 1)
+    driving = np.abs(speed) > DRIVING_MPS
+    both = driving[step:] & driving[:-step]
+    change = np.abs(rate[step:] - rate[:-step])[both]
+    return float(1.4826 * np.median(change) / np.sqrt(2)) if len(change) else 0.0
+
+
+def _group(kind: np.ndarray) -> list[Motion]:
+    cut = np.flatnonzero(np.diff(kind)) + 1
+    edges = [0, *cut.tolist(), len(kind)]
+    return [Motion(KINDS[kind[first]], first, last) for first, last in pairwise(edges)]
+
+
+def _divide_bent(motion: Motion, path: Path) -> list[Motion]:
+    """A straight drive in pieces along each of which the heading changes little."""
+    if motion.kind != "straight":
+        return [motion]
+    pieces, first = [], motion.first
+    while first < motion.last:
+        bent = np.abs(path.yaw[first : motion.last + 1] - path.yaw[first]) > BENT_RAD
+        last = first + int(np.argmax(bent)) if bent.any() else motion.last
+        pieces.append(Motion("straight", first, max(last, first + 1)))
+        first = pieces[-1].last
+    return pieces
+
+
+def _join(motions: list[Motion], path: Path) -> list[Motion]:
+    """Segments with the moments in which the robot speeds up, brakes or rests between; short ones are arcs."""
+    joined: list[Motion] = []
+    for motion in motions:
+        joined.append(motion)
+        while (shorter := _absorb(joined, path)) is not None:
+            joined = shorter
+    return _leave_out_short(joined, "straight", SHORTEST_M, path)
+
+
+def _leave_out_short(motions: list[Motion], kind: Kind, least_m: float, path: Path) -> list[Motion]:
+    """The motions with those of a kind that are shorter than ``least_m`` as arcs."""
+    return [
+        Motion("arc", one.first, one.last) if one.kind == kind and path.find_way(one) < least_m else one
+        for one in motions
+    ]
+
+
+def _absorb(motions: list[Motion], path: Path) -> list[Motion] | None:
+    """The motions with the last ones joined to one, if they belong together; None: they do not."""
+    if len(motions) >= 2:
+        before, last = motions[-2:]
+        if before.kind == "straight" and last.kind == "arc" and _is_slight(last, path):
+            return [*motions[:-2], Motion("straight", before.first, last.last)]
+        if before.kind == "arc" and last.kind == "straight" and _is_slight(before, path):
+            return [*motions[:-2], Motion("straight", before.first, last.last)]
+        short = min(path.find_way(before), path.find_way(last)) < SHORTEST_M
+        if before.kind == last.kind == "straight" and short and _is_one_line(before, last, path):
+            return [*motions[:-2], Motion("straight", before.first, last.last)]
+    if len(motions) >= 3:
+        before, between, last = motions[-3:]
+        still = between.kind in {"rest", "arc", "turn"} and _is_slight(between, path)
+        if before.kind == last.kind == "straight" and still and _is_one_line(before, last, path):
+            return [*motions[:-3], Motion("straight", before.first, last.last)]
+    return None
+
+
+def _is_slight(motion: Motion, path: Path) -> bool:
+    """Whether a motion is too short to count."""
+    turned = abs(path.yaw[motion.last] - path.yaw[motion.first])
+    return turned < JOIN_RAD and path.find_way(motion) < JOIN_M
+
+
+def _is_one_line(one: Motion, other: Motion, path: Path) -> bool:
+    """Whether two straight drives together are one."""
+    return abs(path.yaw[other.last] - path.yaw[one.first]) < BENT_RAD

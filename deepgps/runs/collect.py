@@ -1,0 +1,147 @@
+"""The first stage of a run: drive and record, derive from an earlier drive, or link a recording that exists."""
+
+import logging
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from deepgps.config.scenario import Scenario
+from deepgps.config.scenario_digest import digest_recording
+from deepgps.runs.adopted_recording import find_adopted
+from deepgps.runs.run_folder import find_place
+from deepgps.runs.shared_drive import find_base, find_training_drive
+from deepgps.runs.timing import timed
+from deepgps.terminal.progress import Report
+from sim.errors import DamagedError, InputError, WorkError
+from sim.recording.derive import derive
+from sim.recording.format import check_recording, is_whole
+from sim.sensors.catalog import SENSORS, list_carried
+from sim.settings import WorldName
+
+log = logging.getLogger(__name__)
+
+
+def list_undriven(scenario: Scenario, folder: Path, fresh: bool) -> list[Scenario]:
+    """The scenario if a run of it still has to make its recording; a finished one needs no MuJoCo and no renderer."""
+    place = find_place(folder, fresh)
+    return [] if is_whole(place / "recording") or find_base(scenario, place) else [scenario]
+
+
+def choose_renderer_for(scenarios: Sequence[Scenario]) -> None:
+    """Choose the renderer by the sensors of these scenarios, which are still to be driven."""
+    rooms = [scenario for scenario in scenarios if scenario.world == "room"]
+    if any(SENSORS[name].renders for scenario in rooms for name in list_carried(scenario)):
+        choose_renderer()
+    elif rooms:
+        os.environ["MUJOCO_GL"] = "off"  # MuJoCo reads this when it is imported: a lidar needs no OpenGL
+
+
+def choose_renderer() -> None:
+    """Choose a renderer that works on this machine; raises WorkError if there is none."""
+    from sim.sensors.camera.gl import choose_backend
+
+    choose_backend()
+
+
+def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
+    """Make the recording, unless it is finished: from an earlier run of the same drive, or else by driving."""
+    if not find_adopted(folder) and not is_whole(folder / "recording"):
+        with timed(folder, "collect"):
+            if not derive_from_base(scenario, folder, progress):
+                make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))
+
+
+def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool:
+    """Derive a run's recording from that of an earlier run, if one has the same drive; return whether that was done."""
+    base = find_base(scenario, folder)
+    if base is None:
+        return False
+    label = f"derive from {base.parent.name}"
+    progress(label, 0, 1)
+    try:
+        derive(base, scenario.sim, scenario.seed, folder / "recording")
+    except DamagedError as error:
+        log.warning("%s; the drive is made again", error)
+        choose_renderer_for([scenario])
+        return False
+    progress(label, 1, 1)
+    return True
+
+
+def make_recording(
+    scenario: Scenario, folder: Path, progress: Report, base: Path | None = None, renderers: int | None = None
+) -> None:
+    """Drive and record: write the recording ``folder``, or what is missing of it.
+
+    Args:
+        scenario: The scenario.
+        folder: The recording's folder.
+        progress: Called with the progress of driving and rendering.
+        base: A recording with the same training drive, which is shared unless it is damaged; None: there is none.
+        renderers: Processes that draw a room's images; None: as many as pay on all cores.
+    """
+    if base is not None:
+        try:
+            check_recording(base)
+            return _record_room(scenario, folder, progress, renderers, base)
+        except DamagedError as error:
+            log.warning("%s; the drive is made again", error)
+    RECORD[scenario.world](scenario, folder, progress, renderers)
+
+
+def check_log(path: Path, scenario: Scenario) -> None:
+    """Raise InputError if the log of a scenario's drive cannot be written to a file; choose a renderer for it."""
+    from sim.robot_log.check import check_log as check
+
+    check(path, scenario.sim)
+    choose_renderer()
+
+
+def write_log(scenario: Scenario, folder: Path, path: Path, progress: Report) -> None:
+    """Write what the robot's computers would have recorded of the drive of a run's recording, unless it is written."""
+    from sim.robot_log.log import write_log as write
+
+    write(path, scenario.sim, scenario.seed, folder / "recording", digest_recording(scenario), progress)
+
+
+def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
+    """Draw large fisheye pictures (n, rows, columns, 3) at poses (n, 3); None if this machine cannot draw the room."""
+    from sim.sensors.camera.gl import choose_backend
+
+    try:
+        choose_backend()
+        from sim.tools.pictures import draw_round
+
+        return draw_round(scenario.sim, poses)
+    except (InputError, WorkError) as error:
+        log.info("the viewer goes without large pictures: %s", error)
+        return None
+
+
+def _record_room(
+    scenario: Scenario, folder: Path, progress: Report, renderers: int | None, base: Path | None = None
+) -> None:
+    from sim.recording.collect import collect as collect_room
+
+    collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base)
+
+
+def _record_landmarks(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
+    from sim.planar.landmarks import collect as collect_landmarks
+
+    collect_landmarks(scenario.sim, scenario.seed, folder, progress)
+
+
+def _record_obstacles(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
+    from sim.planar.obstacles import collect as collect_lidar
+
+    collect_lidar(scenario.sim, scenario.seed, folder, progress)
+
+
+RECORD: dict[WorldName, Callable[[Scenario, Path, Report, int | None], None]] = {
+    "room": _record_room,
+    "landmarks": _record_landmarks,
+    "obstacles": _record_obstacles,
+}

@@ -1,0 +1,89 @@
+"""A table of runs: what each changes in its scenario, how far it is, its errors, and its age."""
+
+import time
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from deepgps.config.methods import title_of
+from deepgps.config.scenario import Scenario, list_settings, load_scenario, names_in
+from deepgps.config.spelling import as_option
+from deepgps.runs.run_folder import METRICS, RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
+from sim.errors import InputError
+from sim.files.checksums import damaged
+from sim.files.json_files import read_json
+from sim.paths import SCENARIOS
+from sim.recording.format import is_whole
+from sim.renamed import name_methods
+
+HEADINGS = ("run", "age", "RMS (median) [cm]", "differs from its scenario by")
+UNITS = ((86400, "d"), (3600, "h"), (60, "min"), (1, "s"))
+
+
+def tabulate_runs(folder: Path) -> str:
+    """The runs in a folder, oldest first, as a plain table with aligned columns.
+
+    Raises:
+        InputError: The folder does not exist, or holds no run.
+    """
+    runs = [folder] if (folder / RUN.first).is_file() else list_runs(folder)
+    if not runs:
+        raise InputError(f"{folder} holds no runs" if folder.is_dir() else describe_no_run(folder))
+    runs.sort(key=_find_time)
+    rows = [HEADINGS, *(_describe(run, run if run == folder else run.relative_to(folder)) for run in runs)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(HEADINGS))]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    )
+
+
+def list_differences(scenario: Scenario) -> dict[str, Any]:
+    """Settings in which a scenario differs from the one of its name, or from the defaults, by dotted name."""
+    base, own = _list_base(scenario.name), list_settings(scenario)
+    return {name: value for name, value in own.items() if name != "name" and base.get(name) != value}
+
+
+def write_age(seconds: float) -> str:
+    """An age in its largest unit, such as ``3 h``."""
+    size, unit = next((size, unit) for size, unit in UNITS if seconds >= size or size == 1)
+    return f"{max(0, int(seconds // size))} {unit}"
+
+
+def _describe(run: Path, name: Path) -> tuple[str, str, str, str]:
+    age = write_age(time.time() - _find_time(run))
+    try:
+        changes = [f"{as_option(key)} {_write(value)}" for key, value in list_differences(open_run(run)).items()]
+        return str(name), age, _describe_errors(run), " ".join(changes) or "nothing"
+    except InputError as error:
+        return str(name), age, "-", f"cannot be read: {error}"
+
+
+def _describe_errors(run: Path) -> str:
+    path = run / METRICS
+    if path.is_file():
+        metrics = read_json(path)
+        try:
+            methods = name_methods(metrics["methods"])
+            errors = [(title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in methods.items()]
+            return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
+        except (LookupError, TypeError, ValueError, AttributeError):
+            raise damaged(path, "it does not list the errors of methods") from None
+    if (run / WITHOUT_TRUTH).is_file():
+        return "no truth"
+    return "not measured" if is_whole(run / "recording") else "no finished recording"
+
+
+def _find_time(run: Path) -> float:
+    """When a run was measured, or else begun [s]."""
+    names = (METRICS, WITHOUT_TRUTH, RUN.first)
+    return next(run / name for name in names if (run / name).is_file()).stat().st_mtime
+
+
+@cache
+def _list_base(name: str) -> dict[str, Any]:
+    return list_settings(load_scenario(name, {}) if name in names_in(SCENARIOS) else Scenario())
+
+
+def _write(value: Any) -> str:
+    return " ".join(map(str, value)) if isinstance(value, Sequence) and not isinstance(value, str) else str(value)

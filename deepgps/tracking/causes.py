@@ -1,0 +1,208 @@
+"""Names why images of a drive in use are refused or suspicious, by comparing it with what a method has learned from."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
+from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.turn_images import find_in_place, turns_with_images
+from deepgps.positioner.confidence import Confidence
+from deepgps.positioner.pose import locate_camera
+from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of
+from deepgps.tracking.comparison import Comparison, KnownImages, learn_images
+from deepgps.tracking.image_checks import ImageLimits, check_images, find_driven, find_limits
+from deepgps.tracking.rules import (
+    FAULTY,
+    MORE,
+    MOSTLY,
+    OFTEN,
+    TITLES,
+    Evidence,
+    Seen,
+    find_long,
+    label,
+    median_around,
+    share_around,
+)
+from sim.recording.format import Recording
+from sim.recording.turns import from_array
+from sim.sensors.camera.upright import Upright
+
+LEAN_RINGS = 1.0 / 6.0
+"""A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
+RELIT = 2.0
+"""An image is relit if its values differ this many times as much as those of one training image in a hundred."""
+NOTABLE = 0.05
+"""A drive has a cause if this share of its images does."""
+
+
+@dataclass(frozen=True)
+class Causes:
+    """What is wrong in a drive in use of N images.
+
+    Attributes:
+        label: Name of each image's cause in ``TITLES`` (N,) str; empty: none.
+        accepted: Whether the method accepts it and it has no cause in ``FAULTY`` (N,) bool.
+        lean_deg: Angle by which the camera leans otherwise than in training [deg]; None: no turns show it.
+        leans: Whether that is more than the images' size explains.
+        gain: Values of images over those in training, in the median of those of known places; None: there are none.
+    """
+
+    label: np.ndarray
+    accepted: np.ndarray
+    lean_deg: float | None
+    leans: bool
+    gain: float | None
+
+    @property
+    def named(self) -> list[str]:
+        """Causes of the drive, that of most images first; a lean is one of all images."""
+        shares = {name: share for name, share in _count(self.label).items() if share >= NOTABLE}
+        seen = sum(share for name, share in shares.items() if name in FAULTY) < 0.5
+        if seen and self.leans:
+            shares["camera"] = 1.0
+        return sorted(shares, key=lambda name: -shares[name])
+
+    def summarise(self) -> dict[str, Any]:
+        """Contents of ``in_use.causes`` in ``metrics.json``."""
+        return {
+            "accepted": float(self.accepted.mean()),
+            "named": self.named,
+            "shares": _count(self.label),
+            "refused": _count(np.where(self.accepted, "", self.label)),
+            "lean_deg": self.lean_deg,
+            "gain": self.gain,
+        }
+
+
+def _count(labels: np.ndarray) -> dict[str, float]:
+    """Share of the images with each cause; causes without images are left out."""
+    shares = {name: float((labels == name).mean()) for name in TITLES}
+    return {name: share for name, share in shares.items() if share}
+
+
+@dataclass(frozen=True)
+class Monitor:
+    """What names the causes in drives of one method.
+
+    Attributes:
+        positioner: The method as trained.
+        confidence: The table by which it accepts images.
+        upright: What sets its training images upright; None: no turns show how the camera leans.
+        known: Its training images.
+        limits: Limits of single images.
+    """
+
+    positioner: FeaturePositioner
+    confidence: Confidence
+    upright: Upright | None
+    known: KnownImages
+    limits: ImageLimits
+
+    def name(self, drive: Recording) -> Causes:
+        """Name the causes in a drive with plausible readings."""
+        upright, change = self._find_lean(drive)
+        corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
+        positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
+        images = drive.observation
+        camera, features = positioner.locate_with_features(images)
+        compared = self.known.compare(images, camera, upright)
+        leans = upright is not None and change is not None and change > find_least_lean(upright, images.shape[1])
+        novelty = self.confidence.measure(features, camera)[0]
+        seen = self.look(images, find_driven(drive), novelty, compared)
+        gain = float(np.median(compared.gain[seen.known_place])) if seen.known_place.any() else None
+        causes = label(self.weigh(seen, leans and not corrected))
+        accepted = seen.accepted & ~np.isin(causes, FAULTY)
+        return Causes(causes, accepted, None if change is None else float(np.degrees(change)), leans, gain)
+
+    def _find_lean(self, drive: Recording) -> tuple[Upright | None, float | None]:
+        """What sets a drive's images upright, and the angle between its lean and that in training [rad]."""
+        if self.upright is None:
+            return None, None
+        upright, lean = adapt_upright(self.upright, drive)
+        return upright, None if lean is None else float(np.linalg.norm(np.subtract(lean, self.upright.lean)))
+
+    def look(self, images: np.ndarray, moved: np.ndarray, novelty: np.ndarray, compared: Comparison) -> Seen:
+        """What each image shows by itself.
+
+        Args:
+            images: Polar images (N, rings, sectors, 3).
+            moved: Whether the wheels moved since the image before (N,) bool.
+            novelty: Novelty of each (N,) [m].
+            compared: How they compare with the known images.
+        """
+        known = compared.correlation > self.known.other_place
+        return Seen(
+            **vars(check_images(images, moved, self.limits)),
+            accepted=novelty <= self.confidence.threshold_m,
+            unusual=novelty > self.confidence.usual_m,
+            known_place=known,
+            beyond=compared.away_m > self.known.gap_m,
+            relit=known & (compared.relit > RELIT * self.known.usual_light),
+            correlation=compared.correlation,
+        )
+
+    def weigh(self, seen: Seen, leaning: bool) -> Evidence:
+        """What is known of images in the order driven.
+
+        Args:
+            seen: What each shows by itself.
+            leaning: Whether the camera leans otherwise than in training, and the method does not correct it.
+        """
+        often, new = share_around(seen.relit), ~seen.known_place & ~seen.accepted
+        return Evidence(
+            **{**vars(seen), "relit": seen.relit & (often >= OFTEN)},
+            mostly_relit=often >= MOSTLY,
+            changed=median_around(seen.correlation, seen.accepted) < self.known.usual_match,
+            often_refused=share_around(~seen.accepted) > MORE * self.confidence.refused,
+            leaning=np.full(len(new), leaning),
+            long_new=find_long(new),
+        )
+
+
+def find_least_lean(upright: Upright, rings: int) -> float:
+    """The least change of a camera's lean that images with so many rings show for certain [rad]."""
+    return LEAN_RINGS * upright.lens.half_angle / rings
+
+
+def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None:
+    """What names causes for a method and the recording that it has learned from.
+
+    None where observations are no polar images, or the method accepts all.
+    """
+    confidence = confidence_of(positioner)
+    if confidence is None or not isinstance(positioner, FeaturePositioner):
+        return None
+    if recording.kind != "polar_image":
+        return None
+    recording = keep_plausible(recording)
+    upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
+    upright = upright or measure_upright(recording)
+    camera = locate_camera(positioner, recording.observation)
+    return Monitor(positioner, confidence, upright, learn_images(recording, upright, camera), find_limits(recording))
+
+
+def measure_upright(recording: Recording) -> Upright | None:
+    """What sets the images of a recording upright, by some of its turns in place; None: it has none with images."""
+    turns = turns_with_images(recording)
+    if turns is None or not len(rows := find_in_place(turns)):
+        return None
+    some = turns.array[rows[:: -(-len(rows) // MOST_TURNS)]]
+    return ignore_small(compare_images(recording, from_array(some)).upright)
+
+
+def name_causes(positioner: Positioner, recording: Recording, drive: Recording) -> Causes | None:
+    """Name why images of a drive in use are refused or suspicious.
+
+    Args:
+        positioner: The method as trained.
+        recording: What it has learned from.
+        drive: The drive in use.
+
+    Returns:
+        The causes; None where observations are no polar images, or the method accepts all.
+    """
+    monitor = make_monitor(positioner, recording)
+    return None if monitor is None else monitor.name(keep_plausible(drive))

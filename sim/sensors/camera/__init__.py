@@ -1,0 +1,1 @@
+"""The upward fisheye: lens, rendering, mount, faults."""

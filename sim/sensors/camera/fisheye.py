@@ -1,0 +1,209 @@
+"""The fisheye image: pinhole faces drawn by MuJoCo and mapped to the lens's image by one ``cv2.remap``.
+
+MuJoCo has no fisheye projection. On a CPU the cost of a face is that of its geoms, so each face draws only those that
+reach into it. An image must not depend on the face in which something is drawn: there are no shadows, and no light
+turns with the view.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import cv2
+import mujoco
+import numpy as np
+
+from sim.rooms.spec import DRAWN_GROUPS, NEAR_M, PREFIX
+from sim.sensors.camera.cube_faces import Face, edge_planes, make_faces, map_rays
+from sim.sensors.camera.lens import make_lens, polar_rays, round_rays
+from sim.sensors.camera.mount import CIRCLE_PX, tilt
+from sim.sensors.camera.offscreen import Offscreen
+from sim.settings import CameraMountSettings, CameraSettings
+
+CAMERA_SITE = f"{PREFIX}camera"
+ON_THE_AXLE = CameraMountSettings()
+# Points read per face pixel along each axis: more points cost time without a measurable gain.
+_READ_DENSITY = 1.0
+UNSEEN = int(mujoco.mjtGeom.mjGEOM_NONE)
+Dress = Callable[[mujoco.MjvScene], None]
+"""Changes a scene before it is drawn: its lights, or what is in it besides the model."""
+_OFF = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_FOG", "mjRND_HAZE")
+
+
+@dataclass(frozen=True)
+class _Warp:
+    """Fixed-point maps from the strip of faces to a finer image, which is averaged to ``shape`` rows and columns."""
+
+    column_row: np.ndarray
+    fraction: np.ndarray
+    shape: tuple[int, int]
+
+
+class Fisheye:
+    """The upward camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
+
+    Its optical axis is the z axis of the site ``robot/camera`` and azimuth zero its x axis. The robot's own geoms are
+    not drawn: none of them is above the lens.
+
+    Args:
+        model: A compiled room with the robot in it.
+        camera: The lens and the sizes of its image.
+        mount: Where the camera is on the robot, and its optical centre; leans are given with each image.
+
+    Raises:
+        InputError: The lens is impossible.
+        WorkError: No OpenGL context can be opened; the message names the fix.
+    """
+
+    def __init__(self, model: mujoco.MjModel, camera: CameraSettings, mount: CameraMountSettings = ON_THE_AXLE) -> None:
+        self._model, self._camera = model, camera
+        self._offset = np.array([mount.ahead_m, mount.left_m, 0.0])
+        self._lens = make_lens(camera)
+        self._faces = make_faces(self._lens, camera.face_px)
+        self._planes = edge_planes(self._faces)
+        self._site = model.site(CAMERA_SITE).id
+        self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
+        self._boxes = _local_boxes(model)
+        self._scene, self._option, self._view = make_scene(model)
+        finer = self._finer(self._lens.half_angle / camera.rings)
+        self._centre = 2.0 * mount.centre_px / CIRCLE_PX
+        rays = polar_rays(self._lens, camera.rings * finer, camera.sectors * finer, self._centre)
+        self._polar = self._make_warp(rays, finer)
+        self._round: dict[int, _Warp] = {}
+        self._screen = Offscreen(model, *_strip_size(self._faces))
+        self.renderer_string = self._screen.renderer_string
+
+    def polar(self, data: mujoco.MjData, lean: np.ndarray | None = None, dress: Dress | None = None) -> np.ndarray:
+        """The polar image of the state ``data``: (rings, sectors, 3) uint8 RGB.
+
+        Args:
+            data: The model's state, with kinematics computed.
+            lean: Lean of the camera about its own centre, to the robot's right and forward (2,) [rad].
+            dress: Changes the scene first; what it adds is drawn in every face.
+        """
+        return _warp(self._draw(data, lean, dress), self._polar)
+
+    def round(
+        self, data: mujoco.MjData, size_px: int, lean: np.ndarray | None = None, dress: Dress | None = None
+    ) -> np.ndarray:
+        """The round picture of the state ``data``: (size_px, size_px, 3) uint8 RGB, black outside the rim."""
+        if size_px not in self._round:
+            finer = self._finer(2 * self._lens.half_angle / size_px)
+            self._round[size_px] = self._make_warp(round_rays(self._lens, size_px * finer, self._centre), finer)
+        return _warp(self._draw(data, lean, dress), self._round[size_px])
+
+    def close(self) -> None:
+        """Free the OpenGL context; a second call does nothing."""
+        self._screen.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _finer(self, pitch_rad: float) -> int:
+        """Factor by which the faces are read finer than the image, so that each of their pixels counts."""
+        return int(np.clip(np.ceil(_READ_DENSITY * pitch_rad * self._camera.face_px / 2), 1, 8))
+
+    def _make_warp(self, rays: np.ndarray, finer: int) -> _Warp:
+        column, row = map_rays(self._faces, rays)
+        column_row, fraction = cv2.convertMaps(column, row, cv2.CV_16SC2)
+        return _Warp(column_row, fraction, (column.shape[0] // finer, column.shape[1] // finer))
+
+    def _draw(self, data: mujoco.MjData, lean: np.ndarray | None, dress: Dress | None) -> np.ndarray:
+        """Draw all faces; the strip's first row is the lowest."""
+        self._screen.begin()
+        scene = self._scene
+        turn = data.site_xmat[self._site].reshape(3, 3)
+        position = data.site_xpos[self._site] + turn @ self._offset
+        if lean is not None:
+            turn = turn @ tilt(lean)
+        update_scene(self._model, data, self._option, self._view, scene)
+        modelled = np.array([geom.objid for geom in scene.geoms[: scene.ngeom]], int)
+        seen = self._find_seen(data, modelled, position, turn)
+        if dress is not None:
+            dress(scene)
+        geoms = scene.geoms[: scene.ngeom]
+        seen = np.pad(seen, [(0, 0), (0, len(geoms) - len(modelled))], constant_values=True)
+        kinds = [geom.type for geom in geoms]
+        shown = np.ones(len(geoms), bool)
+        for face, wanted in zip(self._faces, seen, strict=True):
+            for index in np.flatnonzero(wanted != shown):
+                geoms[index].type = kinds[index] if wanted[index] else UNSEEN
+            shown = wanted
+            aim(scene, face, position, turn)
+            mujoco.mjr_render(mujoco.MjrRect(face.column, 0, face.width, face.height), scene, self._screen.target)
+        return self._screen.read()
+
+    def _find_seen(self, data: mujoco.MjData, geoms: np.ndarray, position: np.ndarray, turn: np.ndarray) -> np.ndarray:
+        """Mask (faces, geoms) of the geoms whose boxes reach into each face's pyramid, by its four planes.
+
+        ``position`` (3,) is the camera's, ``turn`` (3, 3) holds its axes as columns.
+        """
+        middle, half = self._boxes[0][geoms], self._boxes[1][geoms]
+        axes = data.geom_xmat[geoms].reshape(-1, 3, 3)
+        place = data.geom_xpos[geoms] - position + np.einsum("gij,gj->gi", axes, middle)
+        planes = self._planes.reshape(-1, 3) @ turn.T
+        edges = (axes * half[:, None, :]).transpose(1, 0, 2).reshape(3, -1)  # half edges as columns, three per geom
+        reach = np.abs(planes @ edges).reshape(len(planes), -1, 3).sum(axis=-1)
+        inside = (planes @ place.T + reach > 0).reshape(len(self._faces), 4, -1).all(axis=1)
+        return inside & ~self._robot[geoms]
+
+
+def make_scene(model: mujoco.MjModel) -> tuple[mujoco.MjvScene, mujoco.MjvOption, mujoco.MjvCamera]:
+    """Make a scene of only the visual geoms."""
+    scene, option, view = mujoco.MjvScene(model, model.ngeom + 100), mujoco.MjvOption(), mujoco.MjvCamera()
+    for flag in _OFF:
+        scene.flags[getattr(mujoco.mjtRndFlag, flag)] = 0
+    keep = (mujoco.mjtVisFlag.mjVIS_TEXTURE, mujoco.mjtVisFlag.mjVIS_STATIC)
+    for flag in range(len(option.flags)):
+        option.flags[flag] = flag in keep
+    for group in range(len(option.geomgroup)):
+        option.geomgroup[group] = group in DRAWN_GROUPS
+    for other in (option.sitegroup, option.jointgroup, option.tendongroup, option.actuatorgroup):
+        other[:] = 0
+    return scene, option, view
+
+
+def _strip_size(faces: list[Face]) -> tuple[int, int]:
+    return faces[-1].column + faces[-1].width, max(face.height for face in faces)
+
+
+def _local_boxes(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half edges of each geom's box in its own frame; an infinite plane has a very large box."""
+    middle, half = model.geom_aabb[:, :3].copy(), model.geom_aabb[:, 3:].copy()
+    plane = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
+    size = model.geom_size[plane, :2]
+    middle[plane] = 0.0
+    half[plane, :2] = np.where(size > 0, size, 1e6)
+    half[plane, 2] = 0.0
+    return middle, half
+
+
+def update_scene(
+    model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, view: mujoco.MjvCamera, scene: mujoco.MjvScene
+) -> None:
+    """Bring a scene to the state ``data``, with kinematics computed; the light that would turn with the view is off."""
+    mujoco.mj_camlight(model, data)  # kinematics leave the lamps without a place and a direction
+    mujoco.mjv_updateScene(model, data, option, None, view, mujoco.mjtCatBit.mjCAT_ALL, scene)
+    for light in scene.lights[: scene.nlight]:
+        if light.headlight:
+            light.diffuse = light.specular = np.zeros(3, np.float32)
+
+
+def aim(scene: mujoco.MjvScene, face: Face, position: np.ndarray, turn: np.ndarray) -> None:
+    """Point both eyes, which MuJoCo averages, at a face."""
+    left, right, bottom, top = face.window * NEAR_M
+    for eye in scene.camera:
+        eye.pos, eye.up, eye.forward = position, turn @ face.axes[1], turn @ face.axes[2]
+        eye.frustum_near = NEAR_M
+        eye.frustum_center, eye.frustum_width = (left + right) / 2, (right - left) / 2
+        eye.frustum_bottom, eye.frustum_top = bottom, top
+        eye.orthographic = 0
+
+
+def _warp(strip: np.ndarray, warp: _Warp) -> np.ndarray:
+    fine = cv2.remap(strip, warp.column_row, warp.fraction, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+    rows, columns = warp.shape
+    return cv2.resize(fine, (columns, rows), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,118 @@
+"""The tag camera: a horizontal pinhole camera on the robot, drawn in grey by MuJoCo.
+
+Its frame is OpenCV's: x to the right, y down, z ahead. The principal point is the image centre; there is no distortion.
+"""
+
+from collections.abc import Callable
+from typing import Self
+
+import cv2
+import mujoco
+import numpy as np
+
+from sim.rooms.spec import PREFIX
+from sim.sensors.camera.cube_faces import Face
+from sim.sensors.camera.fisheye import UNSEEN, aim, make_scene, update_scene
+from sim.sensors.camera.offscreen import Offscreen
+from sim.sensors.catalog import Opened
+from sim.settings import SimSettings, TagCameraSettings
+
+NAME = "tag_camera"
+TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
+
+
+class TagCamera:
+    """The tag camera of one model; opens an OpenGL context, which belongs to the thread that opened it.
+
+    The robot itself is not drawn.
+
+    Args:
+        model: A compiled room with a robot that has this camera.
+        settings: Field of view and image size.
+        site: Site of the robot at which the camera is, its x axis pointing out and its z axis up.
+
+    Raises:
+        WorkError: No OpenGL context can be opened; the message names the fix.
+    """
+
+    def __init__(self, model: mujoco.MjModel, settings: TagCameraSettings, site: str = NAME) -> None:
+        self._model, self._site = model, model.site(PREFIX + site).id
+        self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
+        self._scene, self._option, self._view = make_scene(model)
+        across = np.tan(np.radians(settings.field_of_view_deg) / 2)
+        up = across * settings.height_px / settings.width_px
+        window = np.array([-across, across, -up, up])
+        self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
+        self._screen = Offscreen(model, settings.width_px, settings.height_px)
+        self.renderer_string = self._screen.renderer_string
+
+    def look(self, data: mujoco.MjData) -> np.ndarray:
+        """The image of the state ``data``: (height_px, width_px) uint8, grey."""
+        self._screen.begin()
+        scene, face = self._scene, self._face
+        update_scene(self._model, data, self._option, self._view, scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            if self._robot[geom.objid]:
+                geom.type = UNSEEN
+        aim(scene, face, data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3))
+        mujoco.mjr_render(mujoco.MjrRect(0, 0, face.width, face.height), scene, self._screen.target)
+        return cv2.cvtColor(np.ascontiguousarray(self._screen.read()[::-1]), cv2.COLOR_RGB2GRAY)
+
+    def close(self) -> None:
+        """Free the OpenGL context; a second call does nothing."""
+        self._screen.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def open_tag_camera(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> Opened:
+    """Open the tag camera in the scene."""
+    model = scene()
+    camera, data = TagCamera(model, settings.tag_camera), mujoco.MjData(model)
+
+    def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
+        data.qpos[:] = state
+        mujoco.mj_kinematics(model, data)
+        return camera.look(data)
+
+    return Opened(sense, camera.renderer_string)
+
+
+def mount(robot: mujoco.MjSpec, settings: SimSettings) -> None:
+    """Put the tag camera on the robot: a small massless box, and a site whose x axis points outwards and z axis up."""
+    camera, base = settings.tag_camera, robot.body("base")
+    place, half = (camera.ahead_m, 0.0, camera.height_m), np.radians(camera.yaw_deg) / 2
+    base.add_site(name=NAME, pos=place, quat=(np.cos(half), 0.0, 0.0, np.sin(half)), size=[0.004] * 3, group=4)
+    base.add_geom(
+        name=NAME,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=place,
+        size=(0.012, 0.02, 0.012),
+        material="shell" if robot.material("shell") is not None else "",
+        mass=0.0,
+        contype=0,
+        conaffinity=0,
+        group=2,
+    )
+
+
+def camera_matrix(settings: TagCameraSettings) -> np.ndarray:
+    """Intrinsic matrix (3, 3) [px], with pixel centres at integers."""
+    focal = settings.width_px / 2 / np.tan(np.radians(settings.field_of_view_deg) / 2)
+    middle = (settings.width_px - 1) / 2, (settings.height_px - 1) / 2
+    return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
+
+
+def mounting(settings: TagCameraSettings) -> np.ndarray:
+    """The camera's pose in the robot's frame (4, 4)."""
+    yaw = np.radians(settings.yaw_deg)
+    c, s = np.cos(yaw), np.sin(yaw)
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ TURN
+    pose[:3, 3] = settings.ahead_m, 0.0, settings.height_m
+    return pose

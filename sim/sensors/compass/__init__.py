@@ -1,0 +1,1 @@
+"""The visual compass: the turn between two polar images."""

@@ -1,0 +1,203 @@
+"""The compass: the angle that the robot turned between two polar images, from the images alone.
+
+A turn in place shifts the polar image in a circle, so the peaks of the circular cross-correlation are hypotheses of the
+angle (Labrosse, "The visual compass: performance and limitations of an appearance-based method", Journal of Field
+Robotics 23(10), 2006). Angles are to the left [rad]: second image (azimuth) = first image (azimuth + angle).
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sim.errors import InputError
+from sim.geometry import wrap
+from sim.sensors.camera.lens import Lens
+from sim.sensors.compass.circular_peaks import find_top
+from sim.sensors.compass.fit import Grid, fit_rotation, make_grid, sample_spectra, take_spectra
+
+FINER = 16
+"""Samples of the correlation in a sector."""
+LEAST_WEIGHT = 1e-3
+"""Hypotheses with a smaller weight are left out."""
+LEAST_CONTRAST = 1e-6
+"""An image whose variance is a smaller part of the mean square, after filtering, shows no direction."""
+MATCH_FLOOR = 1e-3
+"""Unexplained part of the energy that two images of one place have at least: steps of brightness and sampling."""
+AHEAD_RAD = np.radians(25.0)
+"""How far from straight ahead or behind a sector still tells a segment's heading [rad]."""
+LASTING = 6.0
+"""Images after which the errors of consecutive turns on a segment have changed."""
+CHUNK = 32
+"""Pairs that are compared at once, so that they fit into the processor's cache."""
+
+
+@dataclass(frozen=True)
+class Hypotheses:
+    """Hypotheses of the angle turned between P pairs, the likeliest first; at most K for a pair, the others NaN.
+
+    Attributes:
+        angle: Angle turned to the left (P, K) [rad]: from -pi to pi, or with whole turns where wheels give them.
+        std: Standard deviation of each angle (P, K) [rad].
+        weight: Probability of each hypothesis (P, K): a pair's add up to 1, or to 0 where it has none.
+        lean: Lean of the second camera against the first, to the second's right and forward (P, K, 2) [rad].
+    """
+
+    angle: np.ndarray
+    std: np.ndarray
+    weight: np.ndarray
+    lean: np.ndarray
+
+
+def find_turns(first: np.ndarray, second: np.ndarray, lens: Lens) -> Hypotheses:
+    """Find all angles by which the robot may have turned between two images.
+
+    Peaks of the correlation, weighted by solid angle, are sampled ``FINER`` times finer than the sectors; the likeliest
+    are refined by a robust fit. A peak has the profile likelihood of a Gaussian residual, (1 - correlation^2)^(-n / 2),
+    with n = 2 (sum p)^2 / sum p^2 independent values in the power spectrum p: rings and channels count as one.
+
+    Args:
+        first: Polar images (P, rings, sectors, channels), uint8 or float.
+        second: Polar images of the same shape.
+        lens: Their lens.
+
+    Raises:
+        InputError: The shapes differ or are not those of polar images.
+    """
+    first, second = np.asarray(first), np.asarray(second)
+    if first.ndim != 4 or first.shape != second.shape or first.shape[1] < 2 or first.shape[2] < 8 or first.shape[3] < 1:
+        raise InputError(
+            f"images {first.shape} and {second.shape}: both must be (pairs, rings, sectors, channels) with at least 2 "
+            "rings and 8 sectors"
+        )
+    chunks = [
+        _find(first[start : start + CHUNK], second[start : start + CHUNK], lens)
+        for start in range(0, len(first), CHUNK)
+    ]
+    pair = np.concatenate([np.empty(0, int), *(chunk[0] + CHUNK * i for i, chunk in enumerate(chunks))])
+    found = np.concatenate([np.empty((0, 5)), *(chunk[1] for chunk in chunks)])
+    return _pack(len(first), pair, found)
+
+
+def disambiguate(hypotheses: Hypotheses, turn: np.ndarray, std: np.ndarray) -> Hypotheses:
+    """Weigh hypotheses by the turn that the wheels measured, and add the whole turns that it tells.
+
+    The wheels choose, and never change an angle by anything but whole turns. Where they cannot tell peaks apart, all
+    remain, with their weights.
+
+    Args:
+        hypotheses: Of P pairs.
+        turn: Turn measured by the wheels (P,) [rad], of any size; NaN where they measured none.
+        std: Its standard deviation (P,) [rad].
+    """
+    turn, std = np.asarray(turn, float)[:, None], np.asarray(std, float)[:, None]
+    known = np.isfinite(turn) & np.isfinite(std)
+    missed = np.where(known, turn, 0.0) - np.where(known, hypotheses.angle, 0.0)
+    whole = 2.0 * np.pi * np.rint(missed / (2.0 * np.pi))
+    variance = np.where(known, std, 1.0) ** 2 + hypotheses.std**2
+    with np.errstate(divide="ignore"):
+        score = np.log(hypotheses.weight) - np.where(known, (missed - whole) ** 2 / variance, 0.0) / 2.0
+    score = np.where(hypotheses.weight > 0.0, score, -np.inf)
+    pair, column = np.nonzero(np.isfinite(score))
+    found = np.column_stack(
+        [
+            (hypotheses.angle + whole)[pair, column],
+            hypotheses.std[pair, column],
+            score[pair, column],
+            hypotheses.lean[pair, column],
+        ]
+    )
+    return _pack(len(score), pair, found)
+
+
+def follow(images: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Heading of each image of a straight segment against the first, and its standard deviation, both (n,) [rad].
+
+    It adds up the turns between consecutive images. What the robot passes pulls them to its side, so sectors count by
+    1 / (1 + (sin azimuth / sin ``AHEAD_RAD``)^2)^2: ahead and behind, driving on moves no azimuth. The errors that are
+    left last for a while: their correlation is taken as exp(-distance / ``LASTING``). NaN from where an image is blank.
+
+    Args:
+        images: Polar images of the segment in order, a few centimetres apart (n, rings, sectors, channels).
+        lens: Their lens.
+    """
+    rings, sectors = images.shape[1:3]
+    grid = make_grid(rings, sectors, lens)
+    aside = np.sin(2.0 * np.pi * (np.arange(sectors) + 0.5) / sectors) / np.sin(AHEAD_RAD)
+    grid = replace(grid, weight=(grid.weight / (1.0 + aside**2) ** 2).astype(np.float32))
+    turn, std = [np.zeros(1)], [np.zeros(1)]
+    for start in range(0, len(images) - 1, CHUNK):
+        some = images[start : start + CHUNK + 1]
+        spectra = take_spectra(some, grid)
+        seen = _contrast(_sum(grid, spectra, spectra).real, some, sectors) > LEAST_CONTRAST
+        fitted = fit_rotation(spectra[:-1], spectra[1:], np.zeros(len(some) - 1), grid)
+        turn.append(np.where(seen[:-1] & seen[1:], fitted.angle, np.nan))
+        std.append(fitted.std)
+    heading, scale = np.cumsum(np.concatenate(turn))[: len(images)], np.concatenate(std)[: len(images)]
+    apart = np.abs(np.subtract.outer(np.arange(len(scale)), np.arange(len(scale))))
+    covariance = np.outer(scale, scale) * np.exp(-apart / LASTING)
+    total = np.sqrt(np.diagonal(covariance.cumsum(axis=0).cumsum(axis=1)))
+    return heading, np.where(np.isfinite(heading), total, np.nan)
+
+
+def _find(first: np.ndarray, second: np.ndarray, lens: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs (M,) of all hypotheses, and their angle, std, log-likelihood and lean (M, 5)."""
+    rings, sectors = first.shape[1:3]
+    grid = make_grid(rings, sectors, lens)
+    one, two = take_spectra(first, grid), take_spectra(second, grid)
+    cross, *squares = (_sum(grid, *both) for both in ((one, two), (one, one), (two, two)))
+    power = [square.real for square in squares]
+    energy = np.sqrt(power[0].sum(axis=1) * power[1].sum(axis=1))
+    contrast = np.minimum(_contrast(power[0], first, sectors), _contrast(power[1], second, sectors))
+    seen = contrast > LEAST_CONTRAST
+    fine = sectors * FINER
+    correlation = sample_spectra(cross, fine) * (fine / 2) / np.where(seen, energy, 1.0)[:, None]
+    before, after = np.roll(correlation, 1, axis=1), np.roll(correlation, -1, axis=1)
+    pair, place = np.nonzero((correlation > before) & (correlation >= after) & (correlation > 0.0) & seen[:, None])
+    before, peak, after = before[pair, place], correlation[pair, place], after[pair, place]
+    aside = find_top(before, peak, after)
+    peak = peak - (before - after) * aside / 4.0
+    angle = 2.0 * np.pi / fine * (place + aside)
+    both = power[0] + power[1]
+    values = 2.0 * both.sum(axis=1) ** 2 / np.maximum((both**2).sum(axis=1), 1e-30)
+    unexplained = np.maximum(1.0 - peak**2, 0.0) + MATCH_FLOOR
+    score = -values[pair] / 2.0 * np.log(unexplained)
+    likely = score > _best(len(first), pair, score)[pair] + np.log(LEAST_WEIGHT)
+    pair, angle, score = pair[likely], angle[likely], score[likely]
+    fitted = fit_rotation(one[pair], two[pair], angle, grid)
+    return pair, np.column_stack([wrap(fitted.angle), fitted.std, score, fitted.lean])
+
+
+def _sum(grid: Grid, one: np.ndarray, two: np.ndarray) -> np.ndarray:
+    """Cross-spectra (P, frequencies), summed over channels and rings, these by solid angle."""
+    return np.einsum("pcrk,pcrk,r->pk", one, two.conj(), grid.weight.mean(axis=1))
+
+
+def _contrast(power: np.ndarray, images: np.ndarray, sectors: int) -> np.ndarray:
+    """Filtered variance around the circle as a part of the mean square (P,)."""
+    square = np.einsum("prsc,prsc->p", images, images, dtype=float, casting="same_kind") * sectors
+    return power.sum(axis=1) / np.maximum(square, 1e-30)
+
+
+def _best(count: int, pair: np.ndarray, score: np.ndarray) -> np.ndarray:
+    """The highest score of each pair (count,)."""
+    best = np.full(count, -np.inf)
+    np.maximum.at(best, pair, score)
+    return best
+
+
+def _pack(count: int, pair: np.ndarray, found: np.ndarray) -> Hypotheses:
+    """Hypotheses of ``count`` pairs from a list of angle, std, log-likelihood and lean (M, 5)."""
+    weight = np.exp(found[:, 2] - _best(count, pair, found[:, 2])[pair])
+    weight /= np.bincount(pair, weight, count)[pair]
+    kept = weight > LEAST_WEIGHT
+    pair, found, weight = pair[kept], found[kept], weight[kept]
+    order = np.lexsort((-weight, pair))
+    pair, found, weight = pair[order], found[order], weight[order] / np.bincount(pair, weight, count)[pair[order]]
+    number = np.bincount(pair, minlength=count)
+    column = np.arange(len(pair)) - (np.cumsum(number) - number)[pair]
+    shape = count, max(number.max(initial=0), 1)
+    angle, std, lean, share = (np.full((*shape, *more), np.nan) for more in ((), (), (2,), ()))
+    angle[pair, column], std[pair, column], lean[pair, column] = found[:, 0], found[:, 1], found[:, 3:]
+    share[...] = 0.0
+    share[pair, column] = weight
+    return Hypotheses(angle, std, share, lean)

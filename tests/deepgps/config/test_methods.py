@@ -1,0 +1,49 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deepgps.config.learning import LearnSettings
+from deepgps.config.methods import METHODS
+from deepgps.config.scenario import load_scenario
+from deepgps.methods.fit import fit_method
+from deepgps.positioner.stored_positioner import load_positioner
+from deepgps.terminal.progress import ignore
+from sim.errors import InputError
+from sim.recording.format import open_recording
+
+EXPLICIT = sorted(name for name, method in METHODS.items() if method.observes == "vector")
+IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {None, "polar_image"})
+
+
+def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
+    with pytest.raises(InputError, match=r"methods 'posent': must be 'deepgps_compass', .* or 'dead_reckoned_labels'"):
+        load_scenario("tiny", {"methods": ["deepgps", "posent"]})
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_a_real_recording_of_images_is_learned_and_loaded(name: str, small_recording: Path, tmp_path: Path):
+    recording = open_recording(small_recording)
+    settings = LearnSettings.model_validate({"train": {"steps": 20}, "network": {"width": 32}, "fold": {"restarts": 0}})
+    positioner = fit_method(name, recording, settings, 0, tmp_path / name, ignore)
+    images = np.asarray(recording.test_observation[:, 0])
+    assert positioner(images).shape == (len(images), 2)
+    assert np.array_equal(load_positioner(tmp_path / name)(images), positioner(images))
+    again = fit_method(name, recording, settings, 0, tmp_path / "again" / name, ignore)
+    assert np.array_equal(again(images), positioner(images))
+
+
+@pytest.mark.parametrize("name", EXPLICIT)
+def test_what_solves_for_landmarks_refuses_images(name: str, small_recording: Path, tmp_path: Path):
+    with pytest.raises(InputError, match="holds images; explicit positioning needs distances to landmarks"):
+        fit_method(name, open_recording(small_recording), LearnSettings(), 0, tmp_path / name, ignore)
+    assert not (tmp_path / name).exists()
+
+
+def test_the_resnet_learns_from_raw_images(small_recording: Path, tmp_path: Path):
+    recording = open_recording(small_recording)
+    network = {"architecture": "resnet", "channels": 4}
+    train = {"steps": 4, "segments": 4, "samples": 4}
+    settings = LearnSettings.model_validate({"network": network, "train": train, "fold": {"restarts": 0}})
+    positioner = fit_method("deepgps", recording, settings, 0, tmp_path / "deepgps", ignore)
+    assert np.isfinite(positioner(np.asarray(recording.observation[:5]))).all()

@@ -1,0 +1,82 @@
+"""Parts that could be mirrored, in rooms of straight segments that are joined along one line or more."""
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+
+from deepgps.initial_map.distances.flip_ambiguity import find_ambiguous_readings
+from deepgps.initial_map.distances.pose_graph import PoseGraph
+
+STEP = 0.1
+LEFT = [((0.0, y), (4.0, 4.0 - y)) for y in (0.5, 1.5, 2.5, 3.5)] + [((x, 0.0), (x, 4.0)) for x in (0.5, 1.5, 3.0)]
+RIGHT = [((6.0, 0.5), (7.5, 3.5)), ((6.0, 3.5), (7.5, 0.5)), ((6.0, 1.0), (8.0, 1.0)), ((6.0, 3.0), (8.0, 3.0))]
+LONG = [((0.0, 2.0), (8.0, 2.0))]
+SECOND = [((0.0, 3.2), (8.0, 2.8))]
+DIAGONAL = [((0.0, 1.0), (8.0, 2.6))]
+TURN = np.array([[0.6, -0.8], [0.8, 0.6]])
+
+
+def make_graph(bars: list) -> tuple[PoseGraph, np.ndarray]:
+    """Readings along bars from one point to another, and pairs of readings of two bars that nearly coincide."""
+    ways = [np.arange(0.0, np.hypot(*np.subtract(end, start)), STEP) for start, end in bars]
+    point = np.concatenate(
+        [
+            np.array(start) + way[:, None] * np.subtract(end, start) / np.hypot(*np.subtract(end, start))
+            for (start, end), way in zip(bars, ways, strict=True)
+        ]
+    )
+    bar = np.repeat(np.arange(len(bars)), [len(way) for way in ways])
+    pairs = KDTree(point).query_pairs(STEP, output_type="ndarray")
+    a, b = pairs[bar[pairs[:, 0]] != bar[pairs[:, 1]]].T
+    along = np.concatenate([way - way.mean() for way in ways])
+    count = np.arange(len(point))
+    return PoseGraph(count, along, bar, a, b, np.zeros(len(a), bool), np.ones(len(a)), STEP), point
+
+
+def test_a_part_that_meets_the_rest_along_one_line_could_be_mirrored():
+    graph, point = make_graph(LEFT + RIGHT + LONG)
+    found = find_ambiguous_readings(graph, point)
+    moved = np.abs(point[:, 1] - 2.0) > 3 * STEP
+    assert (found == ((point[:, 0] > 5.0) & moved)).all()
+
+
+def test_mirroring_that_part_keeps_every_loop_closure_short():
+    graph, point = make_graph(LEFT + RIGHT + LONG)
+    mirrored = point.copy()
+    right = (point[:, 0] > 5.0) & (graph.bar < len(LEFT + RIGHT))
+    mirrored[right, 1] = 4.0 - point[right, 1]
+    apart, before = (np.linalg.norm(one[graph.a] - one[graph.b], axis=1) for one in (mirrored, point))
+    assert np.abs(apart - before).max() < 2 * STEP
+    assert np.linalg.norm(mirrored - point, axis=1).max() > 2.5
+
+
+@pytest.mark.parametrize("more", [SECOND, DIAGONAL])
+def test_a_second_line_decides_it(more: list):
+    graph, point = make_graph(LEFT + RIGHT + LONG + more)
+    assert not find_ambiguous_readings(graph, point).any()
+
+
+def test_the_smaller_part_is_the_one_in_doubt():
+    graph, point = make_graph(
+        [*RIGHT, *LONG, *(((x - 1.0, 0.0), (x + 1.0, 4.0)) for x in (6.0, 6.5)), LEFT[0], LEFT[3]]
+    )
+    found = find_ambiguous_readings(graph, point)
+    assert found.any()
+    assert (point[found, 0] < 4.0).all()
+
+
+def test_a_single_bar_that_hangs_loose_is_no_part():
+    graph, point = make_graph([*LEFT, ((3.8, 1.9), (4.2, 2.0))])
+    assert not find_ambiguous_readings(graph, point).any()
+
+
+@pytest.mark.parametrize("mirror", [1.0, -1.0])
+def test_it_does_not_depend_on_the_frame(mirror: float):
+    graph, point = make_graph(LEFT + RIGHT + LONG)
+    elsewhere = (point * [1.0, mirror]) @ TURN.T + [3.0, -7.0]
+    assert (find_ambiguous_readings(graph, elsewhere) == find_ambiguous_readings(graph, point)).all()
+
+
+def test_bars_that_never_cross_do_not_hang_together_at_all():
+    graph, point = make_graph([((0.0, y), (4.0, y)) for y in (0.0, 1.0, 2.0)])
+    assert find_ambiguous_readings(graph, point).mean() > 0.5

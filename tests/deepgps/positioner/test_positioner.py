@@ -1,0 +1,223 @@
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deepgps.config.learning import NetworkSettings, PixelValues
+from deepgps.data.features import Features
+from deepgps.data.segments import Segments
+from deepgps.learning.networks import make_network
+from deepgps.positioner.confidence_fit import make_confidence
+from deepgps.positioner.pose import find_poses
+from deepgps.positioner.positioner import NeighbourPositioner, NetworkPositioner, Positioner
+from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training, save_positioner
+from sim.alignment import Alignment
+from sim.errors import DamagedError, InputError
+from sim.files.json_files import read_json, write_json
+
+SHAPE = (4, 16, 3)
+
+
+def spectral(values: PixelValues = "pixels") -> NetworkPositioner:
+    generator = torch.Generator().manual_seed(0)
+    numbers = 4 * 3 * 6 + 3 * 3 * 5 * 2
+    mean, basis = torch.rand(numbers, generator=generator), torch.rand((numbers, 7), generator=generator)
+    features = Features(SHAPE, 5, mean, basis, values=values)
+    settings = NetworkSettings(width=16, layers=2)
+    network = make_network(settings, 7, 3, generator).eval()
+    axes = torch.linalg.qr(torch.randn((3, 2), generator=generator))[0]
+    return NetworkPositioner(SHAPE, features, settings, network, torch.ones(3), axes)
+
+
+def ranked() -> NetworkPositioner:
+    return spectral("ranks")
+
+
+def resnet() -> NetworkPositioner:
+    settings = NetworkSettings(architecture="resnet", channels=4)
+    network = make_network(settings, 0, 2, torch.Generator().manual_seed(0)).eval()
+    return NetworkPositioner(SHAPE, None, settings, network, torch.zeros(2), torch.eye(2))
+
+
+def neighbour() -> NeighbourPositioner:
+    features = spectral().features
+    assert features is not None
+    places = torch.arange(12, dtype=torch.float64).reshape(6, 2)
+    return NeighbourPositioner(features, features.apply(images(6)), places, 2)
+
+
+def images(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (count, *SHAPE), dtype=np.uint8)
+
+
+@pytest.mark.parametrize("make", [spectral, ranked, resnet, neighbour])
+def test_saved_and_loaded_it_gives_the_same_positions(tmp_path: Path, make):
+    positioner: Positioner = make()
+    assert not is_finished(tmp_path)
+    save_positioner(tmp_path, positioner, {"steps": 3})
+    assert is_finished(tmp_path)
+    loaded = load_positioner(tmp_path)
+    there, back = positioner(images(9, 1)), loaded(images(9, 1))
+    assert there.shape == (9, 2) and there.dtype == np.float64
+    assert np.array_equal(there, back)
+    assert loaded(images(0)).shape == (0, 2)
+    assert read_training(tmp_path) == {"steps": 3}
+
+
+def trusting(positioner: NetworkPositioner | NeighbourPositioner) -> NetworkPositioner | NeighbourPositioner:
+    """The positioner with a table of confidence of some images."""
+    if isinstance(positioner, NetworkPositioner) and positioner.features is None:
+        positioner = replace(positioner, likeness=spectral().features)
+    camera, features = positioner.locate_with_features(images(30, 2))
+    index = torch.arange(30).reshape(5, 6)
+    segments = Segments(index, 0.1 * (index % 6), torch.full((5,), 6), 0)
+    table = make_confidence(segments, features, camera)
+    assert table is not None
+    return replace(positioner, confidence=replace(table, slope=np.array([[0.01, 1.0], [0.02, 2.0]])))
+
+
+@pytest.mark.parametrize("make", [spectral, ranked, resnet, neighbour])
+def test_saved_and_loaded_it_trusts_the_same_positions(tmp_path: Path, make):
+    positioner = trusting(make())
+    save_positioner(tmp_path, positioner, {})
+    there, back = (find_poses(one, images(9, 1)) for one in (positioner, load_positioner(tmp_path)))
+    assert there.novelty is not None and there.novelty.shape == (9,) and (there.novelty > 0.0).all()
+    for name in ("position", "novelty", "accepted", "radius_68", "radius_95"):
+        assert np.array_equal(getattr(there, name), getattr(back, name))
+    assert np.array_equal(there.position, positioner(images(9, 1)))
+    assert find_poses(positioner, images(0)).accepted is not None
+
+
+@pytest.mark.parametrize("make", [spectral, neighbour])
+def test_trust_does_not_depend_on_the_heading_or_on_the_frame(make):
+    positioner = trusting(make())
+    there = find_poses(positioner, images(9, 1))
+    turned = find_poses(positioner, np.roll(images(9, 1), 5, axis=2))
+    moved = there.align(Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([1.0, 2.0]), 1.0))
+    for name in ("novelty", "radius_68", "radius_95"):
+        assert np.allclose(getattr(there, name), getattr(turned, name), rtol=1e-3)
+        assert np.array_equal(getattr(there, name), getattr(moved, name))
+
+
+def test_a_positioner_of_an_earlier_version_gives_positions_without_trust(tmp_path: Path):
+    positioner = trusting(spectral())
+    save_positioner(tmp_path, positioner, {})
+    stored = read_json(tmp_path / "positioner.json")
+    write_json(tmp_path / "positioner.json", {name: stored[name] for name in stored if name != "confidence"})
+    found = find_poses(load_positioner(tmp_path), images(9, 1))
+    assert np.array_equal(found.position, positioner(images(9, 1)))
+    assert found.novelty is found.accepted is found.radius_68 is found.radius_95 is None
+
+
+@pytest.mark.parametrize("make", [spectral, neighbour])
+def test_heading_does_not_matter(make):
+    positioner: Positioner = make()
+    assert np.allclose(positioner(images(3, 1)), positioner(np.roll(images(3, 1), 5, axis=2)), atol=1e-3)
+
+
+def test_only_ranks_place_a_lighter_image_exactly_where_the_image_is():
+    bright = images(3, 1) // 2
+    light = bright + 100
+    assert np.array_equal(ranked()(bright), ranked()(light))
+    assert not np.allclose(spectral()(bright), spectral()(light), atol=1e-3)
+
+
+def test_a_positioner_of_an_earlier_version_takes_pixels(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    stored = read_json(tmp_path / "positioner.json")
+    assert stored.pop("values") == "pixels"
+    write_json(tmp_path / "positioner.json", stored)
+    assert np.array_equal(load_positioner(tmp_path)(images(9, 1)), spectral()(images(9, 1)))
+    write_json(tmp_path / "positioner.json", {**stored, "values": "colours"})
+    with pytest.raises(DamagedError, match="values"):
+        load_positioner(tmp_path)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.parametrize("make", [spectral, resnet])
+def test_a_gpu_gives_the_same_positions(tmp_path: Path, make):
+    save_positioner(tmp_path, make(), {})
+    with torch.backends.cudnn.flags(enabled=True, allow_tf32=False):  # by TF32 a ResNet's differ by 0.14 mm
+        cpu, gpu = (load_positioner(tmp_path, torch.device(name))(images(9)) for name in ("cpu", "cuda"))
+    np.testing.assert_allclose(gpu, cpu, atol=1e-4)
+
+
+def test_same_positioner_same_bytes(tmp_path: Path):
+    for name in ("a", "b"):
+        save_positioner(tmp_path / name, spectral(), {})
+    for file in ("weights.safetensors", "positioner.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
+
+
+def test_a_known_observation_is_placed_where_it_was_taken():
+    positioner = neighbour()
+    assert np.allclose(positioner(images(6)), positioner.places, atol=1e-3)
+
+
+def test_the_plane_is_taken_out_of_the_lifted_space():
+    positioner = spectral()
+    assert positioner.features is not None
+    with torch.no_grad():
+        lifted = positioner.network(positioner.features.apply(images(5)))
+    expected = (lifted - positioner.centre).numpy() @ positioner.axes.numpy()
+    assert np.allclose(positioner(images(5)), expected, rtol=1e-4)
+
+
+def test_a_folder_without_a_method_is_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"holds no trained method: it has no positioner\.json"):
+        load_positioner(tmp_path)
+
+
+def test_images_of_another_size_are_refused(tmp_path: Path):
+    with pytest.raises(InputError, match=r"shape \(4, 8, 3\), but trained on shape \(4, 16, 3\)"):
+        spectral()(images(2)[:, :, :8])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", r"positioner\.json is damaged: it is not JSON"),
+        ("[]", r"positioner\.json is damaged"),
+        ('{"schema": 9}', r"positioner\.json: schema 9, but this version reads schema 1"),
+        ('{"schema": 1}', r"positioner\.json is damaged: 'shape'"),
+    ],
+)
+def test_a_broken_description_is_named(tmp_path: Path, text: str, message: str):
+    save_positioner(tmp_path, spectral(), {})
+    (tmp_path / "positioner.json").write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_positioner(tmp_path)
+
+
+def test_broken_weights_are_named(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    weights = tmp_path / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+    with pytest.raises(InputError, match=r"weights\.safetensors is damaged.*train the method again"):
+        load_positioner(tmp_path)
+    weights.unlink()
+    with pytest.raises(InputError, match=r"weights\.safetensors is missing"):
+        load_positioner(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["weights.safetensors", "training.json", "positioner.json"])
+@pytest.mark.parametrize("at", [100, 500])
+def test_a_flipped_bit_is_found(tmp_path: Path, name: str, at: int):
+    save_positioner(tmp_path, spectral(), {"steps": 3, "note": "x" * 1000})
+    data = bytearray((tmp_path / name).read_bytes())
+    data[at % len(data)] ^= 1
+    (tmp_path / name).write_bytes(data)
+    with pytest.raises(DamagedError, match=rf"{name} is damaged"):
+        load_positioner(tmp_path)
+        read_training(tmp_path)
+
+
+def test_weights_of_another_network_are_named(tmp_path: Path):
+    save_positioner(tmp_path, spectral(), {})
+    description = read_json(tmp_path / "positioner.json")
+    description["network"]["width"] = 32
+    write_json(tmp_path / "positioner.json", description)
+    with pytest.raises(InputError, match=r"weights\.safetensors is damaged: .*size mismatch"):
+        load_positioner(tmp_path)

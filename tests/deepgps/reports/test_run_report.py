@@ -1,0 +1,194 @@
+"""The report's figures are those of metrics.json, in every form it is printed."""
+
+import json
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from deepgps.reports.run_report import (
+    COLUMNS,
+    describe,
+    markdown_report,
+    markdown_table,
+    print_report,
+    read_metrics,
+    tabulate,
+)
+from sim.errors import InputError
+from tests.helpers.synthetic_run import make_metrics
+
+
+@pytest.fixture
+def metrics() -> dict:
+    truth = np.zeros((4, 2))
+    off = np.array([[0.03, 0.0], [0.0, 0.04], [0.0, 0.0], [0.05, 0.0]])[:, None]
+    return make_metrics(truth, {"deepgps": np.repeat(off, 2, axis=1), "mine": np.repeat(2 * off, 2, axis=1)}, 96)
+
+
+def test_the_table_holds_the_metrics_in_centimetres(metrics: dict) -> None:
+    headings, rows = tabulate(metrics)
+    deepgps = dict(zip(headings, rows[0], strict=True))
+    # RMS of 3, 4, 0 and 5 cm: sqrt(50 / 4)
+    assert deepgps["RMS [cm]"] == "3.5"
+    assert deepgps["median [cm]"] == "3.5"
+    assert deepgps["max [cm]"] == "5.0"
+    assert deepgps["RMS / side"] == f"{100 * np.sqrt(50 / 4) / 430:.2f} %"
+    assert deepgps["align"] == "E2"
+    assert [row[0] for row in rows] == ["DeepGPS", "mine"]
+
+
+def test_a_figure_that_a_method_lacks_is_a_dash(metrics: dict) -> None:
+    del metrics["methods"]["mine"]["scale"]
+    headings, rows = tabulate(metrics)
+    assert rows[1][headings.index("scale")] == "-"
+
+
+def test_markdown_has_a_line_per_method_and_a_cell_per_column(metrics: dict) -> None:
+    lines = markdown_table(metrics).splitlines()
+    assert len(lines) == 2 + len(metrics["methods"])
+    assert {line.count("|") for line in lines} == {len(COLUMNS) + 1}
+
+
+def test_yaw_has_a_column_where_a_method_tells_one(metrics: dict) -> None:
+    assert "yaw [deg]" not in tabulate(metrics)[0]
+    metrics["methods"]["deepgps"]["yaw_rms_deg"] = 0.449
+    headings, rows = tabulate(metrics)
+    assert [row[headings.index("yaw [deg]")] for row in rows] == ["0.4", "-"]
+
+
+def test_the_yaw_of_what_is_accepted_stands_below_that_of_all(metrics: dict) -> None:
+    values = metrics["methods"]["deepgps"]
+    accept_some(values)
+    values |= {"yaw_rms_deg": 4.0, "yaw_rms_accepted_deg": 0.449}
+    headings, rows = tabulate(metrics)
+    assert [row[headings.index("yaw [deg]")] for row in rows[:2]] == ["4.0", "0.4"]
+
+
+def test_brackets_in_the_name_of_a_method_are_printed_as_they_are(tmp_path: Path, metrics: dict) -> None:
+    metrics["methods"]["my [/x]"] = metrics["methods"].pop("mine")
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    console = Console(width=80, record=True, file=StringIO())
+    print_report(tmp_path, console)
+    assert "my [/x]" in console.export_text()
+
+
+def test_the_report_tells_coverage_time_and_drift(metrics: dict) -> None:
+    text = markdown_report(metrics)
+    assert "1 of 4 reachable test positions (25.0 %)" in text
+    assert "collect 92.3 s, train 140.1 s, evaluate 12.4 s; 244.8 s in all" in text
+    assert "best aligned with the true one, is off by RMS 0.41 m, at most 1.03 m" in text
+    assert "mujoco 3.17.0" in text
+    assert len(describe({**metrics, "trajectory": None})) == len(describe(metrics)) - 1
+
+
+def test_segments_that_noise_does_not_explain_are_counted_only_where_there_are_some(metrics: dict) -> None:
+    distances = {"segment_rms_m": 0.02, "segment_expected_m": 0.01, "segments_wrong": 0, "wrong_doubted": 0}
+    for wrong, found, said in ((0, 0, False), (3, 2, True)):
+        counted = {**distances, "segments_wrong": wrong, "wrong_doubted": found}
+        text = " ".join(describe({**metrics, "distances": counted}))
+        assert "RMS error of 2.00 cm; theory predicts 1.00 cm." in text
+        assert ("3 segments have larger errors" in text and "the wheels reveals 2." in text) == said
+
+
+@pytest.mark.parametrize(
+    ("test", "errors", "places"),
+    [
+        ({}, "on the test grid for the worst heading of each position;", "reachable test positions"),
+        ({"held_out": False, "headings": 4}, "on the test grid for the worst heading of", "reachable test positions"),
+        ({"held_out": False, "headings": 1}, "on the test grid;", "reachable test positions"),
+        ({"held_out": True, "headings": 1}, "at test samples of the same drive;", "test samples"),
+    ],
+)
+def test_words_are_those_of_what_was_tested(metrics: dict, test: dict, errors: str, places: str) -> None:
+    text = markdown_report({**metrics, "test": test})
+    assert f"Errors {errors}" in text
+    assert f"1 of 4 {places} (25.0 %) are within" in text
+
+
+def test_what_is_printed_fits_eighty_columns_and_keeps_its_units(tmp_path: Path, metrics: dict) -> None:
+    metrics["methods"]["deepgps"]["yaw_rms_deg"] = 113.4
+    metrics["in_use"] = {"samples": 40}
+    for values in metrics["methods"].values():
+        accept_some(values)
+        values["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
+    (tmp_path / "metrics.json").write_text(json.dumps(metrics))
+    console = Console(width=80, record=True, file=StringIO())
+    print_report(tmp_path, console)
+    text = console.export_text()
+    assert "[cm]" in text and "in use [cm]:" in text.replace("\n", " ").replace("  ", " ")
+    assert "…" not in text
+    assert "0.82 %" in text
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "is not a run: it has no metrics.json"), ("{", "is not JSON"), ('{"a": 1}', "lists no methods")],
+)
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None, message: str) -> None:
+    if content is not None:
+        (tmp_path / "metrics.json").write_text(content)
+    with pytest.raises(InputError, match=message):
+        read_metrics(tmp_path)
+
+
+def test_the_lean_of_the_camera_and_the_drive_in_use_are_reported(metrics: dict) -> None:
+    before = describe(metrics)
+    assert not any("leans" in sentence or "in use" in sentence for sentence in before)
+    metrics["in_use"] = {"samples": 40}
+    metrics["methods"]["mine"] |= {"lean_roll_deg": 0.02, "lean_pitch_deg": 0.0}
+    metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
+    assert not any("leans" in sentence for sentence in describe(metrics)), "too little to be seen"
+    metrics["methods"]["mine"]["in_use"] |= {"lean_roll_deg": 2.0, "lean_pitch_deg": -0.1}
+    after = describe(metrics)
+    assert [sentence for sentence in after if sentence not in before] == [
+        "By its turns, the camera leans 0.02° to the right and 0.00° forward in training, 2.00° to the right and "
+        "-0.10° forward in use.",
+        "RMS (median) on the 40 images of the drive in use [cm]: mine 5.0 (2.0).",
+    ]
+
+
+def test_an_initial_map_is_told_with_what_it_expects_of_itself(metrics: dict) -> None:
+    before = describe(metrics)
+    metrics["methods"]["deepgps"]["map"] = {"rms_m": 0.0028, "expected_rms_m": 0.0037}
+    (sentence,) = set(describe(metrics)) - set(before)
+    assert "RMS error of 0.28 cm" in sentence and "0.37 cm are expected" in sentence
+
+
+def accept_some(values: dict) -> None:
+    """What evaluation adds for a method that refuses images."""
+    values |= {"accepted": 0.981, "accepted_places": 0.994, "radius_68_holds": 0.66, "radius_95_holds": 0.94}
+    values |= {f"{name}_accepted_m": 0.011 for name in ("rms", "median", "p75", "p95", "max")}
+
+
+def test_errors_of_what_is_accepted_are_below_those_of_all(metrics: dict) -> None:
+    headings, rows = tabulate(metrics)
+    accept_some(metrics["methods"]["mine"])
+    _, more = tabulate(metrics)
+    assert more[:2] == rows and len(more) == 3
+    accepted = dict(zip(headings, more[2], strict=True))
+    assert accepted["method"].strip() == "98.1 % accepted"
+    assert accepted["RMS [cm]"] == accepted["p95 [cm]"] == accepted["max [cm]"] == "1.1"
+    assert accepted["train [s]"] == accepted["align"] == ""
+
+
+def test_coverage_is_told_in_images_and_in_places(metrics: dict) -> None:
+    before = describe(metrics)
+    for values in metrics["methods"].values():
+        accept_some(values)
+    assert set(describe(metrics)) - set(before) == {
+        "Accepted images (places): DeepGPS 98.1 % (99.4 %); mine 98.1 % (99.4 %).",
+        "Accepted images within their 68 % radius (95 %): DeepGPS 66 % (94 %); mine 66 % (94 %).",
+    }
+
+
+def test_errors_in_use_are_told_of_all_images_and_of_those_accepted(metrics: dict) -> None:
+    metrics["in_use"] = {"samples": 40}
+    metrics["methods"]["mine"]["in_use"] = {"rms_m": 0.05, "median_m": 0.02}
+    accept_some(metrics["methods"]["mine"]["in_use"])
+    assert any(
+        sentence.endswith("in use [cm]: mine 5.0 (2.0), of the 98.1 % accepted 1.1 (1.1).")
+        for sentence in describe(metrics)
+    )

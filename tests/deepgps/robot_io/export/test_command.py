@@ -1,0 +1,86 @@
+"""The command deepgps export: what it writes, where, and what it refuses in one line."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from deepgps.positioner.pose import find_poses
+from deepgps.robot_io.export import onnx_folder, trajectories
+from sim.errors import InputError
+from tests.helpers.command import assert_one_clear_line, deepgps_here
+
+
+def test_trajectories_go_into_a_folder_of_their_own_again_and_again(finished_run: Path, tmp_path: Path):
+    (tmp_path / "first").symlink_to(finished_run)
+    words = ("export", "first", "--tum", "--csv", "--method", "posenet", "--out", "given")
+    for _ in range(2):
+        done = deepgps_here(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == "wrote given/tum\nwrote given/csv\n"
+    written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
+    assert written == [f"{kind}/training/{name}.{kind}" for kind in ("csv", "tum") for name in ("posenet", "truth")]
+
+
+def test_every_image_is_located_once_for_all_formats(
+    finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    found = []
+    monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
+    done = deepgps_here("export", str(finished_run), "--tum", "--mcap", "--method", "posenet", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert len(found) == 1
+
+
+def test_a_run_of_the_same_name_does_not_write_into_the_export_of_another(finished_run: Path, tmp_path: Path):
+    for home in ("a", "b"):
+        (tmp_path / home).mkdir()
+        shutil.copytree(finished_run, tmp_path / home / "one", symlinks=True)
+    assert deepgps_here("export", "a/one", "--tum", cwd=tmp_path).returncode == 0
+    before = {path: path.read_bytes() for path in (tmp_path / "export").rglob("*") if path.is_file()}
+    done = deepgps_here("export", "b/one", "--tum", "--method", "posenet", cwd=tmp_path)
+    held = (
+        f"holds an export of the run {tmp_path / 'a' / 'one'}, not of {tmp_path / 'b' / 'one'}; choose another folder"
+    )
+    assert (done.returncode, held in done.stderr) == (2, True)
+    assert {path: path.read_bytes() for path in (tmp_path / "export").rglob("*") if path.is_file()} == before
+    assert deepgps_here("export", "b/one", "--tum", "--out", "other", cwd=tmp_path).returncode == 0
+
+
+def test_an_export_that_is_refused_leaves_nothing(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    def refuse(*_: object) -> None:
+        raise InputError("no times")
+
+    monkeypatch.setattr("deepgps.robot_io.export.command.find_trajectories", refuse)
+    assert_one_clear_line(deepgps_here("export", str(finished_run), "--tum", cwd=tmp_path), 2, "no times", tmp_path)
+
+
+def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(onnx_folder, "build_model", lambda *_: (b"a model", ["position"]))  # which takes its time
+    words = ("--onnx", "--frame", "map", "--centre", "60", "58", "--radius-px", "50", "--out", "robot")
+    done = deepgps_here("export", str(finished_run), *words, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "wrote robot/onnx\n"), done.stderr
+    names = {path.name for path in (tmp_path / "robot" / "onnx").iterdir()}
+    assert names == {"model.onnx", "meta.json", "tables.npz", "example.py"}
+    assert '"frame": "map"' in (tmp_path / "robot" / "onnx" / "meta.json").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ((), "needs at least one of --tum, --csv, --mcap, --onnx"),
+        (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both, or neither"),
+        (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
+        (("--onnx", "--centre", "9", "inf", "--radius-px", "9"), "--centre 9 inf: must be column and row, each from 0"),
+        (("--tum", "--method", "knn"), "method 'knn': "),
+    ],
+)
+def test_wrong_words_are_refused(words: tuple[str, ...], message: str, finished_run: Path, tmp_path: Path):
+    assert_one_clear_line(deepgps_here("export", str(finished_run), *words, cwd=tmp_path), 2, message, tmp_path)
+
+
+def test_a_folder_of_the_user_s_is_left_alone(finished_run: Path, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    done = deepgps_here("export", str(finished_run), "--tum", "--out", ".", cwd=tmp_path)
+    assert done.returncode == 2 and "is neither empty nor a export folder of deepgps" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -1,0 +1,187 @@
+"""A method written as ONNX: the same poses in onnxruntime as in torch, by the example that the folder holds."""
+
+import importlib.util
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import get_args
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+import deepgps
+from deepgps.config.learning import Architecture, NetworkSettings, PixelValues
+from deepgps.data.features import Features
+from deepgps.learning.networks import make_network
+from deepgps.positioner.pose import Poses, find_poses
+from deepgps.positioner.positioner import NetworkPositioner
+from deepgps.positioner.trilateration import LandmarkPositioner
+from deepgps.robot_io.export import onnx_folder
+from deepgps.robot_io.export.deployed import Deployed, FeatureModule
+from deepgps.robot_io.export.onnx_folder import OUTPUTS, write_onnx
+from sim.alignment import Alignment
+from sim.errors import InputError, WorkError
+from sim.sensors.camera.lens import Lens
+from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye
+from sim.sensors.camera.upright import Upright
+
+TURNED = Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([2.0, -1.0]), 1.0)
+"""Into a mirrored frame."""
+RAW = RoundImage((60.0, 58.0), 50.0, 20.0)
+
+
+def load_example(folder: Path) -> ModuleType:
+    """The example in an exported folder."""
+    spec = importlib.util.spec_from_file_location("example", folder / "example.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def assert_alike(found: dict[str, np.ndarray], expected: Poses) -> None:
+    """Assert that poses agree to what float32 holds: 1e-4 m and radians."""
+    given = {name for name, part in vars(expected).items() if part is not None}
+    assert set(found) == given <= set(OUTPUTS)
+    for name in given:
+        if name == "accepted":
+            np.testing.assert_array_equal(found[name], expected.accepted)
+            continue
+        away = np.asarray(found[name], float) - np.asarray(vars(expected)[name], float)
+        if name in {"yaw", "other_yaw"}:
+            away = (away + np.pi) % (2 * np.pi) - np.pi
+        np.testing.assert_allclose(np.nan_to_num(away), 0.0, atol=1e-4, err_msg=name)
+        np.testing.assert_array_equal(np.isnan(found[name]), np.isnan(vars(expected)[name]), err_msg=name)
+
+
+@pytest.fixture(scope="module")
+def run(finished_run: Path) -> deepgps.Run:
+    return deepgps.load(finished_run)
+
+
+@pytest.fixture(scope="module")
+def leaning(run: deepgps.Run) -> NetworkPositioner:
+    """A trained positioner as of a camera that leans and sits ahead of the axle."""
+    positioner = run.positioner("deepgps")
+    assert isinstance(positioner, NetworkPositioner)
+    return replace(positioner, upright=Upright(Lens(1.6), (0.05, -0.03)), mount=(0.04, -0.02))
+
+
+@pytest.fixture(scope="module")
+def images(run: deepgps.Run) -> np.ndarray:
+    """Recorded images, one without contrast, one black, and one of noise."""
+    noise = np.random.default_rng(0).integers(0, 256, (3, *run.recording.observation.shape[1:]), dtype=np.uint8)
+    noise[0], noise[1] = 128, 0
+    return np.concatenate([run.recording.observation[:60], noise])
+
+
+@pytest.fixture(scope="module")
+def exported(leaning: NetworkPositioner, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("onnx")
+    write_onnx(folder, "deepgps", leaning, TURNED, RAW)
+    return folder
+
+
+def test_the_module_gives_the_poses_of_the_positioner(leaning: NetworkPositioner, images: np.ndarray):
+    assert leaning.upright is not None
+    module = Deployed(leaning, TURNED).eval()
+    with torch.inference_mode():
+        found = module(torch.from_numpy(leaning.upright(images)))
+    assert_alike({name: part.numpy() for name, part in found.items()}, find_poses(leaning, images).align(TURNED))
+
+
+@pytest.mark.parametrize("values", get_args(PixelValues))
+@pytest.mark.parametrize("sectors", [7, 32])
+def test_features_in_the_module_are_those_of_the_method(sectors: int, values: PixelValues):
+    rng = np.random.default_rng(1)
+    images = rng.integers(0, 256, (4, 5, sectors, 3), dtype=np.uint8)
+    images[0] = 200
+    count = min(16, sectors // 2)
+    size = 5 * 3 * (count + 1) + 2 * 4 * 3 * count
+    mean, basis = (torch.from_numpy(rng.normal(size=shape).astype(np.float32)) for shape in (size, (size, 6)))
+    features = Features((5, sectors, 3), 16, mean, basis, values=values)
+    found = FeatureModule(features)(torch.from_numpy(images).float())
+    torch.testing.assert_close(found, features.apply(images), rtol=1e-4, atol=1e-3)
+
+
+@pytest.mark.slow
+def test_the_example_finds_the_same_poses_of_polar_images(
+    exported: Path, leaning: NetworkPositioner, images: np.ndarray
+):
+    locator = load_example(exported).Locator()
+    found = [locator.locate(image) for image in images]
+    expected = find_poses(leaning, images).align(TURNED)
+    assert_alike({name: np.stack([one[name] for one in found]) for name in found[0]}, expected)
+    assert leaning.upright is not None
+    together = locator.model.run(["position"], {"image": leaning.upright(images)})[0]
+    np.testing.assert_allclose(together, expected.position, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_example_unwraps_raw_images_as_the_testbed_does(exported: Path, leaning: NetworkPositioner):
+    raw = np.random.default_rng(2).integers(0, 256, (120, 130, 3), dtype=np.uint8)
+    raw = cv2.GaussianBlur(raw, (0, 0), 4.0)
+    rings, sectors, _ = leaning.shape
+    polar = unwrap_fisheye(raw, RAW.centre, RAW.radius_px, rings, sectors, RAW.forward_deg)
+    locator = load_example(exported).Locator()
+    one, other = locator.locate(raw), locator.locate(polar)
+    np.testing.assert_array_equal(one["position"], other["position"])
+    np.testing.assert_array_equal(one["yaw"], other["yaw"])
+
+
+@pytest.mark.slow
+def test_the_folder_is_small_and_says_what_it_is(exported: Path, leaning: NetworkPositioner):
+    assert sum(path.stat().st_size for path in exported.iterdir()) < onnx_folder.MOST_BYTES
+    assert len((exported / "example.py").read_text().splitlines()) <= 40
+    meta = json.loads((exported / "meta.json").read_text())
+    assert (meta["method"], meta["frame"], meta["image"]) == ("deepgps", "world", [8, 32, 3])
+    assert meta["raw"] == {"centre_px": [60.0, 58.0], "radius_px": 50.0, "forward_deg": 20.0}
+    chirality = leaning.headings.chirality if leaning.headings else 1
+    assert meta["mirrored"] == (chirality > 0), "the frame TURNED is mirrored"
+    outputs = [one.name for one in load_example(exported).Locator().model.get_outputs()]
+    assert outputs == list(meta["outputs"]) and set(outputs) <= set(OUTPUTS)
+
+
+def image_positioner(architecture: Architecture) -> NetworkPositioner:
+    """An untrained network on images."""
+    settings = NetworkSettings(architecture=architecture, channels=4)
+    network = make_network(settings, 0, 2, torch.Generator().manual_seed(0)).eval()
+    return NetworkPositioner((16, 32, 3), None, settings, network, torch.zeros(2), torch.eye(2))
+
+
+@pytest.mark.parametrize("architecture", ["resnet", "resnet_paper", "resnet_plain", "invariant"])
+def test_networks_on_images_give_their_positions(architecture: Architecture):
+    positioner = image_positioner(architecture)
+    images = np.random.default_rng(3).integers(0, 256, (3, 16, 32, 3), dtype=np.uint8)
+    with torch.inference_mode():
+        found = Deployed(positioner, None)(torch.from_numpy(images))
+    assert list(found) == ["position"]
+    np.testing.assert_allclose(found["position"].numpy(), positioner(images), atol=1e-4)
+
+
+@pytest.mark.slow
+def test_a_network_on_images_is_written_too(tmp_path: Path):
+    positioner = image_positioner("invariant")
+    write_onnx(tmp_path, "deepgps", positioner, None, None)
+    image = np.random.default_rng(3).integers(0, 256, (16, 32, 3), dtype=np.uint8)
+    found = load_example(tmp_path).Locator().locate(image)["position"]
+    np.testing.assert_allclose(found, positioner(image[None])[0], atol=1e-4)
+
+
+def test_what_cannot_be_written_is_refused_in_one_line(
+    leaning: NetworkPositioner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    with pytest.raises(InputError, match="--onnx: method knn is no network on polar images"):
+        write_onnx(tmp_path, "knn", LandmarkPositioner(np.zeros((3, 2)), np.inf), None, None)
+    monkeypatch.setattr(onnx_folder, "build_model", lambda *_: (bytes(21_000_000), []))
+    with pytest.raises(WorkError, match=r"the folder would have 21\.0 MB, and at most 20\.0 MB fit"):
+        write_onnx(tmp_path, "deepgps", leaning, None, None)
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(InputError, match="--onnx needs pip install onnx onnxscript onnxruntime"):
+        write_onnx(tmp_path, "deepgps", leaning, None, None)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,725 @@
+"""Logs of a synthetic robot, in every container and with every fault, become right recordings or are refused."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
+from deepgps.robot_io.logs.containers import open_log
+from deepgps.robot_io.logs.drive import find_drive
+from deepgps.robot_io.logs.importing import import_log
+from deepgps.robot_io.logs.joints import open_wheels
+from deepgps.robot_io.logs.pictures import open_images
+from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
+from deepgps.robot_io.logs.sample import explained
+from deepgps.terminal.progress import ignore
+from sim.errors import InputError
+from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth
+from tests.helpers import robot_log
+from tests.helpers.robot_log import (
+    CAMERA,
+    CAMERA_INFO,
+    COMPRESSED,
+    CONFIG,
+    JOINTS,
+    LENGTHS_M,
+    RADIUS_M,
+    TICK,
+    TRUTH,
+    TURNS,
+    Note,
+    change,
+    encode,
+    make_notes,
+    make_texture,
+    replace_pixels,
+    seconds,
+    set_fields,
+    sort,
+    write_log,
+    write_plain,
+)
+
+FORMS = ("bag", "bag_bz2", "bag_lz4", "db3", "db3_v8", "db3_v5", "db3_zstd", "mcap", "mcap_zstd", "mcap_lz4")
+WITH_TRUTH = {**CONFIG, "pose": {"topic": TRUTH}, "drive": {"spacing_m": 0.1, "held_out": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def notes() -> list[Note]:
+    return make_notes("image/jpeg")
+
+
+def configure(**groups: Any) -> RobotConfig:
+    """The configuration with some settings of its groups replaced."""
+    values = dict(WITH_TRUTH)
+    for name, given in groups.items():
+        values[name] = {**values.get(name, {}), **given} if isinstance(given, dict) else given
+    return RobotConfig.model_validate(values)
+
+
+PLAIN = configure(
+    wheels={"topic": "wheels.csv", "left": "left", "right": "right", "lag_s": 0.0},
+    camera={"topic": "images", "info": None, "circle_px": 38.0, "field_of_view_deg": 136.1},
+    pose={"topic": "poses.csv"},
+)
+
+
+def bring_in(log: Path, tmp_path: Path, config: RobotConfig | None = None) -> tuple[Path, dict[str, Any]]:
+    folder = tmp_path / "recording"
+    about = import_log(log, config or configure(), folder, ignore)
+    check_recording(folder)
+    return folder, about
+
+
+def measure(folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Length of each segment by ticks and by the truth (S,), (S,) [m]."""
+    recording, pose = open_recording(folder), open_truth(folder).pose
+    lengths = []
+    for number in np.unique(recording.reading[:, 0]):
+        rows = recording.reading[recording.reading[:, 0] == number]
+        by_ticks = (rows[-1, 2:] - rows[0, 2:]).mean() * TICK * RADIUS_M
+        lengths.append((by_ticks, np.linalg.norm(pose[rows[-1, 1], :2] - pose[rows[0, 1], :2])))
+    by_ticks, true = np.array(lengths).T
+    return by_ticks, true
+
+
+def check_complete(folder: Path, within_m: float = 0.003) -> None:
+    """Every segment and turn of the drive is there, and its length is right."""
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, LENGTHS_M, atol=within_m)
+    np.testing.assert_allclose(by_ticks, true, atol=within_m)
+    turns = open_recording(folder).turns
+    assert turns is not None and turns.kind.tolist() == [0] * len(TURNS) and (turns.image >= 0).all()
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_container_gives_the_same_recording(form: str, notes: list[Note], tmp_path: Path) -> None:
+    folder, about = bring_in(write_log(tmp_path / "log", notes, form), tmp_path)
+    check_complete(folder)
+    assert about["notes"] == [] and open_recording(folder).manifest.source == "log"
+    images = open_recording(folder).observation
+    assert images.shape == (len(images), 16, 64, 3) and images.std() > 20
+
+
+def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    folder, _ = bring_in(log, tmp_path, PLAIN)
+    check_complete(folder)
+    (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,one\n0.1,0.0,0.0\n")
+    with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
+        bring_in(log, tmp_path / "again", PLAIN)
+
+
+def test_images_named_by_numbers_are_refused_though_one_is_missing(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
+    for number, path in enumerate(images):
+        path.rename(path.with_name(f"{number:06d}x")) if number != 7 else path.unlink()
+    for path in (log / "images").iterdir():
+        path.rename(path.with_name(f"{path.name[:-1]}.png"))
+    with pytest.raises(InputError, match=r"named by their numbers, 000000 to \d+, which are no times"):
+        bring_in(log, tmp_path / "new" / "folder", PLAIN)
+    assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
+
+
+def test_files_that_are_no_images_of_the_log_are_passed_over(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    first = min((log / "images").iterdir())
+    (log / "images" / f"._{first.name}").write_bytes(b"\0\5\x16\7")
+    folder, _ = bring_in(log, tmp_path, PLAIN)
+    check_complete(folder)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (b"\xff" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+ it is not"),
+        (b"1" * 140_000, r"wheels\.csv: line \d+: field larger than field limit"),
+    ],
+)
+def test_where_a_plain_file_cannot_be_read_is_said(more: bytes, message: str, tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    with (log / "wheels.csv").open("ab") as file:
+        file.write(more)
+    with pytest.raises(InputError, match=message):
+        bring_in(log, tmp_path, PLAIN)
+
+
+def test_values_that_are_missing_in_plain_files_are_left_out(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    head, *rows = (log / "wheels.csv").read_text().splitlines()
+    rows[100] = f"{rows[100].partition(',')[0]},nan,"
+    (log / "wheels.csv").write_text("\n".join([head, *rows, "33.4,1"]))
+    head, *rows = (log / "poses.csv").read_text().splitlines()
+    rows[200:203] = [f"{rows[200].partition(',')[0]},{values}" for values in ("nan,nan,nan", "1,inf,0", "1,1,inf")]
+    (log / "poses.csv").write_text("\n".join([head, *rows]))
+    folder, about = bring_in(log, tmp_path, PLAIN)
+    check_complete(folder)
+    assert any("poses.csv: 3 messages are left out" in note for note in about["notes"])
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_images_that_are_named_by_their_numbers_are_refused(first: int, tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    for number, path in enumerate(sorted((log / "images").iterdir(), key=lambda path: float(path.stem)), start=first):
+        path.rename(path.with_name(f"frame{number:06d}.png"))
+    for path in list((log / "images").iterdir()):
+        path.rename(path.with_name(path.name.removeprefix("frame")))
+    with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times; list"):
+        bring_in(log, tmp_path, PLAIN)
+
+
+def test_images_beyond_the_wheels_are_noted(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    rows = (log / "wheels.csv").read_text().splitlines()
+    (log / "wheels.csv").write_text("\n".join(rows[: 3 * len(rows) // 4]))
+    _, about = bring_in(log, tmp_path, PLAIN)
+    assert any("images were taken before or after the wheels were logged" in note for note in about["notes"])
+
+
+def rename_images(log: Path, name: Callable[[float], str]) -> None:
+    """Name each image by a function of its time [s]."""
+    for path in (log / "images").iterdir():
+        path.rename(path.with_name(f"{name(float(path.stem))}.png"))
+
+
+def list_images(log: Path, name: Callable[[float], str]) -> None:
+    """List the images in images.csv under a function of their times [s]."""
+    rows = [f"{name(float(path.stem))},{path.name}" for path in sorted((log / "images").iterdir())]
+    (log / "images.csv").write_text("\n".join(["time_s,file", *rows]))
+
+
+def change_table(log: Path, table: str, name: Callable[[float], str]) -> None:
+    """Replace the times of a table [s] by a function of them."""
+    head, *rows = (log / table).read_text().splitlines()
+    rows = [f"{name(float(time))},{rest}" for time, _, rest in (row.partition(",") for row in rows)]
+    (log / table).write_text("\n".join([head, *rows]))
+
+
+def times_of(path: Path) -> list[int]:
+    with open_log(path) as log:
+        return [sample.stamp_ns for sample, _ in log.read(list(log.types))]
+
+
+@pytest.mark.parametrize("unit", [1e3, 1e6, 1e9], ids=["ms", "us", "ns"])
+def test_times_of_plain_files_in_another_unit_are_refused_in_one_line(unit: float, tmp_path: Path) -> None:
+    def since_1970(time_s: float) -> str:
+        return str(round((1.7e9 + time_s) * unit))
+
+    for table in ("wheels.csv", "poses.csv"):
+        log = write_plain(tmp_path / table)
+        change_table(log, table, since_1970)
+        with pytest.raises(InputError, match=rf"{table}: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+            times_of(log)
+    list_images(log := write_plain(tmp_path / "listed"), since_1970)
+    with pytest.raises(InputError, match=r"images\.csv: line 2: time_s '17\d+' must be seconds; is it in ms or ns"):
+        times_of(log)
+    rename_images(log := write_plain(tmp_path / "named"), since_1970)
+    if unit == 1e9:
+        assert max(times_of(log)) > 1.7e18
+    else:
+        with pytest.raises(InputError, match=r"17\d+\.png: its name must be seconds, or nanoseconds since 1970, "):
+            times_of(log)
+
+
+def test_names_may_be_nanoseconds_since_the_robot_started(tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    times = times_of(log)
+    rename_images(log, lambda time_s: f"{round(time_s * 1e9):016d}")
+    assert times_of(log) == times
+
+
+def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    for number, part in enumerate(np.array_split(np.arange(len(notes)), 11)):
+        some = [notes[row] for row in part]
+        write_log(tmp_path / "log" / f"drive_{number}", some, "mcap_lz4")
+    folder, _ = bring_in(tmp_path / "log", tmp_path)
+    check_complete(folder)
+
+
+@pytest.mark.parametrize("form", ["bag_lz4", "mcap_lz4", "db3"])
+def test_a_log_that_was_cut_off_gives_what_is_complete_and_says_so(
+    form: str, notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", notes, form)
+    file = next(log.glob("*.db3")) if log.is_dir() else log
+    with file.open("r+b") as stream:
+        stream.truncate(file.stat().st_size * 7 // 10)
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    assert 3 <= len(by_ticks) < len(LENGTHS_M)  # a bag is written in pieces of 1 MB, and the last one is lost
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    np.testing.assert_allclose(by_ticks[:2], LENGTHS_M[:2], atol=0.003)
+    assert about["notes"][0] == f"{file.name} is cut off: what is complete is read"
+
+
+def swap(_: int, note: Note) -> Note:
+    return set_fields(note, name=note.fields["name"][::-1], position=note.fields["position"][::-1].copy())
+
+
+def prefix(_: int, note: Note) -> Note:
+    return set_fields(note, name=[f"tb3_0/{name}" for name in note.fields["name"]])
+
+
+def wrap_angle(_: int, note: Note) -> Note:
+    return set_fields(note, position=(note.fields["position"] + np.pi) % (2 * np.pi) - np.pi)
+
+
+def in_bursts(number: int, note: Note) -> Note:
+    """The messages of 0.8 s arrive together, in reverse order."""
+    return replace(note, log_ns=note.log_ns + (15 - number % 16) * 51_000_000)
+
+
+def lose_some(number: int, note: Note) -> Note:
+    """Some messages hold one wheel, none, or a name too many."""
+    name, position = note.fields["name"], note.fields["position"]
+    cut = {3: position[:1], 7: position[:0]}.get(number % 11, position)
+    return (
+        set_fields(note, name=[*name, "arm"], position=cut)
+        if number % 11 != 5
+        else set_fields(note, name=["arm"], position=[0.3])
+    )
+
+
+def no_stamp(_: int, note: Note) -> Note:
+    return replace(note, stamp_ns=0)
+
+
+@pytest.mark.parametrize(
+    ("topic", "fault", "within_m", "note"),
+    [
+        (JOINTS, swap, 0.003, ""),
+        (JOINTS, prefix, 0.003, ""),
+        (JOINTS, wrap_angle, 0.003, "a counter wrapped around"),
+        (JOINTS, in_bursts, 0.003, ""),
+        (JOINTS, lose_some, 0.004, "messages hold neither wheel"),
+        (CAMERA, no_stamp, 0.005, "most messages have no stamp, so the times of logging count"),
+    ],
+    ids=["swapped", "namespace", "wraps", "out of order", "partial", "zero stamps"],
+)
+def test_habits_of_real_robots_change_nothing(
+    topic: str,
+    fault: Callable[[int, Note], Note],
+    within_m: float,
+    note: str,
+    notes: list[Note],
+    tmp_path: Path,
+) -> None:
+    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    check_complete(folder, within_m)
+    assert note in " ".join(about["notes"])
+
+
+def test_clocks_that_differ_are_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
+    def late(_: int, note: Note) -> Note:
+        return replace(note, stamp_ns=note.stamp_ns + 3_200_000_000)
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, late), "mcap_lz4")
+    with pytest.raises(InputError, match=r"clock of /camera/image_raw differs from that of /joint_states by \+3\.1"):
+        bring_in(log, tmp_path)
+    config = configure(clocks="align", wheels={"lag_s": "estimate"})
+    folder, about = bring_in(log, tmp_path, config)
+    assert abs(about["lag_s"] - 0.043) < 0.008  # images are logged 10 ms after their stamps, wheels 3 ms
+    check_complete(folder, 0.005)
+
+
+def test_a_clock_that_is_set_back_is_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
+    def set_back(_: int, note: Note) -> Note:
+        back = 400_000_000 if seconds(note) > 15.0 else 0
+        return replace(note, stamp_ns=note.stamp_ns - back)
+
+    changed = change(notes, JOINTS, set_back)
+    log = write_log(tmp_path / "log", changed, "mcap_lz4")
+    with pytest.raises(InputError, match=r"clock of /joint_states is set back by 0\.400 s at 1[45]\.\d s; clocks:"):
+        bring_in(log, tmp_path)
+    folder, _ = bring_in(log, tmp_path, configure(clocks="align"))
+    by_ticks, true = measure(folder)
+    assert len(by_ticks) >= len(LENGTHS_M) - 1
+    np.testing.assert_allclose(by_ticks, true, atol=0.005)
+
+
+def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    assert abs(about["lag_s"] - 0.05) <= 0.008
+    _, about = bring_in(log, tmp_path / "again", configure(wheels={"lag_s": 0.3}))
+    assert any("wheels.lag_s is 0.3 s, but the turns show 0.0" in note for note in about["notes"])
+
+
+def test_a_fast_camera_shows_the_lag_in_slow_turns_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    draw_all = robot_log._draw_all
+    monkeypatch.setattr(robot_log, "RATE_RPS", 0.4)
+    monkeypatch.setattr(robot_log, "_draw_all", lambda _: draw_all(1 / 30))
+    robot_log.make_motion.cache_clear()
+    slow = make_notes("image/jpeg")
+    robot_log.make_motion.cache_clear()
+    log = write_log(tmp_path / "log", slow, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    assert abs(about["lag_s"] - 0.05) <= 0.02
+
+
+def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
+    mirrored = replace_pixels(notes, lambda image: image[:, ::-1])
+    log = write_log(tmp_path / "log", mirrored, "mcap_lz4")
+    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, wheels\.left"):
+        bring_in(log, tmp_path)
+    folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
+    check_complete(folder)
+
+
+def test_wheels_in_degrees_are_refused(notes: list[Note], tmp_path: Path) -> None:
+    def turn_into_degrees(_: int, note: Note) -> Note:
+        return set_fields(note, position=np.degrees(note.fields["position"]))
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, turn_into_degrees), "mcap_lz4")
+    with pytest.raises(InputError, match=r"they turn 5[678] times as far as the images: .* radians"):
+        bring_in(log, tmp_path)
+
+
+def test_a_track_that_is_wrong_is_noticed(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(wheels={"track_m": 0.32}))
+    assert any(
+        re.search(r"the wheels turn 0\.(49|5|51) times as far: check radius, track", note) for note in about["notes"]
+    )
+
+
+@pytest.mark.parametrize(("wheel", "sign"), [("left", (-1.0, 1.0)), ("right", (1.0, -1.0))])
+@pytest.mark.parametrize("lag_s", [0.0, "estimate"])
+def test_one_wheel_that_counts_backward_is_named_and_reversed(
+    lag_s: float | str, wheel: str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
+) -> None:
+    def reverse(_: int, note: Note) -> Note:
+        return set_fields(note, position=note.fields["position"] * sign)
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
+    said = rf"wheels\.left, wheels\.right: they turn against each other in \d+ pairs .* the {wheel} one"
+    with pytest.raises(InputError, match=said):
+        bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
+    folder, about = bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s, "backward": wheel}))
+    check_complete(folder)
+    assert not any("backward" in note for note in about["notes"])
+
+
+def test_two_wheels_that_count_backward_are_refused_and_reversed(notes: list[Note], tmp_path: Path) -> None:
+    def reverse(_: int, note: Note) -> Note:
+        return set_fields(note, position=-note.fields["position"])
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
+    with pytest.raises(InputError, match=r"turn against the wheels: .* both wheels count backward \(wheels\.backward"):
+        bring_in(log, tmp_path)
+    check_complete(bring_in(log, tmp_path, configure(wheels={"backward": "both"}))[0])
+
+
+def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    """Swapped and reversed wheels turn as they should, and only their way is backward."""
+    with open_log(write_log(tmp_path / "log", notes, "mcap_lz4")) as log:
+        wheels, images = open_wheels(log, configure().wheels), open_images(log, CAMERA)
+        log.feed({JOINTS: wheels.take, CAMERA: images.take}, ignore)
+    assert find_drive(configure(), wheels, images, None).notes == ()
+    for number, (left, right) in enumerate(wheels.angle.tolist()):
+        wheels.values[2 * number], wheels.values[2 * number + 1] = -right, -left
+    (note,) = find_drive(configure(), wheels, images, None).notes
+    metres = f"{sum(LENGTHS_M):.1f} m backward and 0.0 m forward"
+    assert note == f"{JOINTS}: the robot drove {metres}: do both wheels count forward?"
+
+
+@pytest.mark.parametrize("show", [lambda image: image * 0, lambda image: make_texture()[:80, :96]], ids=["dark", "lid"])
+def test_images_that_show_nothing_are_no_sign_of_wheels_that_count_backward(
+    show: Callable[[np.ndarray], np.ndarray], notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", replace_pixels(notes, show), "mcap_lz4")
+    check_complete(bring_in(log, tmp_path)[0], 0.02)
+
+
+def test_a_gap_of_the_wheels_divides_a_segment(notes: list[Note], tmp_path: Path) -> None:
+    def lose(_: int, note: Note) -> Note | None:
+        return None if 1.4 < seconds(note) < 3.18 else note
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, lose), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    assert by_ticks[-4:].sum() == pytest.approx(sum(LENGTHS_M[-4:]), abs=0.01)
+    (note,) = [note for note in about["notes"] if "s while the robot moved" in note]
+    assert note.startswith("/joint_states at 1.") and "no message for 1.9 s" in note
+
+
+def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: Path) -> None:
+    def lose(_: int, note: Note) -> Note | None:
+        return None if 6.5 < seconds(note) < 8.3 else note
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, lose), "mcap_lz4")
+    folder, _ = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+
+
+def test_a_camera_that_fails_midway_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    some = change(notes, CAMERA, lambda _, note: None if 12.0 < seconds(note) < 18.0 else note)
+    _, about = bring_in(write_log(tmp_path / "log", some, "mcap_lz4"), tmp_path)
+    (note,) = [note for note in about["notes"] if "images cover" in note]
+    assert re.search(r"images cover 27 of 33 s of the drive, from .*, without 6 s from 1[12]\.\d s on; the rest", note)
+
+
+def test_a_frozen_camera_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    images = [note.fields for note in notes if note.topic == CAMERA]
+
+    def freeze(number: int, note: Note) -> Note:
+        return replace(note, fields=images[min(number, 150)])
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, freeze), "mcap_lz4")
+    for lag_s in (0.05, "estimate"):
+        _, about = bring_in(log, tmp_path / str(lag_s), configure(wheels={"lag_s": lag_s}))
+        (note,) = [note for note in about["notes"] if "images do not turn" in note]
+        assert "is the camera frozen or covered there?" in note
+    _, sound = bring_in(write_log(tmp_path / "sound", notes, "mcap_lz4"), tmp_path / "also")
+    assert not any("do not turn" in note for note in sound["notes"])
+
+
+def test_a_field_of_view_beyond_the_image_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    config = configure(camera={"info": None, "circle_px": 240.0, "field_of_view_deg": 185.0})
+    _, about = bring_in(log, tmp_path, config)
+    (note,) = [note for note in about["notes"] if "black in part" in note]
+    assert "images reach 15 deg from the optical axis all around it, and polar images 92" in note
+
+
+def test_a_camera_that_begins_with_another_size_is_read(notes: list[Note], tmp_path: Path) -> None:
+    small = encode(np.zeros((64, 64, 3), np.uint8), "image/jpeg")
+
+    def begin(number: int, note: Note) -> Note:
+        return note if number else replace(note, fields=small)
+
+    folder, _ = bring_in(write_log(tmp_path / "log", change(notes, CAMERA, begin), "mcap_lz4"), tmp_path)
+    check_complete(folder)
+
+
+def test_a_calibration_may_come_late(notes: list[Note], tmp_path: Path) -> None:
+    infos = [note for note in notes if note.topic == CAMERA_INFO]
+    early = set_fields(replace(infos[0], log_ns=infos[0].log_ns - 10**8), focal=0.0)
+    folder, _ = bring_in(write_log(tmp_path / "log", [early, *notes], "mcap_lz4"), tmp_path)
+    check_complete(folder)
+
+
+def test_what_is_left_beside_split_files_is_no_part_of_the_log(notes: list[Note], tmp_path: Path) -> None:
+    folder = tmp_path / "log"
+    folder.mkdir()
+    write_log(tmp_path / "one", notes, "mcap_lz4").rename(folder / "drive_0.mcap")
+    (folder / "drive_1.mcap").touch()
+    (folder / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
+    made, _ = bring_in(folder, tmp_path)
+    check_complete(made)
+
+
+def test_a_bag_of_a_killed_recorder_says_how_it_is_read(notes: list[Note], tmp_path: Path) -> None:
+    write_log(tmp_path / "log", notes, "bag").rename(tmp_path / "log.bag.active")
+    with pytest.raises(InputError, match=r"a killed recorder left this one: copy it without \.active"):
+        bring_in(tmp_path / "log.bag.active", tmp_path)
+
+
+def test_a_camera_that_stops_before_the_drive_ends_is_noted(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, CAMERA, lambda n, note: note if n < 250 else None), "mcap_lz4")
+    _, about = bring_in(log, tmp_path)
+    assert any(note.startswith(f"{CAMERA}: images cover 25 of 33 s of the drive, from") for note in about["notes"])
+
+
+def test_a_counter_that_restarts_divides_the_drive(notes: list[Note], tmp_path: Path) -> None:
+    last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
+
+    def restart(_: int, note: Note) -> Note:
+        return set_fields(note, position=note.fields["position"] - last * (seconds(note) >= 14.0))
+
+    log = write_log(tmp_path / "log", change(notes, JOINTS, restart), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    by_ticks, true = measure(folder)
+    np.testing.assert_allclose(by_ticks, true, atol=0.003)
+    assert any(note.startswith("/joint_states at 13.9") and "the counter restarted" in note for note in about["notes"])
+    turns = open_recording(folder).turns
+    assert turns is not None and (turns.kind == 2).sum() == 1
+
+
+def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", make_notes("image/jpeg", odometry=True), "mcap_lz4")
+    folder, about = bring_in(log, tmp_path)
+    check_complete(folder)
+    assert any("wheels are computed from the odometry" in note for note in about["notes"])
+    with pytest.raises(InputError, match=r"wheels\.backward left must be none: /joint_states is an odometry"):
+        bring_in(log, tmp_path / "again", configure(wheels={"backward": "left"}))
+    recording = open_recording(folder)
+    assert not can_diagnose(recording)
+    with pytest.raises(InputError, match="its wheels were computed from an odometry, which cannot be diagnosed"):
+        diagnose(recording)
+
+
+def test_an_odometry_without_orientation_is_noted(tmp_path: Path) -> None:
+    def forget(_: int, note: Note) -> Note:
+        return set_fields(note, pose=np.array([*note.fields["pose"][:2], 0.0]))
+
+    notes = change(make_notes("image/jpeg", odometry=True), JOINTS, forget)
+    _, about = bring_in(write_log(tmp_path / "log", notes, "mcap_lz4"), tmp_path)
+    assert any("the odometry goes sideways, as no wheels can" in note for note in about["notes"])
+
+
+@pytest.mark.parametrize("lag_s", ["estimated", 2.0])
+def test_a_lag_that_none_can_be_is_refused_in_plain_words(lag_s: str | float, tmp_path: Path) -> None:
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**CONFIG, "wheels": {**CONFIG["wheels"], "lag_s": lag_s}}))
+    with pytest.raises(InputError, match=rf"wheels\.lag_s: '?{lag_s}'? must be from -1 to 1 s, or estimate$"):
+        load_config(tmp_path / "robot.yaml")
+
+
+def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    folder, _ = bring_in(log, tmp_path, configure(pose={"use": "labels"}))
+    labels = open_labels(folder)
+    assert not has_truth(folder) and labels is not None and np.isfinite(labels.pose).all()
+
+
+def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", notes, "mcap_lz4")
+    folder, about = bring_in(log, tmp_path, configure(pose=None, drive={"held_out": 0.3}))
+    assert not has_truth(folder) and not open_labels(folder) and not len(open_recording(folder).test_observation)
+    kept, held_out = open_recording(folder), open_recording(folder / "use")
+    assert (kept.manifest.segments, held_out.manifest.segments) == (len(LENGTHS_M) - 2, 2)
+    assert len(held_out.observation) == about["held_out"] > 5 and held_out.turns is not None
+    assert held_out.turns.image.tolist() == [0]
+    assert about["images_used"] == sum(map(count_images, (kept, held_out)))
+    few, _ = bring_in(log, tmp_path / "few", configure(pose=None, drive={"held_out": 0.01}))
+    assert open_recording(few / "use").manifest.segments == 1, "errors could not be measured without"
+    folder, about = bring_in(log, tmp_path / "again", configure(drive={"held_out": 0.3}))
+    recording, truth = open_recording(folder), open_truth(folder)
+    assert len(recording.test_observation) == len(truth.test_pose) == about["held_out"] > 5
+    assert about["images_used"] == count_images(recording) + len(recording.test_observation)
+    assert recording.manifest.segments == len(LENGTHS_M) - 2
+
+
+def count_images(recording: Recording) -> int:
+    return len(recording.observation) + (0 if recording.turn_observation is None else len(recording.turn_observation))
+
+
+def test_damaged_images_are_left_out_unless_they_are_many(notes: list[Note], tmp_path: Path) -> None:
+    def damage(every: int) -> Sequence[Note]:
+        def one(number: int, note: Note) -> Note:
+            return set_fields(note, data=note.fields["data"][:20]) if number % every == 20 else note
+
+        return change(notes, CAMERA, one)
+
+    folder, _ = bring_in(write_log(tmp_path / "log", damage(100), "mcap_lz4"), tmp_path)
+    check_complete(folder)
+    with pytest.raises(InputError, match=r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged images: "):
+        bring_in(write_log(tmp_path / "many", damage(21), "mcap_lz4"), tmp_path / "again")
+
+
+def test_several_damaged_images_in_a_row_are_left_out(notes: list[Note], tmp_path: Path) -> None:
+    def damage(number: int, note: Note) -> Note:
+        return set_fields(note, data=note.fields["data"][:20]) if 50 <= number < 54 else note
+
+    log = write_log(tmp_path / "log", change(notes, CAMERA, damage), "mcap_lz4")
+    _, about = bring_in(log, tmp_path, configure(drive={"spacing_m": 0.02}))
+    assert about["segments"] >= len(LENGTHS_M)
+
+
+def test_two_publishers_of_the_wheels_are_refused(notes: list[Note], tmp_path: Path) -> None:
+    zeros = [
+        set_fields(replace(note, log_ns=note.log_ns + 10**7, stamp_ns=note.stamp_ns + 10**7), position=np.zeros(2))
+        for note in notes
+        if note.topic == JOINTS
+    ]
+    log = write_log(tmp_path / "log", sort([*notes, *zeros]), "mcap_lz4")
+    with pytest.raises(InputError, match=r"/joint_states at \d+\.\d\d s: .* more than one program published"):
+        bring_in(log, tmp_path)
+
+
+def info(**fields: Any) -> Callable[[int, Note], Note]:
+    return lambda _, note: set_fields(note, **fields)
+
+
+@pytest.mark.parametrize(
+    ("topic", "fault", "message"),
+    [
+        (CAMERA_INFO, info(focal=0.0), "/camera/camera_info: the camera is not calibrated .K is 0.; give camera"),
+        (CAMERA_INFO, info(model="omni"), "/camera/camera_info: distortion model 'omni': must be equidistant"),
+        (CAMERA_INFO, info(height=81), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
+        (CAMERA_INFO, lambda _, note: None, "camera.info /camera/camera_info: .* has no such topic; it has none of"),
+        (CAMERA, lambda _, note: None, "camera.topic /camera/image_raw: .* has no such topic; it has none of"),
+        (JOINTS, info(name=["a", "b"]), "/joint_states has no position of a joint 'wheel_left_joint'; its joints"),
+        (JOINTS, info(position=np.zeros(2)), "no straight segment with two images was found .motions: 0 straight"),
+        (JOINTS, lambda n, note: note if n < 5 else None, "/joint_states has 5 messages with both wheels; a"),
+        (TRUTH, lambda _, note: None, "pose.topic /mocap/pose: .* has no such topic; it has none of type"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_used_is_refused_in_one_line(
+    topic: str, fault: Callable[[int, Note], Note | None], message: str, notes: list[Note], tmp_path: Path
+) -> None:
+    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
+    with pytest.raises(InputError, match=message) as caught:
+        bring_in(log, tmp_path)
+    assert "\n" not in str(caught.value) and not (tmp_path / "recording").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+
+
+def test_a_topic_without_messages_is_refused(notes: list[Note], tmp_path: Path) -> None:
+    others = [note for note in notes if note.topic != CAMERA]
+    log = write_log(tmp_path / "log", others, "db3", empty=[(CAMERA, COMPRESSED)])
+    with pytest.raises(InputError, match=r"camera\.topic /camera/image_raw holds no image"):
+        bring_in(log, tmp_path)
+
+
+def test_strange_files_are_refused(tmp_path: Path) -> None:
+    for name, data, message in (
+        ("a.txt", b"x", "a log is a .bag, .mcap or .db3 file, or a folder"),
+        ("a.mcap", b"no log at all", "cannot be read as a log: File magic is invalid"),
+        ("a.bag", b"", "cannot be read as a log: "),
+        ("a.db3", b"SQLite format 3\0" + b"\1" * 200, "cut off so early that it names no topic"),
+    ):
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            bring_in(tmp_path / name, tmp_path)
+    with pytest.raises(InputError, match="there is no such log"):
+        bring_in(tmp_path / "none.mcap", tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match=r"holds no log: neither \.bag, \.mcap or \.db3 files nor images"):
+        bring_in(tmp_path / "empty", tmp_path)
+
+
+def test_messages_that_are_too_rare_are_named_as_the_cause(notes: list[Note], tmp_path: Path) -> None:
+    log = write_log(tmp_path / "log", change(notes, JOINTS, lambda n, note: None if n % 10 else note), "mcap_lz4")
+    with pytest.raises(InputError, match=r"\d+ rest, 0 arc, 0 back, [1-9]\d* unknown; .* no message for 0\.5 s while"):
+        bring_in(log, tmp_path)
+
+
+def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine").write_text("mine")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "link").symlink_to("empty")
+    (tmp_path / "dangling").symlink_to("nothing")
+    monkeypatch.chdir(tmp_path / "empty")
+    for out, why in (
+        (tmp_path / "full", "is not empty"),
+        (tmp_path / "full" / "mine", "is not empty"),
+        (tmp_path / "full" / "mine" / "x", "cannot be made: .*mine is no folder"),
+        (tmp_path / "link", "is a link"),
+        (tmp_path / "dangling", "is a link"),
+        (Path("."), "is the working folder"),
+        (tmp_path / "empty", "is the working folder"),
+        (Path("/proc"), "is a mount point"),
+    ):
+        with pytest.raises(InputError, match=f"{why}; a recording is written to a folder of its own"):
+            import_log(tmp_path / "no log", configure(), out, ignore)
+
+
+def test_a_channel_in_a_foreign_encoding_is_named(tmp_path: Path) -> None:
+    message = "it has a channel in jsonschema, and only messages of ROS 2 are read"
+    with pytest.raises(InputError, match=message), explained(tmp_path / "log.mcap"):
+        raise KeyError("jsonschema")  # as rosbags does

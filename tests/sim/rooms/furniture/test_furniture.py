@@ -1,0 +1,148 @@
+from functools import partial
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.rooms.free_space import find_free_space
+from sim.rooms.furniture import ceiling, decor, fittings, seating, storage, tables
+from sim.rooms.furniture.primitives import COLLISION_GROUP, make_look
+
+STANDING = {
+    "sofa": seating.sofa,
+    "armchair": seating.armchair,
+    "chair": seating.chair,
+    "office_chair": seating.office_chair,
+    "stool": seating.stool,
+    "bed": seating.bed,
+    "dining_table": tables.dining_table,
+    "coffee_table": tables.coffee_table,
+    "bedside_table": tables.bedside_table,
+    "desk": tables.desk,
+    "workbench": tables.workbench,
+    "counter": tables.counter,
+    "island": tables.island,
+    "bookshelf": storage.bookshelf,
+    "wardrobe": storage.wardrobe,
+    "cabinet": storage.cabinet,
+    "television": storage.television,
+    "fridge": storage.fridge,
+    "oven": storage.oven,
+    "shelving": storage.shelving,
+    "filing_cabinet": storage.filing_cabinet,
+    "tool_chest": storage.tool_chest,
+    "floor_lamp": decor.floor_lamp,
+    "plant": decor.plant,
+    "coat_stand": decor.coat_stand,
+    "barrel": decor.barrel,
+    "ladder": decor.ladder,
+    "crates": decor.crates,
+}
+HANGING = {
+    "door": fittings.door,
+    "window": partial(fittings.dressed_window, width_m=1.3),
+    "picture": partial(fittings.picture, z=1.6, size=(0.8, 0.6)),
+    "mirror": fittings.mirror,
+    "whiteboard": fittings.whiteboard,
+    "tool_wall": fittings.tool_wall,
+    "clock": fittings.clock,
+    "wall_shelf": fittings.wall_shelf,
+    "cooler": fittings.cooler,
+    "roller_door": fittings.roller_door,
+    "extinguisher": fittings.extinguisher,
+}
+OVERHEAD = {
+    "pendant": ceiling.pendant,
+    "globe": ceiling.globe,
+    "dish": ceiling.dish,
+    "tube": ceiling.tube,
+    "spots": ceiling.spots,
+    "chandelier": ceiling.chandelier,
+    "fan": ceiling.fan,
+    "vent": ceiling.vent,
+    "smoke_detector": ceiling.smoke_detector,
+    "hatch": ceiling.hatch,
+    "beam": partial(ceiling.beam, size=(3.0, 0.15)),
+    "duct": partial(ceiling.duct, size=(0.4, 3.0)),
+}
+SEEDS = range(4)
+
+
+def _build(piece, seed: int):
+    spec, rng = mujoco.MjSpec(), np.random.default_rng(seed)
+    body = spec.worldbody.add_body(name="piece")
+    cover = piece(body, rng, make_look(spec, rng))
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    turn = data.geom_xmat.reshape(-1, 3, 3)
+    half = np.einsum("nij,nj->ni", np.abs(turn), model.geom_aabb[:, 3:])
+    return cover, model, data.geom_xpos - half, data.geom_xpos + half
+
+
+@pytest.mark.parametrize("name", STANDING)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_standing_piece_keeps_to_its_footprint_and_stands_on_the_floor(name, seed):
+    it, model, low, high = _build(STANDING[name], seed)
+    slack = np.array((it.width_m / 2 + 0.04, it.depth_m / 2 + 0.04))
+    assert (low[:, :2] > -slack).all()
+    assert (high[:, :2] < slack).all()
+    assert -1e-6 < low[:, 2].min() < 0.01
+    assert high[:, 2].max() < it.height_m + 0.15
+    solid = model.geom_contype != 0
+    assert solid.any()
+    assert (model.geom_group[solid] == COLLISION_GROUP).all()
+    # What collides covers what is drawn, up to what stands on it, to within a few centimetres.
+    assert low[solid, :2].min() < low[~solid, :2].min() + 0.16
+    assert high[solid, :2].max() > high[~solid, :2].max() - 0.16
+
+
+@pytest.mark.parametrize("name", HANGING)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_hanging_piece_keeps_to_its_rectangle_on_the_wall(name, seed):
+    (width, bottom, top), _, low, high = _build(HANGING[name], seed)
+    assert low[:, 0].min() > -width / 2 - 0.02
+    assert high[:, 0].max() < width / 2 + 0.02
+    assert bottom - 0.02 < low[:, 2].min()
+    assert high[:, 2].max() < top + 0.02
+    assert high[:, 1].max() < 1e-6
+    assert low[:, 1].min() > -0.26
+
+
+@pytest.mark.parametrize("name", OVERHEAD)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_ceiling_piece_hangs_below_the_ceiling(name, seed):
+    size, model, low, high = _build(OVERHEAD[name], seed)
+    assert high[:, 2].max() < 0.011
+    assert low[:, 2].min() > -1.0
+    assert (high[:, :2].max(axis=0) < np.array(size) / 2 + 0.2).all()
+    assert not model.geom_contype.any()
+
+
+def _drive_under(piece) -> np.ndarray:
+    """Where a robot of 0.105 m radius and 0.37 m height gets to, as offsets (N, 2) from the middle of a piece."""
+    spec, rng = mujoco.MjSpec(), np.random.default_rng(0)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0, 0, 1))
+    for x, y, w, d in ((2, 0, 0.1, 2), (-2, 0, 0.1, 2), (0, 2, 2, 0.1), (0, -2, 2, 0.1)):
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, pos=(x, y, 0.5), size=(w, d, 0.5))
+    piece(spec.worldbody.add_body(), rng, make_look(spec, rng))
+    space = find_free_space(spec.compile(), 0.105, 0.37)
+    row, column = np.nonzero(space.reachable)
+    return space.origin + np.stack((column, row), axis=1) * space.cell_m
+
+
+def test_one_drives_under_tables_and_benches_but_not_under_seats():
+    def nearest(piece) -> float:
+        return float(np.abs(_drive_under(piece)).max(axis=1).min())
+
+    assert nearest(tables.dining_table) < 0.02
+    assert nearest(seating.chair) > 0.12
+    assert nearest(seating.office_chair) > 0.12
+    assert nearest(tables.coffee_table) > 0.3
+    assert nearest(seating.sofa) > 0.5
+
+
+def test_a_desk_has_room_for_knees():
+    places = _drive_under(tables.desk)
+    under = (np.abs(places[:, 0]) < 0.6) & (np.abs(places[:, 1]) < 0.2)
+    assert under.sum() > 200
