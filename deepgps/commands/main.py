@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from deepgps.commands.begin import IS_WORKER
 from deepgps.commands.bench import BenchArguments, bench_command
 from deepgps.commands.command import Command
 from deepgps.commands.completion import CompletionArguments, completion_command
@@ -28,7 +29,6 @@ from deepgps.commands.track import TrackArguments, track_command
 from deepgps.commands.view import ViewArguments, view_command
 from deepgps.config.scenario import names_in
 from deepgps.config.spelling import find_like, suggest
-from deepgps.terminal.begin import IS_WORKER
 from deepgps.terminal.console import console, print_error, say, show_warnings, warn_plainly
 from deepgps.terminal.failures import explain, find_version
 from deepgps.terminal.signals import ignore_signals, stop_at_signals

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from deepgps.commands.begin import BEGUN
 from deepgps.commands.scenario import RunArguments, parse_scenario
 from deepgps.config.scenario import Scenario
 from deepgps.runs.source import Source
-from deepgps.terminal.begin import BEGUN
 from deepgps.terminal.console import console, errors, print_error, quote_path, say
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import Report, show_progress

@@ -22,7 +22,7 @@ LEAST_FREE_GB = 1.0  # the demo writes about 0.3 GB
 _DRAW = """
 import sys
 from sim import errors
-from sim.sensors import gl
+from sim.sensors.camera import gl
 try:
     print(*gl.describe(), sep="\\n")
 except (errors.InputError, errors.WorkError) as error:

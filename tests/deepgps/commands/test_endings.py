@@ -89,7 +89,7 @@ def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, 
 SWALLOWING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
-from deepgps import begin
+from deepgps.commands import begin
 from deepgps.terminal.signals import stop_at_signals
 
 class Loud:
@@ -123,7 +123,7 @@ def test_a_signal_that_is_swallowed_is_repeated(swallow: str) -> None:
 WAITING = """
 import os, signal, sys, time
 sys.argv[0] = "deepgps"
-from deepgps import begin
+from deepgps.commands import begin
 from deepgps.terminal import signals
 
 signals.LIMIT_S = 0.5

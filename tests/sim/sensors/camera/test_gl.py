@@ -101,7 +101,7 @@ def test_wrong_environments_are_wrong_input(
 
 def run_describe(environment: dict[str, str]) -> str:
     describe = "try:\n print(*gl.describe())\nexcept gl.WorkError as error:\n print('sorry:', error)"
-    code = f"from sim.sensors import gl\n{describe}"
+    code = f"from sim.sensors.camera import gl\n{describe}"
     done = subprocess.run(
         [sys.executable, "-c", code], env=os.environ | environment, capture_output=True, text=True, check=True
     )
