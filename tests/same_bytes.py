@@ -17,8 +17,18 @@ import numpy as np
 import pyarrow.parquet as pq
 from safetensors.numpy import load_file
 
-UNCOMPARED_KEYS = {"environment", "timing_s", "train_s", "trained_on", "packages", "gl_renderer", "git", "seconds"}
-"""Keys of JSON files and columns of tables with seconds, checksums or what describes the machine and the packages."""
+UNCOMPARED_KEYS = {
+    "environment",
+    "timing_s",
+    "train_s",
+    "trained_on",
+    "packages",
+    "gl_renderer",
+    "git",
+    "seconds",
+    "checksum",
+}
+"""Keys of JSON files and columns of tables with seconds, checksums (of seconds too), or the machine and packages."""
 UNCOMPARED_FILES = {"timing.json", "inputs.json", "complete.json"}
 SUFFIXES = {".npy", ".npz", ".safetensors", ".parquet", ".json"}
 
