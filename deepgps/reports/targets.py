@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 
 LEVEL, LEAST_VALUES, RESAMPLES = 0.95, 5, 9999
 """Of intervals; with fewer values than this, a figure has none."""

@@ -7,15 +7,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.track_errors import APART, measure_distances, take_in_world
 from deepgps.evaluation.track_run import Reference, Tracked
 from deepgps.reports.field_plot import SCALE_M, add_scale, colours_of, draw_room
 from deepgps.reports.style import PAPER, count_by_decades, to_png
+from deepgps.reports.table import print_table
 from deepgps.tracking.track import PATHS, Track
 from deepgps.tracking.words import describe_causes
 from sim.files.atomic import write_bytes
@@ -55,12 +54,7 @@ def print_track(tracked: Tracked, console: Console) -> None:
             f"The truth is not known, so there are no errors. --tum writes poses in the {frame}.", soft_wrap=True
         )
         return
-    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    for index, heading in enumerate(("path", *(one[0] for one in COLUMNS))):
-        table.add_column(heading, justify="left" if index == 0 else "right", no_wrap=index == 0)
-    for row in list_rows(figures["paths"]):
-        table.add_row(*row)
-    console.print(table)
+    print_table(console, ("path", *(one[0] for one in COLUMNS)), list_rows(figures["paths"]))
     console.print(
         f"\nErrors on images of the drive; ATE after an alignment of its own, RPE over {APART} images.",
         highlight=False,

@@ -4,14 +4,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from deepgps.config.methods import title_of
 from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.without_truth import read_judged
+from deepgps.reports import table
 from deepgps.tracking.words import describe_causes
 from sim.errors import InputError
 
@@ -43,12 +41,7 @@ def print_without_truth(run: Path, console: Console) -> bool:
     if found is None:
         return False
     headings, rows = tabulate(found)
-    table = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
-    for index, heading in enumerate(headings):
-        table.add_column(escape(heading.replace(" [", "\n[")), justify="left" if index == 0 else "right")
-    for row in rows:
-        table.add_row(*map(escape, row))
-    console.print(table)
+    table.print_table(console, headings, rows)
     console.print()
     for sentence in describe(found):
         console.print(sentence, markup=False, highlight=False, soft_wrap=True)
@@ -72,9 +65,7 @@ def markdown(run: Path) -> str:
     if found is None:
         raise InputError(f"{run} has not been evaluated without truth")
     headings, rows = tabulate(found)
-    lines = [headings, ["---", *["---:"] * (len(headings) - 1)], *rows]
-    table = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-    return "\n\n".join([table, *describe(found)])
+    return "\n\n".join([table.tabulate(headings, rows), *describe(found)])
 
 
 def describe(found: Mapping[str, Any]) -> list[str]:

@@ -9,8 +9,8 @@ from matplotlib.lines import Line2D
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.config.scenario import Scenario
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import ERRORS, Row, find_methods, is_seed, mean, read_setting, split_by, write_ratio

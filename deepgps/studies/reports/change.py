@@ -7,8 +7,8 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
 from deepgps.config.methods import colour_of, title_of
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure
 from deepgps.studies.reports.camera import CLEAN, TITLES, group_faults
 from deepgps.studies.table import ERRORS, Row, find_methods, mean, split_by, write_ratio

@@ -7,8 +7,8 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.studies.grouping import choices, describe, group_rows, shorten
 from deepgps.studies.reports.seeds import count_folded
 from deepgps.studies.table import (

@@ -12,8 +12,8 @@ from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.evaluation.visibility import measure_visible
 from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, write
 from deepgps.studies.grouping import group_rows
 from deepgps.studies.reports.compare import report as compare_choices

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.evaluate import FAR_M
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, median_of, write
 from deepgps.studies.reports.rooms import draw_errors
 from deepgps.studies.table import Row, find_methods, split_by

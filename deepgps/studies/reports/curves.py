@@ -9,8 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades, draw_band
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure
 from deepgps.studies.table import (
     ACCEPTED_NOTE,

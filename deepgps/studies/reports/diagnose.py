@@ -8,7 +8,7 @@ import numpy as np
 
 from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import FILE
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, median_of, share_of
 from deepgps.studies.plan import Plan
 from deepgps.studies.table import Row, read_setting

@@ -7,8 +7,8 @@ import numpy as np
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_fields
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.run_report import read_metrics
+from deepgps.reports.table import tabulate
 from deepgps.studies.reports.encoder_sweeps import (
     FEWER_IS_WORSE,
     TITLES,

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.patches import Rectangle
 
 from deepgps.config.methods import title_of
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, share_of, write
 from deepgps.studies.reports.knowing_drives import JudgedDrive, read_drives
 from deepgps.studies.table import Row, split_by

@@ -10,8 +10,8 @@ from matplotlib.figure import Figure as Picture
 from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.reports.field_plot import print_floor
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.run_report import read_metrics
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, choose_accepted, split_by, write_accepted
 from sim.errors import InputError

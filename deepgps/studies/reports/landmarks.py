@@ -8,7 +8,7 @@ from matplotlib import ticker
 from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.table import PAPERS_ERRORS, Row
 

@@ -10,7 +10,7 @@ from safetensors import safe_open
 from deepgps.config.methods import folder_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_all_headings
 from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.table import PAPERS_ERRORS, Row, find_methods
 

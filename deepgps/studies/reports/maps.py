@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, median_of
 from deepgps.studies.reports.rooms import name_room
 from deepgps.studies.table import Row, split_by

@@ -22,7 +22,7 @@ from deepgps.config.methods import folder_of
 from deepgps.initial_map.distances.isomap import find_axes
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of
 from deepgps.studies.grouping import choices, describe, group_rows
 from deepgps.studies.reports.seeds import count_folded

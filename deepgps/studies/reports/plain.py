@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from deepgps.config.methods import title_of
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.studies.table import ACCEPTED_NOTE, ERRORS, Row, choose_accepted, write_accepted, write_errors
 
 

@@ -7,9 +7,9 @@ from pkgutil import resolve_name
 from typing import Any
 
 from deepgps.learning.trainer import use_threads
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.style import to_png
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, tabulate_targets
 from deepgps.runs.provenance import describe_origin
 from deepgps.runs.run_folder import METRICS

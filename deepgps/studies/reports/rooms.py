@@ -8,8 +8,8 @@ from matplotlib.figure import Figure as Picture
 from scipy.stats import binomtest
 
 from deepgps.config.methods import colour_of, title_of
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.style import count_by_decades
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of, median_of, ratio_of, share_of, write
 from deepgps.studies.table import (
     ACCEPTED,

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, share_of, write
 from deepgps.studies.table import ERRORS, Row, write_errors
 

@@ -15,8 +15,8 @@ from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import read_all_headings
-from deepgps.reports.markdown import tabulate
 from deepgps.reports.run_report import OVERVIEW, markdown_table, read_metrics
+from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import METRICS
 from deepgps.viewer.error_field import log_field
 from deepgps.viewer.live.drive import LiveDrive, Spread, log_drive_styles

@@ -6,7 +6,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.diagnosis.store import read_diagnosis
-from deepgps.reports.diagnosis_page import write_markdown
+from deepgps.reports.wheels_page import write_markdown
 
 ENTITY = "encoders/diagnosis"
 NONE = (

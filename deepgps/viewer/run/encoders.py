@@ -7,7 +7,7 @@ import rerun as rr
 
 from deepgps.evaluation.segment_errors import measure_segments, reckon_path
 from deepgps.reports import style
-from deepgps.reports.encoder_plots import describe_encoders, draw_segments
+from deepgps.reports.wheels_page import describe_encoders, draw_segments
 from deepgps.viewer.run.drive import WRONG, Colour, log_path
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import drive_index, send_series

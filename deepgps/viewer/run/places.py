@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.viewer.run.alike import find_alike
 from deepgps.viewer.run.place_drawing import ALIKE, log_map, log_pictures, log_radii
 from deepgps.viewer.timeline import place_index

@@ -16,8 +16,7 @@ from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.reports import run_figures
-from deepgps.reports.run_report import OVERVIEW, describe, markdown_report, markdown_table, read_metrics
-from deepgps.reports.verdict import judge_run
+from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.runs.run_folder import METRICS
 from deepgps.viewer.distribution import log_distribution
 from deepgps.viewer.error_field import list_headings, log_field, log_headings

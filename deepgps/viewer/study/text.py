@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from deepgps.config.methods import title_of
-from deepgps.reports.markdown import tabulate
+from deepgps.reports.table import tabulate
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, split_by
 from deepgps.viewer.study.sliders import RUN, Slider, Step

@@ -11,7 +11,7 @@ from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, di
 from deepgps.diagnosis.findings import correct, find_faults
 from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
-from deepgps.reports.diagnosis_page import ALL_WELL, NOT_MEASURED, UNKNOWN, write_markdown
+from deepgps.reports.wheels_page import ALL_WELL, NOT_MEASURED, UNKNOWN, write_markdown
 from sim.errors import InputError
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording, open_truth

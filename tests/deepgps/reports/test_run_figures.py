@@ -13,8 +13,7 @@ from matplotlib.colors import to_hex
 
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
 from deepgps.reports.field_plot import REFUSED, SCALE_M, colours_of
-from deepgps.reports.risk_plot import draw_risk
-from deepgps.reports.run_figures import draw_error_field, draw_figures, make_figures
+from deepgps.reports.run_figures import draw_error_field, draw_figures, draw_risk, make_figures
 from deepgps.reports.style import smooth, to_png
 from sim.errors import InputError
 from sim.occupancy import limits

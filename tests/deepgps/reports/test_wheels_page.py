@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.segment_errors import measure_segments, reckon_path
-from deepgps.reports.encoder_plots import describe_encoders, draw_segments, list_faults
+from deepgps.reports.wheels_page import describe_encoders, draw_segments, list_faults
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from tests.helpers.synthetic_run import TICKS_PER_REV, WHEEL_RADIUS_M, write_synthetic_run
 

@@ -1,0 +1,44 @@
+"""One table, written as Markdown or printed in the terminal."""
+
+from collections.abc import Sequence
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+
+def tabulate(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table with aligned columns, numbers right-aligned; readable as plain text."""
+    columns = list(zip(headings, *rows, strict=True))
+    widths = [max(map(len, column)) for column in columns]
+    numbers = [all(cell[:1] in "0123456789-" for cell in column[1:]) for column in columns]
+    rule = ["-" * (width - right) + ":" * right for width, right in zip(widths, numbers, strict=True)]
+    lines = [[_pad(*cell) for cell in zip(row, widths, numbers, strict=True)] for row in (headings, rule, *rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def print_table(
+    console: Console, headings: Sequence[str], rows: Sequence[Sequence[str]], title: str | None = None, bold: str = ""
+) -> None:
+    """Print a table whose first column is text and whose others are numbers.
+
+    Args:
+        console: Where to print.
+        headings: One for each column; a unit in brackets is printed below its name.
+        rows: The cells.
+        title: Title above the table.
+        bold: First cell of the rows that are printed in bold.
+    """
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left", padding=0, show_edge=False)
+    for index, heading in enumerate(headings):
+        # a unit below the name keeps the table within 80 columns; escaped, since rich reads [cm] as a style
+        name = escape(heading.replace(" [", "\n["))
+        table.add_column(name, justify="right" if index else "left", no_wrap=index == 0)
+    for row in rows:
+        table.add_row(*map(escape, row), style="bold" if row[0] == bold else None)
+    console.print(table)
+
+
+def _pad(cell: str, width: int, right: bool) -> str:
+    return cell.rjust(width) if right else cell.ljust(width)
