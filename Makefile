@@ -1,8 +1,10 @@
 # Every target does its own set-up. PYTHON=... picks the interpreter, TORCH_INDEX=... where pip looks for torch.
 BIN := .venv/bin
 export PYTHON TORCH_INDEX
+# One worker a file: what its tests share is made once.
+PYTEST := $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
-.PHONY: setup setup-dev demo tiny test docs faults check format dist clean
+.PHONY: setup setup-dev demo tiny test test-all docs faults check format dist clean
 
 setup:  ## .venv with this project and what running needs; system packages where something is missing
 	@.ci/setup
@@ -16,8 +18,11 @@ demo: setup  ## the whole chain on a living room: drive, see, learn, position, s
 tiny: setup  ## the same, small: under a minute
 	$(BIN)/deepgps run tiny
 
-test: setup-dev
-	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder  # one worker a file: what its tests share is made once
+test: setup-dev  ## every law, quickly
+	$(PYTEST) -m "not slow"
+
+test-all: setup-dev  ## all tests: whole runs and studies, killed ones too, examples, every command of the documentation
+	$(PYTEST)
 
 docs: setup-dev  ## the documentation, in build/docs; warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs

@@ -1,6 +1,7 @@
-"""What many tests share: the renderer chosen before MuJoCo is imported, a small recording, and a finished run."""
+"""What many tests share: the renderer chosen before MuJoCo is imported, a recording, a finished run and a study."""
 
 import os
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -9,6 +10,7 @@ import pytest
 from sim.sensors.camera.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 from tests.helpers.made_once import make_once
+from tests.helpers.processor_time import ProcessorTime
 
 choose_backend()
 # Two workers of pytest share two cores: a library that starts threads of its own in each only makes both wait.
@@ -17,6 +19,9 @@ for name in ("OMP_NUM_THREADS", "LP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 hypothesis.settings.register_profile("deepgps", deadline=None)  # no test is timed
 hypothesis.settings.load_profile("deepgps")
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # before torch, as in deepgps.commands.main
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    # As for a script's job in the background. Processes would inherit that, but not a handler that ignores it.
+    signal.signal(signal.SIGINT, lambda *_: None)
 
 SMALL = SimSettings(
     room=RoomSettings(kind="bedroom", width_m=3.2, depth_m=2.8),
@@ -59,15 +64,29 @@ def small_recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def finished_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of the mini scenario, by the command in a process of its own; ``said.txt`` beside it is what it printed."""
-    from tests.helpers.command import MINI, deepgps
+    from tests.helpers.command import MINI, make_by_command
 
     def make(folder: Path) -> None:
         (folder / "mini.yaml").write_text(MINI)
-        done = deepgps("run", "mini.yaml", "--out", "run", cwd=folder)
-        assert done.returncode == 0, done.stderr
-        (folder / "said.txt").write_text(done.stdout)
+        make_by_command("run", "mini.yaml", "--out", "run", cwd=folder)
 
     return make_once(tmp_path_factory, "mini", make) / "run"
+
+
+@pytest.fixture(scope="session")
+def finished_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study of two cases, likewise; ``mine.yaml`` beside it is the study."""
+    from tests.helpers.command import make_by_command
+    from tests.helpers.small_study import write_study
+
+    def make(folder: Path) -> None:
+        make_by_command("study", str(write_study(folder)), "--out", "study", cwd=folder)
+
+    return make_once(tmp_path_factory, "study", make) / "study"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.pluginmanager.register(ProcessorTime())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -128,7 +128,7 @@ def test_a_table_of_names_is_complete(page: str, names: list[str]) -> None:
 @pytest.mark.slow
 def test_every_file_of_a_run_is_in_the_page_of_formats(finished_run: Path) -> None:
     paths = [path.relative_to(finished_run).as_posix() for path in finished_run.rglob("*") if path.is_file()]
-    names = {re.sub(r"^recording/", "", path) for path in paths if not path.startswith("pairs/")}
+    names = {re.sub(r"^recording/(use/)?", "", path) for path in paths if not path.startswith("pairs/")}
     names = {re.sub("(?<=/)fisheye(?=[._])", "<sensor>", name) for name in names}
     parts = {part for name in names for part in (name, name.rpartition("/")[2], f"{name.partition('/')[0]}/")}
     known = {part for part in parts if f"`{part}`" in FORMATS} | {f"{method}/" for method in METHODS}
@@ -146,6 +146,7 @@ def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(finished_run:
     paths = [path for path in (finished_run / "recording").rglob("*.npy") if path.parent.name != "test"]
     for path in paths:
         name = path.relative_to(finished_run / "recording").as_posix().replace("fisheye", "<sensor>")
+        name = name.removeprefix("use/")  # a recording too
         if name in ("observations/<sensor>.npy", "observations/<sensor>_turn.npy"):
             continue  # by kind: below
         array = np.load(path, mmap_mode="r")

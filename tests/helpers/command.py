@@ -18,11 +18,13 @@ from deepgps.commands.main import main
 MINI = """
 room: {kind: bedroom, width_m: 3.2, depth_m: 2.8}
 camera: {rings: 8, sectors: 32, face_px: 16}
-drive: {samples: 120}
+drive: {samples: 200}
+deployment: {drive_samples: 60}
 grid: {spacing_m: 0.5, headings: 2}
-methods: [deepgps, posenet]
+methods: [deepgps_compass, deepgps, posenet, knn]
 learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
 """
+"""The scenario of the run that tests share."""
 
 
 def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]:
@@ -31,6 +33,13 @@ def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]
     return subprocess.run(
         command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, check=False, timeout=300
     )
+
+
+def make_by_command(*words: str, cwd: Path) -> None:
+    """The same, which must do its work; ``said.txt`` in the folder is what it printed."""
+    done = deepgps(*words, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    (cwd / "said.txt").write_text(done.stdout)
 
 
 def deepgps_here(*words: str, cwd: Path) -> CompletedProcess[str]:

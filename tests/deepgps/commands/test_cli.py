@@ -141,7 +141,7 @@ def test_a_run_leaves_all_that_was_promised(finished_run):
 def test_every_figure_can_be_computed_again_from_the_error_field(finished_run):
     metrics = json.loads((finished_run / "metrics.json").read_text())
     field = np.load(finished_run / "error_field.npz")
-    assert set(metrics["methods"]) == {"deepgps", "posenet"}
+    assert set(metrics["methods"]) == {"deepgps_compass", "deepgps", "posenet", "knn"}
     for name, values in metrics["methods"].items():
         worst = np.linalg.norm(field[name] - field["truth"][:, None], axis=-1).max(axis=1)
         assert values["rms_m"] == pytest.approx(np.sqrt((worst**2).mean()))

@@ -28,6 +28,7 @@ def test_a_recording_is_diagnosed_and_a_file_written_where_one_is_named(small_re
 def test_a_run_s_diagnosis_lies_in_its_folder_and_its_view_is_made_again(finished_run: Path, tmp_path: Path):
     run = tmp_path / "run"
     shutil.copytree(finished_run, run, symlinks=True)
+    (run / FILE).unlink()
     done = deepgps_here("diagnose", "run", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert read_json(run / FILE)["turns"] > 0

@@ -1,5 +1,6 @@
 """The command deepgps export: what it writes, where, and what it refuses in one line."""
 
+import itertools
 import shutil
 from pathlib import Path
 
@@ -19,7 +20,8 @@ def test_trajectories_go_into_a_folder_of_their_own_again_and_again(finished_run
         assert done.returncode == 0, done.stderr
         assert done.stdout == "wrote given/tum\nwrote given/csv\n"
     written = sorted(path.relative_to(tmp_path / "given").as_posix() for path in tmp_path.rglob("given/*/*/*"))
-    assert written == [f"{kind}/training/{name}.{kind}" for kind in ("csv", "tum") for name in ("posenet", "truth")]
+    files = itertools.product(("csv", "tum"), ("training", "use"), ("posenet", "truth"))
+    assert written == [f"{kind}/{drive}/{name}.{kind}" for kind, drive, name in files]
 
 
 def test_every_image_is_located_once_for_all_formats(
@@ -29,7 +31,7 @@ def test_every_image_is_located_once_for_all_formats(
     monkeypatch.setattr(trajectories, "find_poses", lambda *given: found.append(given) or find_poses(*given))
     done = deepgps_here("export", str(finished_run), "--tum", "--mcap", "--method", "posenet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert len(found) == 1
+    assert len(found) == 2, "once for each drive"
 
 
 def test_a_run_of_the_same_name_does_not_write_into_the_export_of_another(finished_run: Path, tmp_path: Path):
@@ -72,7 +74,7 @@ def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeyp
         (("--onnx", "--radius-px", "9"), "--centre and --radius-px: give both, or neither"),
         (("--tum", "--centre", "9", "9", "--radius-px", "9"), "--centre and --radius-px are for --onnx"),
         (("--onnx", "--centre", "9", "inf", "--radius-px", "9"), "--centre 9 inf: must be column and row, each from 0"),
-        (("--tum", "--method", "knn"), "method 'knn': "),
+        (("--tum", "--method", "pca_knn"), "method 'pca_knn': "),
     ],
 )
 def test_wrong_words_are_refused(words: tuple[str, ...], message: str, finished_run: Path, tmp_path: Path):

@@ -77,4 +77,4 @@ def test_observations_without_times_have_no_trajectory(run: deepgps.Run):
     vars(without)["recording"] = recording  # where a cached property keeps its value
     with pytest.raises(InputError, match="has no times of its observations, which a trajectory needs"):
         find_trajectories(without, None, None, ignore)
-    assert list(open_drives(run)) == ["training"]
+    assert list(open_drives(run)) == ["training", "use"]

@@ -137,7 +137,7 @@ def test_a_raw_image_is_unwrapped_where_the_circle_is(run: deepgps.Run):
     [
         (("nowhere.png",), "nowhere.png: no such file or folder"),
         (("empty",), "empty holds no image (.bmp, "),
-        (("0.png", "--method", "knn"), "method 'knn': "),
+        (("0.png", "--method", "pca_knn"), "method 'pca_knn': "),
         (("0.png", "--radius-px", "3"), "--centre and --radius-px: give both, or neither"),
         (("0.png", "--forward-deg", "3"), "--forward-deg needs --centre and --radius-px"),
         (("0.png", "--centre", "nan", "3", "--radius-px", "9"), "--centre nan 3: must be column and row, each from 0"),
