@@ -32,7 +32,7 @@ from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import KINDS, Turns, count_images, list_turns, lose_turns
 from sim.rng import stream
 from sim.sensors.encoder import describe_odometry, read_encoders
-from sim.settings import SimSettings
+from sim.settings import TURN_RATE_RPS, SimSettings
 
 WHEEL_RADIUS_M, TRACK_M = 0.033, 0.16
 """Nominal wheels that convert a distance travelled to ticks: those of a TurtleBot3 Burger."""
@@ -166,7 +166,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
         along = drive.spacing_m * np.arange(steps + 1)
         points = place + along[:, None] * [np.cos(heading), np.sin(heading)]
         angle = angle + np.array([-turn, turn]) * TRACK_M / 2 / WHEEL_RADIUS_M
-        clock += abs(turn) / drive.turn_rate_rps
+        clock += abs(turn) / TURN_RATE_RPS
         observation = len(pose) - 1 + np.arange(steps + 1)
         pose.extend(np.column_stack([points[1:], np.full(steps, heading)]))
         reading.append(np.column_stack([np.full(steps + 1, segment), observation]))

@@ -13,7 +13,7 @@ from sim.occupancy import FreeSpace
 from sim.planar.drive import record
 from sim.recording.format import Report
 from sim.rng import stream
-from sim.settings import SimSettings
+from sim.settings import PLANE_SIDE_M, SimSettings
 
 CELL_M = 0.02
 CHUNK = 1024
@@ -33,17 +33,17 @@ class LandmarkWorld:
     relocate_after = 0
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
-        """Place the landmarks uniformly over the square, from the settings' own seed if given, else from ``seed``."""
+        """Place the landmarks uniformly over the square."""
         self.settings = settings.landmarks
         self.segments = self.settings.segments
-        half = self.settings.side_m / 2
+        half = PLANE_SIDE_M / 2
         self.bounds = np.array([[-half, -half], [half, half]])
-        rng = stream(seed if self.settings.seed is None else self.settings.seed, "landmarks")
+        rng = stream(seed, "landmarks")
         self.landmark = rng.uniform(-half, half, (self.settings.count, 2))
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether ``points`` (..., 2) [m] are in the square."""
-        return np.all(np.abs(points) <= self.settings.side_m / 2, axis=-1)
+        return np.all(np.abs(points) <= PLANE_SIDE_M / 2, axis=-1)
 
     def observe(self, poses: np.ndarray) -> np.ndarray:
         """Return distances (..., M) float32 [m] from poses (..., 3) to the landmarks, capped at the reach."""

@@ -17,8 +17,10 @@ from sim.planar.drive import record
 from sim.recording.format import Report
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles
-from sim.settings import SimSettings
+from sim.settings import PLANE_CLEARANCE_M, PLANE_SIDE_M, SimSettings
 
+OBSTACLES = 20
+"""Rectangles to place; they may overlap, or leave passages."""
 SMALLEST, LARGEST = 0.03, 0.2
 """Shortest and longest side of an obstacle, as fractions of the square's side."""
 PASSAGE, TRIES = 0.06, 100
@@ -37,21 +39,22 @@ class LidarWorld:
         box: Lower and upper corner of each obstacle (n, 2, 2) [m].
         bounds: Lower and upper corner of the square (2, 2) [m].
         segments: Straight segments to drive, at most.
-        relocate_after: Segments after which the robot is relocated.
+        relocate_after: Segments after which the robot is relocated at random.
         space: Where the robot can be.
     """
 
+    relocate_after = 10
+
     def __init__(self, settings: SimSettings, seed: int) -> None:
         """Place the obstacles uniformly over the square, from the settings' own seed if given, else from ``seed``."""
-        self.settings, self.lidar = settings.obstacles, settings.lidar
-        side = self.settings.side_m
+        self.lidar, own_seed = settings.lidar, settings.obstacles.seed
+        side = PLANE_SIDE_M
         self.bounds = np.array([[-side, -side], [side, side]]) / 2
         self.segments = settings.drive.samples  # each segment gives several samples
-        self.relocate_after = self.settings.relocate_after
-        rng = stream(seed if self.settings.seed is None else self.settings.seed, "map")
-        self.box = side * place_obstacles(self.settings.count, rng)
+        rng = stream(seed if own_seed is None else own_seed, "map")
+        self.box = side * place_obstacles(OBSTACLES, rng)
         # The point robot must stay out of the obstacles grown, and in the square shrunk, by the clearance.
-        grow = np.array([[-1.0], [1.0]]) * self.settings.clearance_m
+        grow = np.array([[-1.0], [1.0]]) * PLANE_CLEARANCE_M
         self._grown, self._room = self.box + grow, self.bounds - grow
         self.space = lay_free_space(self)
 
@@ -91,7 +94,7 @@ def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) ->
         progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
 
     Raises:
-        InputError: There is no room for the robot, or for any test position.
+        InputError: There is no room for any test position.
     """
     if (folder / "manifest.json").is_file():
         return
@@ -158,20 +161,15 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
 
 def lay_free_space(world: LidarWorld) -> FreeSpace:
     """Return the cells where the robot may be; reachable is the largest connected part."""
-    cell = world.settings.side_m / CELLS
+    cell = PLANE_SIDE_M / CELLS
     side = world.bounds[0, 0] + cell * np.arange(CELLS + 1)
     free = world.is_free(np.stack(np.meshgrid(side, side), axis=-1))
     part = np.zeros(free.shape, np.int32)
     ndimage.label(free, output=part)
     size = np.bincount(part.ravel())[1:]
-    if not len(size):
-        count, clearance_m = world.settings.count, world.settings.clearance_m
-        raise InputError(
-            f"obstacles.count {count} and obstacles.clearance_m {clearance_m:g} leave the robot no room; lower either"
-        )
     reachable = part == 1 + size.argmax()
     row, column = np.nonzero(reachable)
-    extent = min(np.ptp(row), np.ptp(column)) * cell + 2 * world.settings.clearance_m
+    extent = min(np.ptp(row), np.ptp(column)) * cell + 2 * PLANE_CLEARANCE_M
     start = world.bounds[0] + cell * np.array([column[0], row[0]])
     return FreeSpace(world.bounds[0].copy(), cell, free, reachable, start, float(extent))
 

@@ -142,7 +142,7 @@ def write_tag_labels(
     seen, first = seen.of(seen.view < samples), samples if held_out else 0
     test_seen = Detections(test_seen.view - first, test_seen.tag, test_seen.corner)
     inside = (test_seen.view >= 0) & (test_seen.view < np.prod(test_shape))
-    camera, mount = camera_matrix(settings.tag_camera), mounting(settings.tag_camera)
+    camera, mount = camera_matrix(settings.tag_camera), mounting()
     return write_labels(folder, seen, test_seen.of(inside), (samples, *test_shape), camera, mount)
 
 

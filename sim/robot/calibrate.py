@@ -12,7 +12,7 @@ from sim.robot.model import BURGER, CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, B
 from sim.robot.own import describe_own
 from sim.rooms.mjcf_files import LARGEST_MJCF
 from sim.rooms.spec import empty_room
-from sim.settings import DriveSettings, RobotSettings, SimSettings
+from sim.settings import TURN_RATE_RPS, DriveSettings, RobotSettings, SimSettings
 from sim.user_input import read_file, shorten
 
 RAMP_S = 0.5
@@ -47,7 +47,7 @@ def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]
         )
     radius_m = float(driven_m / world.wheel_angle().mean())
     world.place(np.zeros(3))
-    yaw = run(world, 0.0, settings.drive.turn_rate_rps, 8 * np.pi / settings.drive.turn_rate_rps)
+    yaw = run(world, 0.0, TURN_RATE_RPS, 8 * np.pi / TURN_RATE_RPS)
     left, right = world.wheel_angle()
     return radius_m, float((right - left) * radius_m / np.unwrap(yaw)[-1])
 
@@ -56,17 +56,12 @@ def calibrate_own(settings: SimSettings) -> Body:
     """Dimensions of a user's own robot: size from its geoms, wheel radius and track from two drives."""
     path = Path(settings.robot.mjcf or "")
     content = read_file(path, LARGEST_MJCF, f"robot.mjcf {shorten(str(path), 300)}")
-    return _calibrate_once(
-        settings.robot.model_dump_json(), content, settings.drive.speed_mps, settings.drive.turn_rate_rps
-    )
+    return _calibrate_once(settings.robot.model_dump_json(), content, settings.drive.speed_mps)
 
 
 @lru_cache(maxsize=8)
-def _calibrate_once(settings: str, content: bytes, speed_mps: float, turn_rate_rps: float) -> Body:
-    robot, drive = (
-        RobotSettings.model_validate_json(settings),
-        DriveSettings(speed_mps=speed_mps, turn_rate_rps=turn_rate_rps),
-    )
+def _calibrate_once(settings: str, content: bytes, speed_mps: float) -> Body:
+    robot, drive = RobotSettings.model_validate_json(settings), DriveSettings(speed_mps=speed_mps)
     body = describe_own(robot)
     radius_m, track_m = calibrate(SimSettings(robot=robot, drive=drive), body)
     return replace(body, wheel_radius_m=radius_m, track_m=track_m)

@@ -13,6 +13,8 @@ Mode = Literal["chance", "enter", "search"]
 
 SHARES = (1.0, 0.5, 0.25, 0.125)
 """In a narrow place the robot accepts these fractions of SHORTEST_M and of the stopping distance, in order."""
+STOP_DISTANCE_M = 0.04
+"""The robot stops when a range ray shows less room than this in front of its body [m]."""
 CAUTION = (1.0, 0.5, 0.25, 0.12, 0.06)
 """Fractions of the turn rate at which the robot looks for a clear heading, tried in order."""
 FURTHER_RAD = 0.3
@@ -43,11 +45,11 @@ def turn_to_clear(
     """Turn as the mode says, then on until enough is clear ahead.
 
     Returns:
-        Distance to leave ahead of the body [m]: the settings' stopping distance, or less if a full turn found nothing
+        Distance to leave ahead of the body [m]: STOP_DISTANCE_M, or less if a full turn found nothing
         clear; None if no heading is clear even then.
     """
     angle, sense, further_rad = _aim(robot, settings, rng, mode, visits)
-    turn(robot, settings, angle)
+    turn(robot, angle)
     stop_m = _turn_on(robot, settings, rng, sense, further_rad)
     visits.move(robot.wheel_angle())
     return stop_m
@@ -59,14 +61,14 @@ def _turn_on(
     """Turn on in this direction to where enough is clear, and up to ``further_rad`` past it; returns what
     ``turn_to_clear`` does."""
     for share in SHARES:
-        enough_m, stop_m = SHORTEST_M * share, settings.stop_distance_m * share
+        enough_m, stop_m = SHORTEST_M * share, STOP_DISTANCE_M * share
         # The range of clear headings may be smaller than the overshoot of a fast turn: each try turns more slowly and
         # less far past it.
         for caution in CAUTION:
             if look(robot, REACH_M) - stop_m >= enough_m:
                 return stop_m
             further = sense * rng.uniform(0.0, further_rad) * caution
-            if not turn(robot, settings, further, until_clear_m=enough_m + stop_m, caution=caution):
+            if not turn(robot, further, until_clear_m=enough_m + stop_m, caution=caution):
                 break
     return None
 
@@ -103,7 +105,7 @@ def _choose_heading(robot: Robot, settings: DriveSettings, rng: np.random.Genera
     if settings.headings == "random":
         return rng.uniform(-np.pi, np.pi)
     drawn = rng.uniform(-np.pi, np.pi, HEADINGS)
-    clear_m = [look(robot, REACH_M, angle) - settings.stop_distance_m for angle in drawn]
+    clear_m = [look(robot, REACH_M, angle) - STOP_DISTANCE_M for angle in drawn]
     stale = [
         visits.staleness(angle, ahead_m) if ahead_m >= SHORTEST_M else 0.0
         for angle, ahead_m in zip(drawn, clear_m, strict=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.robot.model import CONTROL_PERIOD_S, Body, wheel_motion, wheel_speeds
 from sim.robot.range_finder import clear_length
-from sim.settings import DriveSettings
+from sim.settings import TURN_RATE_RPS, DriveSettings
 
 ACCELERATION_MPS2 = 0.5
 TURN_ACCELERATION_RPS2 = 6.0
@@ -51,7 +51,6 @@ def look(robot: Robot, reach_m: float, turned_rad: float = 0.0) -> float:
 
 def turn(
     robot: Robot,
-    settings: DriveSettings,
     angle: float,
     until_clear_m: float | None = None,
     caution: float = 1.0,
@@ -60,17 +59,16 @@ def turn(
 
     Args:
         robot: The robot, at rest.
-        settings: How fast to turn.
         angle: How far to turn [rad]; with ``until_clear_m``, counted from the first clear heading.
         until_clear_m: A heading is clear if this much is free ahead [m].
-        caution: Fraction of the settings' turn rate to turn at.
+        caution: Fraction of the turn rate to turn at.
 
     Returns:
         False if a full turn found nothing clear.
     """
     period, start = CONTROL_PERIOD_S, robot.wheel_angle()
     goal = abs(angle) if until_clear_m is None else np.inf
-    rate, highest = 0.0, settings.turn_rate_rps * caution
+    rate, highest = 0.0, TURN_RATE_RPS * caution
     deadline = robot.time() + PATIENCE_TURNS * 2 * np.pi / highest
     while robot.time() < deadline:
         turned = abs(wheel_motion(robot.wheel_angle() - start, robot.body)[1])

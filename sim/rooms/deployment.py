@@ -22,10 +22,10 @@ GAMMA = 2.2
 def change_room(room: mujoco.MjSpec, deployment: DeploymentSettings) -> mujoco.MjSpec:
     """A copy of a room without anything that moves, with its furniture as it is in deployment."""
     still = freeze(room)
-    return move_furniture(still, deployment.moved_m, deployment.seed) if deployment.moved_m else still
+    return move_furniture(still, deployment.moved_m) if deployment.moved_m else still
 
 
-def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int) -> mujoco.MjSpec:
+def move_furniture(room: mujoco.MjSpec, moved_m: float, seed: int = 0) -> mujoco.MjSpec:
     """Push each small piece of a room straight in a random direction that is clear; a piece without one stays.
 
     Args:

@@ -69,9 +69,8 @@ def check_odometry(odometry: Mapping[str, Any]) -> Mapping[str, float]:
 
 
 def count_ticks(wheel_angle: np.ndarray, settings: EncoderSettings) -> np.ndarray:
-    """Integer ticks (R, 2) int64 of angles (R, 2) [rad]: floor or nearest of angle x ticks_per_rev / 2 pi."""
-    turns = np.asarray(wheel_angle) * (settings.ticks_per_rev / (2 * np.pi))
-    return {"floor": np.floor, "nearest": np.rint}[settings.rounding](turns).astype(np.int64)
+    """Integer ticks (R, 2) int64 of angles (R, 2) [rad]: floor of angle x ticks_per_rev / 2 pi."""
+    return np.floor(np.asarray(wheel_angle) * (settings.ticks_per_rev / (2 * np.pi))).astype(np.int64)
 
 
 def ticks_to_distance(ticks: np.ndarray, wheel_radius_m: float, ticks_per_rev: float) -> np.ndarray:

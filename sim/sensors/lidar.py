@@ -11,8 +11,11 @@ import numpy as np
 from sim.rooms.build import build_room
 from sim.rooms.spec import compile_solid
 from sim.sensors.catalog import Opened
-from sim.sensors.lidar_scan import arrange, ray_angles
+from sim.sensors.lidar_scan import LIDAR_REACH_M, arrange, ray_angles
 from sim.settings import LidarSettings, SimSettings
+
+LIDAR_HEIGHT_M = 0.18
+"""Height of the rays above the floor [m] (TurtleBot3 Burger)."""
 
 
 class Lidar:
@@ -20,7 +23,7 @@ class Lidar:
 
     Args:
         room: The room without the robot.
-        lidar: Number, height and reach of the rays.
+        lidar: Number of the rays.
     """
 
     def __init__(self, room: mujoco.MjSpec, lidar: LidarSettings) -> None:
@@ -35,9 +38,9 @@ class Lidar:
         turn = np.empty(9)
         mujoco.mju_quat2Mat(turn, np.asarray(state[3:7], float))
         axes = turn.reshape(3, 3)
-        point = np.asarray(state[:3], float) + self._lidar.height_m * axes[:, 2]
+        point = np.asarray(state[:3], float) + LIDAR_HEIGHT_M * axes[:, 2]
         rays = np.ascontiguousarray((axes @ self._ahead).T).reshape(-1)
-        distance, geom, reach_m = self._distance, self._geom, self._lidar.reach_m
+        distance, geom, reach_m = self._distance, self._geom, LIDAR_REACH_M
         mujoco.mj_multiRay(self._model, self._data, point, rays, None, 1, -1, geom, distance, None, len(geom), reach_m)
         # MuJoCo returns -1 if a ray hits nothing, and may return distances beyond the reach.
         missed = (distance < 0) | (distance > reach_m)

@@ -11,6 +11,9 @@ from sim.rng import stream
 from sim.sensors.catalog import Measure, Measures
 from sim.settings import LidarSettings, SimSettings
 
+LIDAR_REACH_M = 8.0
+"""Longest distance measured [m] (LDS-02, the TurtleBot3's lidar); also the reading if nothing is nearer."""
+
 
 def ray_angles(lidar: LidarSettings) -> np.ndarray:
     """Angles of all rays cast at one place, counter-clockwise from straight ahead (headings rays,) [rad]."""
@@ -28,7 +31,7 @@ def measure(distance: np.ndarray, lidar: LidarSettings, rng: np.random.Generator
     """Distances that the sensor measures: the true ones plus noise, between zero and its reach."""
     if lidar.noise_m > 0.0:
         distance = distance + lidar.noise_m * rng.standard_normal(distance.shape, np.float32)
-    return np.clip(distance, 0.0, lidar.reach_m, dtype=np.float32)
+    return np.clip(distance, 0.0, LIDAR_REACH_M, dtype=np.float32)
 
 
 def make_measures(settings: SimSettings, seed: int) -> Measures:

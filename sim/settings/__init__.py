@@ -5,7 +5,7 @@ import math
 from pydantic import model_validator
 
 from sim.settings.deployment import DeploymentMountSettings, DeploymentSettings
-from sim.settings.drive import DriveSettings, GridSettings
+from sim.settings.drive import TURN_RATE_RPS, DriveSettings, GridSettings
 from sim.settings.group import Group
 from sim.settings.robot import EncoderSettings, RobotSettings
 from sim.settings.sensors import (
@@ -17,6 +17,8 @@ from sim.settings.sensors import (
     TagCameraSettings,
 )
 from sim.settings.world import (
+    PLANE_CLEARANCE_M,
+    PLANE_SIDE_M,
     LandmarksSettings,
     ObstaclesSettings,
     RoomKind,
@@ -28,6 +30,9 @@ from sim.user_input import shorten
 
 __all__ = [
     "NO_FAULTS",
+    "PLANE_CLEARANCE_M",
+    "PLANE_SIDE_M",
+    "TURN_RATE_RPS",
     "CameraMountSettings",
     "CameraSettings",
     "DeploymentMountSettings",
@@ -80,16 +85,7 @@ class SimSettings(Group):
     def _segments_have_room(self) -> "SimSettings":
         if self.world == "room":
             return self
-        side_m = (
-            self.landmarks.side_m
-            if self.world == "landmarks"
-            else self.obstacles.side_m - 2 * self.obstacles.clearance_m
-        )
-        if side_m <= 0.0:
-            raise ValueError(
-                f"obstacles.clearance_m {self.obstacles.clearance_m:g} m must be less than half of obstacles.side_m "
-                f"{self.obstacles.side_m:g} m"
-            )
+        side_m = PLANE_SIDE_M if self.world == "landmarks" else PLANE_SIDE_M - 2 * PLANE_CLEARANCE_M
         longest = min(side_m, self.drive.longest_m)
         if 4 * self.drive.spacing_m > longest:
             raise ValueError(
@@ -102,16 +98,12 @@ class SimSettings(Group):
     def _a_test_grid_fits_into_memory(self) -> "SimSettings":
         if self.world == "room":
             return self
-        side_m, values = (
-            (self.landmarks.side_m, self.landmarks.count)
-            if self.world == "landmarks"
-            else (self.obstacles.side_m, self.lidar.rays * self.lidar.headings)
-        )
-        least_m = side_m / (math.sqrt(LARGEST_GRID / (values * self.grid.headings)) - 1.0)
+        values = self.landmarks.count if self.world == "landmarks" else self.lidar.rays * self.lidar.headings
+        least_m = PLANE_SIDE_M / (math.sqrt(LARGEST_GRID / (values * self.grid.headings)) - 1.0)
         if self.grid.spacing_m < least_m:
             raise ValueError(
                 f"grid.spacing_m {self.grid.spacing_m:g} m must be at least {math.ceil(1000 * least_m) / 1000:g} m in "
-                f"a square of {side_m:g} m with grid.headings {self.grid.headings} and {values} distances in an "
+                f"a square of {PLANE_SIDE_M:g} m with grid.headings {self.grid.headings} and {values} distances in an "
                 f"observation: a test grid holds at most {LARGEST_GRID:,} distances"
             )
         return self
@@ -151,8 +143,8 @@ class SimSettings(Group):
     def _only_a_camera_has_its_faults(self) -> "SimSettings":
         if self.drive.mixed_light and (self.world != "room" or self.sensor != "fisheye"):
             raise ValueError("drive.mixed_light needs world room and sensor fisheye")
-        # any sensor can be driven with, and a seed alone changes nothing
-        changes = self.deployment.model_copy(update={"drive_samples": 0, "seed": 0})
+        # any sensor can be driven with
+        changes = self.deployment.model_copy(update={"drive_samples": 0})
         faulty = self.model_copy(update={"deployment": changes})
         faults = [name for name, off in NO_FAULTS.items() if getattr(faulty, name) != off]
         if faults and (self.world != "room" or self.sensor != "fisheye"):
@@ -168,7 +160,7 @@ class SimSettings(Group):
         return self
 
 
-DRIVES_IN_ROOMS = ("strategy", "lengths", "headings", "enter", "search", "arcs", "stop_distance_m")
+DRIVES_IN_ROOMS = ("strategy", "lengths", "headings", "enter", "search", "arcs")
 """Settings of the drive that a robot in a plane, which has no range finder, does not use."""
 NO_FAULTS: dict[str, Group] = {
     "image_faults": ImageFaultSettings(),

@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from sim.settings.drive import FEWEST_SAMPLES
-from sim.settings.group import Seed, WithLater
+from sim.settings.group import WithLater
 from sim.settings.sensors import MountSettings
 
 
@@ -48,8 +48,6 @@ class DeploymentSettings(WithLater):
     """In each image, a person stands at another random free place, without any effect on the physics."""
     moved_m: float = Field(default=0.0, ge=0.0, le=2.0)
     """Distance by which chairs and other small furniture have been pushed, each in a random feasible direction [m]."""
-    seed: Seed = 0
-    """Seed of these directions, of the person's places and of the place of the lamp that is on."""
     camera_mount: DeploymentMountSettings = DeploymentMountSettings()
 
     @property

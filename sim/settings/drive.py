@@ -8,6 +8,8 @@ from sim.settings.group import Group, WithLater
 
 FEWEST_SAMPLES = 16
 """Fewest images of a drive."""
+TURN_RATE_RPS = 1.8
+"""Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
 
 
 class DriveSettings(WithLater):
@@ -23,10 +25,6 @@ class DriveSettings(WithLater):
     """Distance between images on a segment [m]; in a room, images are never closer than the robot drives in 0.04 s."""
     speed_mps: float = Field(default=0.22, gt=0.01, le=0.5)
     """Cruising speed [m/s] (TurtleBot3 Burger: 0.22)."""
-    turn_rate_rps: float = Field(default=1.8, gt=0.1, le=2.84)
-    """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
-    stop_distance_m: float = Field(default=0.04, ge=0.0, le=1.0)
-    """The robot stops when a range ray shows less room than this in front of its body [m]."""
     longest_m: float = Field(default=5.0, ge=0.2, le=50.0)
     """Longest straight segment [m]."""
     lengths: Literal["longest", "random"] = "longest"

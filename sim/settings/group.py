@@ -26,7 +26,8 @@ class Group(BaseModel):
     @field_validator("*", mode="before")
     @classmethod
     def _true_is_no_number(cls, value: Any, info: ValidationInfo) -> Any:
-        if _holds_bool(value) and _takes_only_numbers(cls.model_fields[str(info.field_name)].annotation):
+        types = set(_list_types(cls.model_fields[str(info.field_name)].annotation))
+        if types & {int, float} and not types & {bool, Any} and _holds_bool(value):
             raise PydanticCustomError("number_type", "Input should be numeric, not true or false")
         return value
 
@@ -35,13 +36,6 @@ def _holds_bool(value: Any) -> bool:
     if isinstance(value, Mapping):
         return any(map(_holds_bool, value.values()))
     return isinstance(value, bool) or (isinstance(value, list | tuple) and any(map(_holds_bool, value)))
-
-
-def _takes_only_numbers(annotation: Any) -> bool:
-    """Whether a field of this type, or a list or table in it, takes numbers but neither true nor groups that may."""
-    parts = list(_list_types(annotation))
-    groups = any(isinstance(part, type) and issubclass(part, Group) for part in parts)
-    return (int in parts or float in parts) and bool not in parts and Any not in parts and not groups
 
 
 def _list_types(annotation: Any) -> Iterator[Any]:

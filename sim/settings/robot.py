@@ -1,7 +1,7 @@
 """Settings of the robot's body and its wheel encoders."""
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
@@ -54,12 +54,10 @@ class FaultSetting(Group):
 
 
 class EncoderSettings(WithPlugins):
-    """The wheel encoders and their faults; all but the first two are faults of measurement."""
+    """The wheel encoders and their faults; all but the first are faults of measurement."""
 
     ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
     """Ticks per wheel revolution (TurtleBot3: 4096)."""
-    rounding: Literal["floor", "nearest"] = "floor"
-    """How an angle is rounded to integer ticks."""
     radius_error_left: float = Field(default=0.0, ge=-0.5, le=0.5)
     """The left wheel's assumed radius is wrong by this fraction; its distances scale with 1 + the fraction."""
     radius_error_right: float = Field(default=0.0, ge=-0.5, le=0.5)

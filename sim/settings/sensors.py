@@ -17,10 +17,6 @@ class LidarSettings(Group):
     headings: int = Field(default=1, ge=1, le=64)
     """Scans at each place, each turned from the last by 1 / headings of the angle between two rays. A turn by a full
     ray only shifts a scan circularly, so that training can draw any of rays x headings."""
-    reach_m: float = Field(default=8.0, ge=0.1, le=1000.0)
-    """Longest distance measured [m] (LDS-02, the TurtleBot3's lidar: 8 m); also the reading if nothing is nearer."""
-    height_m: float = Field(default=0.18, ge=0.02, le=1.5)
-    """Height of the rays above the floor, in rooms [m] (TurtleBot3 Burger: 0.18)."""
     noise_m: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of each distance [m]."""
 
@@ -53,18 +49,10 @@ class TagCameraSettings(Group):
 
     mounted: bool = False
     """Whether the robot has it; needs a room with tags, as room.kind lab or your own."""
-    field_of_view_deg: float = Field(default=100.0, ge=30.0, le=120.0)
-    """Full angle across the image [deg]."""
     width_px: int = Field(default=960, ge=64, le=4096)
     """Columns of the image."""
     height_px: int = Field(default=540, ge=64, le=4096)
     """Rows of the image."""
-    height_m: float = Field(default=0.28, ge=0.1, le=1.5)
-    """Height of its middle above the floor [m]."""
-    ahead_m: float = Field(default=-0.04, ge=-0.1, le=0.1)
-    """Distance in front of the wheel axle [m]."""
-    yaw_deg: float = Field(default=180.0, ge=-180.0, le=180.0)
-    """Direction of view, left of straight ahead [deg]; backwards by default, as the robot stops at obstacles."""
     kept: bool = False
     """Whether the recording keeps its images, 0.5 MB each, in addition to the tags found in them."""
 
@@ -81,8 +69,6 @@ class ImageFaultSettings(Group):
     shot_noise: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of each sensor pixel's photon noise at white, as a fraction of it; it grows with the root of
     the light. One over the root of the electrons that fill a pixel: 0.01 for 10,000 of them."""
-    sensor_px: int = Field(default=480, ge=16, le=8192)
-    """Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
     turn_deg: float = Field(default=0.0, ge=0.0, le=90.0)
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 

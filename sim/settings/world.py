@@ -51,15 +51,17 @@ class RoomSettings(WithLater):
         return self
 
 
+PLANE_SIDE_M = 2.0
+"""Side of the square of the planar worlds, its middle at the origin [m]."""
+PLANE_CLEARANCE_M = 0.02
+"""Among obstacles, the robot is a point that keeps this distance from them and from walls [m]."""
+
+
 class LandmarksSettings(Group):
     """The paper's planar world: a square with landmarks; the robot senses only its distances to them (Sec. IV-A)."""
 
     count: int = Field(default=128, ge=3, le=4096)
     """Number of landmarks; they are identifiable, so each distance is assigned to its landmark."""
-    seed: Seed | None = None
-    """Seed of the landmarks' positions; None: the scenario's seed."""
-    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
-    """Side of the square, its middle at the origin [m]."""
     reach_m: float | None = Field(default=None, gt=0.0, le=1e6)
     """Farther landmarks are not seen: their distance reads as this [m] (the paper's d_max); None: no limit."""
     segments: int = Field(default=128, ge=1, le=1_000_000)
@@ -71,11 +73,3 @@ class ObstaclesSettings(Group):
 
     seed: Seed | None = None
     """Seed of the obstacles; None: the scenario's seed."""
-    side_m: float = Field(default=2.0, ge=0.5, le=100.0)
-    """Side of the square, its middle at the origin [m]."""
-    count: int = Field(default=20, ge=0, le=1000)
-    """Rectangles with sides of 3 to 20 % of the square's; they may overlap, or leave passages of 6 %."""
-    clearance_m: float = Field(default=0.02, ge=0.0, le=1.0)
-    """The robot is a point that keeps this distance from walls and obstacles [m]."""
-    relocate_after: int = Field(default=10, ge=0, le=1_000_000)
-    """Segments after which the robot is relocated at random without being informed; 0: it never is."""

@@ -116,7 +116,7 @@ SCENARIOS: dict[str, Make] = {
 
 
 def _grid(*lengths: int) -> Make:
-    names = ("learn.seed", "room.seed", "landmarks.seed", "obstacles.seed", "learn.train.steps")
+    names = ("learn.seed", "room.seed", "obstacles.seed", "learn.train.steps")
 
     def make(rng: random.Random) -> str:
         axes = [f"  {name}: {list(range(rng.randint(n * 3 // 4, n)))}" for name, n in zip(names, lengths, strict=False)]

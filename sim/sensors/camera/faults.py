@@ -17,6 +17,8 @@ from sim.settings import ImageFaultSettings, SimSettings
 
 LEAST_SECTORS = 1e-6
 """A smear that is narrower than this, in sectors, is none."""
+SENSOR_PX = 480
+"""Diameter of the image's circle on the sensor [px]; a polar pixel is the mean of the sensor pixels it covers."""
 _STEPS = 65535  # steps of linear light, far finer than any sRGB step
 
 
@@ -108,15 +110,15 @@ def add_noise(light: np.ndarray, settings: ImageFaultSettings, rng: np.random.Ge
     pixels that it covers, few in the middle and many at the rim; saturation and colour filters of the sensor pixels are
     not modelled.
     """
-    pixels = count_sensor_pixels(light.shape[1], light.shape[2], settings.sensor_px)
+    pixels = count_sensor_pixels(light.shape[1], light.shape[2])
     shot, read = ((noise**2 / pixels).astype(np.float32) for noise in (settings.shot_noise, settings.read_noise))
     return light + np.sqrt(light * shot + read) * rng.standard_normal(light.shape, dtype=np.float32)
 
 
-def count_sensor_pixels(rings: int, sectors: int, sensor_px: int) -> np.ndarray:
+def count_sensor_pixels(rings: int, sectors: int) -> np.ndarray:
     """Sensor pixels (rings, 1, 1) in one polar pixel of each ring: its area, but never less than one."""
     edge = np.linspace(0.0, 1.0, rings + 1)
-    return np.maximum(np.pi * (sensor_px / 2) ** 2 * np.diff(edge**2) / sectors, 1.0)[:, None, None]
+    return np.maximum(np.pi * (SENSOR_PX / 2) ** 2 * np.diff(edge**2) / sectors, 1.0)[:, None, None]
 
 
 def _ramp(at: float) -> float:

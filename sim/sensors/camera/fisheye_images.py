@@ -39,13 +39,13 @@ def open_fisheye(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) -> 
     camera, data = Fisheye(model, settings.camera, settings.camera_mount), mujoco.MjData(model)
     room = _build_empty(settings) if settings.deployment.person or settings.deployment.lamp_on else None
     space = _find_floor(room) if room else None
-    lamp = place_lamp(space, room, settings.deployment.seed) if space and room and settings.deployment.lamp_on else None
+    lamp = place_lamp(space, room) if space and room and settings.deployment.lamp_on else None
     relight = _open_relight(settings, model, lamp)
 
     def sense(state: np.ndarray, lean: np.ndarray | None) -> np.ndarray:
         shapes = [] if lamp is None else draw_lamp(lamp)
         if space and settings.deployment.person:
-            shapes += place_person(space, state, settings.deployment.seed)
+            shapes += place_person(space, state)
         dress, light = partial(add_shapes, shapes=shapes), []
         for place in drive_on(state, driven_m) if driven_m else [state]:
             data.qpos[:] = place

@@ -18,6 +18,12 @@ from sim.sensors.catalog import Opened
 from sim.settings import SimSettings, TagCameraSettings
 
 NAME = "tag_camera"
+FIELD_OF_VIEW_DEG = 100.0
+"""Full angle across the image [deg]."""
+HEIGHT_M, AHEAD_M = 0.28, -0.04
+"""Place of its middle, above the floor and in front of the wheel axle [m]."""
+YAW_DEG = 180.0
+"""Direction of view, left of straight ahead [deg]: backwards, as the robot stops at obstacles."""
 TURN = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Rotation from the camera's frame to its mount's, whose x axis points out and z up: right is -y, down -z, ahead x."""
 
@@ -29,7 +35,7 @@ class TagCamera:
 
     Args:
         model: A compiled room with a robot that has this camera.
-        settings: Field of view and image size.
+        settings: Image size.
         site: Site of the robot at which the camera is, its x axis pointing out and its z axis up.
 
     Raises:
@@ -40,7 +46,7 @@ class TagCamera:
         self._model, self._site = model, model.site(PREFIX + site).id
         self._robot = np.array([model.body(body).name.startswith(PREFIX) for body in model.geom_bodyid])
         self._scene, self._option, self._view = make_scene(model)
-        across = np.tan(np.radians(settings.field_of_view_deg) / 2)
+        across = np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
         up = across * settings.height_px / settings.width_px
         window = np.array([-across, across, -up, up])
         self._face = Face(TURN.T * [[1.0], [-1.0], [1.0]], window, 0, settings.width_px, settings.height_px)
@@ -85,8 +91,8 @@ def open_tag_camera(settings: SimSettings, scene: Callable[[], mujoco.MjModel]) 
 
 def mount(robot: mujoco.MjSpec, settings: SimSettings) -> None:
     """Put the tag camera on the robot: a small massless box, and a site whose x axis points outwards and z axis up."""
-    camera, base = settings.tag_camera, robot.body("base")
-    place, half = (camera.ahead_m, 0.0, camera.height_m), np.radians(camera.yaw_deg) / 2
+    base = robot.body("base")
+    place, half = (AHEAD_M, 0.0, HEIGHT_M), np.radians(YAW_DEG) / 2
     base.add_site(name=NAME, pos=place, quat=(np.cos(half), 0.0, 0.0, np.sin(half)), size=[0.004] * 3, group=4)
     base.add_geom(
         name=NAME,
@@ -103,16 +109,16 @@ def mount(robot: mujoco.MjSpec, settings: SimSettings) -> None:
 
 def camera_matrix(settings: TagCameraSettings) -> np.ndarray:
     """Intrinsic matrix (3, 3) [px], with pixel centres at integers."""
-    focal = settings.width_px / 2 / np.tan(np.radians(settings.field_of_view_deg) / 2)
+    focal = settings.width_px / 2 / np.tan(np.radians(FIELD_OF_VIEW_DEG) / 2)
     middle = (settings.width_px - 1) / 2, (settings.height_px - 1) / 2
     return np.array([[focal, 0.0, middle[0]], [0.0, focal, middle[1]], [0.0, 0.0, 1.0]])
 
 
-def mounting(settings: TagCameraSettings) -> np.ndarray:
+def mounting() -> np.ndarray:
     """The camera's pose in the robot's frame (4, 4)."""
-    yaw = np.radians(settings.yaw_deg)
+    yaw = np.radians(YAW_DEG)
     c, s = np.cos(yaw), np.sin(yaw)
     pose = np.eye(4)
     pose[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ TURN
-    pose[:3, 3] = settings.ahead_m, 0.0, settings.height_m
+    pose[:3, 3] = AHEAD_M, 0.0, HEIGHT_M
     return pose

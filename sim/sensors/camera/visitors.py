@@ -54,7 +54,7 @@ def add_shapes(scene: mujoco.MjvScene, shapes: list[Shape]) -> None:
         scene.ngeom += 1
 
 
-def place_person(space: FreeSpace, state: np.ndarray, seed: int) -> list[Shape]:
+def place_person(space: FreeSpace, state: np.ndarray, seed: int = 0) -> list[Shape]:
     """A person at a random free place, for the state (nq,) in which an image is taken; none if no place is free.
 
     The draw depends on the seed and on the state alone, not on which other images are taken.
@@ -70,7 +70,7 @@ def place_person(space: FreeSpace, state: np.ndarray, seed: int) -> list[Shape]:
     return _draw_person(places[rng.integers(len(places))], rng) if len(places) else []
 
 
-def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int) -> np.ndarray:
+def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndarray:
     """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one.
 
     Args:

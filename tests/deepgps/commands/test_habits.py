@@ -32,8 +32,8 @@ HINTS = [
         "--encoder.tickz: there is no such setting; there are --encoder.ticks-per-rev, --enc",
     ),
     (
-        "run tiny --encodr.rounding floor",
-        "--encodr.rounding: there is no such setting, did you mean --encoder.rounding?",
+        "run tiny --encodr.dropout 0.1",
+        "--encodr.dropout: there is no such setting, did you mean --encoder.dropout?",
     ),
     ("run tiny --ticks-per-rev 64", "--ticks-per-rev: there is no such setting, did you mean --encoder.ticks-per-rev?"),
     ("run tiny --nonsense 64", "--nonsense: there is no such setting; deepgps run --help-all lists them"),

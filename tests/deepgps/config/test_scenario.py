@@ -37,7 +37,7 @@ def test_true_is_no_number_of_any_setting_and_false_of_none():
     numbers = [
         name for name, kind in list_settings(Scenario) if any(part in (int, float) for part in _list_types(kind))
     ]
-    assert len(numbers) > 100
+    assert len(numbers) > 80
     for name in numbers:
         for value in (True, False):
             with pytest.raises(InputError, match=f"{name} {value}: must be numeric, not true or false"):
@@ -82,10 +82,6 @@ def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path):
         (
             "{world: landmarks, drive: {spacing_m: 0.6}}",
             "drive.spacing_m 0.6 m must be at most a quarter of the longest",
-        ),
-        (
-            "{world: obstacles, obstacles: {side_m: 0.5, clearance_m: 1.0}}",
-            "obstacles.clearance_m 1 m must be less than half of obstacles.side_m 0.5 m",
         ),
         ("world: {}", "world {}: must be 'room', 'landmarks' or 'obstacles'"),
         (
@@ -321,8 +317,7 @@ def test_a_file_is_named_unless_the_overrides_alone_are_wrong(tmp_path):
 @pytest.mark.parametrize(
     "overrides",
     [
-        {"sensor": "lidar", "deployment.seed": 3},
-        {"grid.held_out": 5, "deployment.seed": 3},
+        {"sensor": "lidar", "deployment.drive_samples": 50},
         {"room.kind": "lab", "room.look_alike": True, "room.mjcf": "mine.xml"},
     ],
 )

@@ -59,7 +59,7 @@ def test_tags_are_seen_where_they_hang(world: RoomWorld):
     """The corners found in drawn images lie within half a pixel of the projection of the true ones."""
     rng, space = np.random.default_rng(0), world.free_space
     row, column = np.nonzero(space.reachable)
-    camera, mount = camera_matrix(SETTINGS.tag_camera), mounting(SETTINGS.tag_camera)
+    camera, mount = camera_matrix(SETTINGS.tag_camera), mounting()
     base, errors = world.model.body("robot/base").id, []
     with TagCamera(world.model, SETTINGS.tag_camera) as tag_camera:
         for _ in range(12):

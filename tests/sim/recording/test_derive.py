@@ -24,7 +24,6 @@ from sim.settings import (
 
 FAULTY = EncoderSettings(
     ticks_per_rev=128,
-    rounding="nearest",
     radius_error_left=0.02,
     radius_error_right=-0.01,
     track_error=0.03,

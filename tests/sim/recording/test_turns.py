@@ -10,12 +10,11 @@ from sim.recording.collect import collect
 from sim.recording.derive import choose_drive, derive
 from sim.recording.format import check_recording, open_recording, open_truth, read_manifest
 from sim.recording.turns import KINDS, NO_IMAGE, cut_turns, from_array, list_turns, lose_turns
-from sim.settings import DriveSettings, EncoderSettings, GridSettings, LidarSettings, ObstaclesSettings, SimSettings
+from sim.settings import DriveSettings, EncoderSettings, GridSettings, LidarSettings, SimSettings
 from tests.conftest import SMALL
 
 MAP = SimSettings(
     world="obstacles",
-    obstacles=ObstaclesSettings(relocate_after=7),
     lidar=LidarSettings(headings=8, rays=40, noise_m=0.01),
     drive=DriveSettings(samples=400),
     grid=GridSettings(spacing_m=0.5, headings=2),
@@ -66,7 +65,7 @@ def test_turn_images_show_the_place_of_the_turn_under_the_next_segment_s_heading
             np.testing.assert_allclose(recording.turn_observation[image], world.observe(pose), atol=1e-5)
     relocated = turns.kind == KINDS.index("relocated")
     np.testing.assert_array_equal(turns.image == NO_IMAGE, relocated)
-    assert relocated.sum() == (segments - 1) // 7
+    assert relocated.sum() == (segments - 1) // world.relocate_after
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from deepgps.evaluation.coverage import find_seen
 from sim.errors import WorkError
 from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
-from sim.robot.headings import DriveMode
+from sim.robot.headings import STOP_DISTANCE_M, DriveMode
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.motion import drive_arc
 from sim.robot.range_finder import ANGLE
@@ -117,14 +117,13 @@ def test_endpoint_strategy_takes_start_and_end():
     assert max(distances(segment)[-1] for segment in segments) > 1.0
 
 
-@pytest.mark.parametrize("stop_distance_m", [0.0, 0.04, 0.2])
-def test_stops_before_the_walls(stop_distance_m):
-    for segment in take(make_world(walls(), stop_distance_m=stop_distance_m), 12):
+def test_stops_before_the_walls():
+    for segment in take(make_world(walls()), 12):
         assert segment.ended not in TOUCHED
         x, y = np.abs(segment.pose[-1, :2])
         room = min(HALF_X - x, HALF_Y - y) - RADIUS_M
         assert room > -1e-4
-        assert room < stop_distance_m + 0.01 or segment.ended != "range"
+        assert room < STOP_DISTANCE_M + 0.01 or segment.ended != "range"
 
 
 def test_turning_place_is_one_observation():
@@ -342,7 +341,7 @@ def test_turns_into_an_opening_that_it_passes():
     world = make_world(cupboard(0.3), (-1.5, -0.2, 0.0), enter=1.0)
     settings, rng = world.settings.drive, np.random.default_rng(SEED)
     visits = Visits(world.body, world.wheel_angle())
-    past = _go_straight(world, settings, rng, settings.stop_distance_m, DriveMode(), visits)
+    past = _go_straight(world, settings, rng, STOP_DISTANCE_M, DriveMode(), visits)
     assert past.ended == "gap"
     assert past.mode == DriveMode(True, "enter", 1)
     assert past.pose[-1, 0] == pytest.approx(0.0, abs=0.08)

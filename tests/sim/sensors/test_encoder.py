@@ -17,20 +17,17 @@ def drive(gaps: int = 200, seed: int = 0) -> np.ndarray:
     return np.cumsum(rng.uniform(-1.0, 3.0, (gaps, 2)), axis=0)
 
 
-@given(st.integers(4, 65536), st.sampled_from(["floor", "nearest"]), st.integers(0, 10_000))
-def test_quantised_distances_stay_within_their_bound(ticks_per_rev, rounding, seed):
-    settings = EncoderSettings(ticks_per_rev=ticks_per_rev, rounding=rounding)
+@given(st.integers(4, 65536), st.integers(0, 10_000))
+def test_quantised_distances_stay_within_their_bound(ticks_per_rev, seed):
+    settings = EncoderSettings(ticks_per_rev=ticks_per_rev)
     angle = drive(50, seed)
     ticks, arrived = read_encoders(angle, RADIUS, settings, np.random.default_rng(0))
     measured = ticks_to_distance(ticks, RADIUS, ticks_per_rev)
     tick_m = 2 * np.pi * RADIUS / ticks_per_rev
     error = angle * RADIUS - measured
     assert arrived.all()
-    if rounding == "nearest":
-        assert np.abs(error).max() <= tick_m / 2 + 1e-9
-    else:
-        assert error.min() >= -1e-9
-        assert error.max() <= tick_m + 1e-9
+    assert error.min() >= -1e-9
+    assert error.max() <= tick_m + 1e-9
 
 
 def test_without_faults_only_quantisation_is_left():

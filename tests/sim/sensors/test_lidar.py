@@ -16,11 +16,12 @@ from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_recording, open_truth
 from sim.robot.scene import compile_scene
 from sim.robot.world import RoomWorld
-from sim.sensors.lidar import Lidar
+from sim.sensors.lidar import LIDAR_HEIGHT_M, Lidar
+from sim.sensors.lidar_scan import LIDAR_REACH_M
 from sim.settings import LidarSettings, SimSettings
 from tests.helpers.small_room import furnished
 
-LIDAR = LidarSettings(rays=90, headings=2, height_m=0.3, reach_m=2.5)
+LIDAR = LidarSettings(rays=90, headings=2)
 SETTINGS = SimSettings(sensor="lidar", lidar=LIDAR)
 POSES = np.array([[-0.9, 0.0, 0.4], [1.5, -1.0, -2.0], [0.8, 0.3, 1.0], [0.0, 1.2, 3.0]])
 
@@ -59,11 +60,11 @@ def test_rays_agree_with_rays_cast_one_by_one_past_the_robot(world: RoomWorld, l
         data.qpos[:] = state
         mujoco.mj_kinematics(model, data)
         scan, rotation = lidar.scan(state), data.body("robot/base").xmat.reshape(3, 3)
-        point = data.body("robot/base").xpos + 0.3 * rotation[:, 2]
+        point = data.body("robot/base").xpos + LIDAR_HEIGHT_M * rotation[:, 2]
         for heading, ray in [(0, 0), (0, 31), (1, 12), (1, 77), (0, 60)]:
             angle = 2 * np.pi * (ray + heading / 2) / 90
             expected = cast_one(model, data, point, rotation @ [np.cos(angle), np.sin(angle), 0.0])
-            assert scan[heading, ray] == pytest.approx(min(expected, 2.5), abs=1e-4)
+            assert scan[heading, ray] == pytest.approx(min(expected, LIDAR_REACH_M), abs=1e-4)
         ahead = np.hypot(*(data.body("robot/base").xpos[:2] - pose[:2]))
         assert ahead < 1e-6
 
@@ -76,12 +77,17 @@ def test_turning_left_shifts_the_scan_in_a_circle(world: RoomWorld, lidar: Lidar
             assert (np.abs(lidar.scan(after).T.ravel() - shifted) < 2e-3).mean() > 0.97  # edges may be hit or missed
 
 
-def test_it_agrees_with_the_range_finder_and_tells_its_reach(world: RoomWorld, lidar: Lidar) -> None:
-    low = Lidar(furnished(), LidarSettings(rays=8, height_m=0.1, reach_m=3.5))
+def test_it_agrees_with_the_range_finder_and_tells_its_reach(
+    world: RoomWorld, lidar: Lidar, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sim.sensors.lidar.LIDAR_REACH_M", 2.5)
+    assert max(lidar.scan(state).max() for state in world.rest_states(POSES)) == np.float32(2.5)
+    monkeypatch.setattr("sim.sensors.lidar.LIDAR_REACH_M", 3.5)
+    monkeypatch.setattr("sim.sensors.lidar.LIDAR_HEIGHT_M", 0.1)
+    low = Lidar(furnished(), LidarSettings(rays=8))
     world.place(POSES[0])
     ahead = world.ranges().reshape(-1, 29)[1, 14]
     assert low.scan(world.snapshot())[0, 0] == pytest.approx(ahead, abs=2e-3)
-    assert max(lidar.scan(state).max() for state in world.rest_states(POSES)) == np.float32(2.5)
 
 
 def test_a_recording_of_scans_is_whole_and_repeats_with_its_noise(tmp_path: Path, small_settings: SimSettings) -> None:

@@ -178,7 +178,7 @@ def test_the_part_of_the_room_that_stays_near_is_drawn_beside_what_is_good_enoug
 def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives_of_each_robot():
     plans = plan_runs(load_study("encoder", tiny=False))
     asked = {name for plan in plans for name in EncoderSettings.model_fields if name in str(dict(plan.varied))}
-    assert asked == set(EncoderSettings.model_fields) - {"rounding", "plugins"}
+    assert asked == set(EncoderSettings.model_fields) - {"plugins"}
     assert len({plan.scenario.seed for plan in plans}) == 5
     robots = {plan.scenario.robot.wheel_radius_error for plan in plans}
     assert len(robots) == 3

@@ -22,7 +22,7 @@ from sim.settings import ImageFaultSettings
 
 RINGS, SECTORS = 8, 32
 EVERY = np.arange(256, dtype=np.uint8)
-FAULTY = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.05, shot_noise=0.1, sensor_px=60, turn_deg=9.0)
+FAULTY = ImageFaultSettings(exposure=0.7, vignetting=0.4, read_noise=0.3, shot_noise=0.6, turn_deg=9.0)
 
 
 def draw_images(count: int = 3, seed: int = 0) -> np.ndarray:
@@ -50,14 +50,13 @@ def test_the_code_is_the_nearest_one():
 
 def test_what_is_off_changes_nothing():
     assert make_develop(ImageFaultSettings(), np.random.default_rng(0)) is None
-    assert make_develop(ImageFaultSettings(sensor_px=100), np.random.default_rng(0)) is None
     images = draw_images()
     np.testing.assert_array_equal(develop(images, ImageFaultSettings(), np.random.default_rng(0)), images)
 
 
 @pytest.mark.parametrize("fault", ["exposure", "vignetting", "read_noise", "shot_noise", "turn_deg"])
 def test_each_fault_is_one(fault: str):
-    alone = ImageFaultSettings(sensor_px=16, **{fault: getattr(FAULTY, fault)})
+    alone = ImageFaultSettings(**{fault: getattr(FAULTY, fault)})
     fault_of = make_develop(alone, np.random.default_rng(0))
     assert fault_of is not None
     assert (fault_of(draw_images()) != draw_images()).mean() > 0.3
@@ -75,14 +74,14 @@ def test_same_seed_same_bytes_however_many_at_a_time_and_other_seed_others():
     assert all((develop(images, FAULTY, other) != whole).mean() > 0.1 for other in others)
 
 
-@pytest.mark.parametrize(("read", "shot"), [(0.05, 0.0), (0.0, 0.1), (0.04, 0.08)])
+@pytest.mark.parametrize(("read", "shot"), [(0.2, 0.0), (0.0, 0.4), (0.16, 0.32)])
 @pytest.mark.parametrize("grey", [0.05, 0.4])
 def test_noise_has_the_mean_and_variance_of_its_formula(read: float, shot: float, grey: float):
-    settings = ImageFaultSettings(read_noise=read, shot_noise=shot, sensor_px=100)
+    settings = ImageFaultSettings(read_noise=read, shot_noise=shot)
     light = np.full((2000, 4, 8, 3), grey, np.float32)
     noisy = add_noise(light, settings, np.random.default_rng(1))
     edge = np.arange(5) / 4
-    pixels = [np.pi * 50**2 * (outer**2 - inner**2) / 8 for inner, outer in pairwise(edge)]
+    pixels = [np.pi * 240**2 * (outer**2 - inner**2) / 8 for inner, outer in pairwise(edge)]
     variance = (shot**2 * grey + read**2) / np.array(pixels)
     assert noisy.var(axis=(0, 2, 3)) == pytest.approx(variance, rel=0.03)
     assert noisy.mean(axis=(0, 2, 3)) == pytest.approx(grey, abs=4 * np.sqrt(variance.max() / 48_000))
@@ -95,8 +94,8 @@ def test_noise_of_neighbours_and_channels_is_their_own():
 
 
 def test_all_sensor_pixels_are_counted_and_none_is_split():
-    assert count_sensor_pixels(32, 128, 480).sum() * 128 == pytest.approx(np.pi * 240**2)
-    assert count_sensor_pixels(32, 128, 16).min() == 1.0
+    assert count_sensor_pixels(32, 128).sum() * 128 == pytest.approx(np.pi * 240**2)
+    assert count_sensor_pixels(512, 1024).min() == 1.0
 
 
 @given(st.floats(0.1, 1.0), st.floats(0.1, 1.0))
