@@ -13,9 +13,9 @@ from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario, names_in
 from deepgps.evaluation.error_field import read_fields
 from deepgps.studies.study import Study
+from docs import generate
 from docs.generate import (
     ROBOT,
-    describe_commands,
     describe_robot,
     describe_settings,
     describe_study,
@@ -24,12 +24,21 @@ from docs.generate import (
 from sim.files.json_files import read_json
 from sim.paths import SCENARIOS, STUDIES
 from sim.settings import EncoderSettings
-from tests.helpers.pages import PAGES, ROOT, Reader, find_blocks
+from tests.helpers.command import deepgps_here
+from tests.helpers.pages import PAGES, ROOT, check_block, find_blocks
+from tests.helpers.reader import Reader
 
 RUN = {"bash", "python", "yaml"}
 SHOWN = {"text", "xml", "toml", "bibtex"}
 """Languages that are only shown; an xml block is a file that a command reads."""
 FORMATS = (ROOT / "docs" / "reference" / "formats.md").read_text(encoding="utf-8")
+
+
+def test_every_command_setting_and_import_of_the_pages_exists(finished_run: Path, tmp_path: Path) -> None:
+    for page in PAGES:
+        for block in find_blocks(page):
+            assert block.language in RUN | SHOWN, block.place
+            check_block(block, tmp_path, finished_run)
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +50,6 @@ def reader(tmp_path_factory: pytest.TempPathFactory, finished_run: Path) -> Read
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_block_of_a_page_runs(page: Path, reader: Reader) -> None:
     for block in find_blocks(page):
-        assert block.language in RUN | SHOWN, block.place
         reader.follow(block)
 
 
@@ -101,10 +109,16 @@ def test_every_key_of_a_robot_s_file_is_described() -> None:
     assert "confval} robot.wheels.lag_s\n:type: number or one of `estimate`\n:default: `0.0`" in page
 
 
-def test_every_command_is_described_by_its_own_help() -> None:
-    page = describe_commands()
+def test_every_command_is_described_by_its_own_help(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(generate, "read_help", lambda *name: deepgps_here(*name, "--help", cwd=tmp_path).stdout)
+    page = generate.describe_commands()
     for command in COMMANDS:
         assert re.search(rf"^## `deepgps {command}`\n\n````text\nusage: deepgps {command}", page, re.MULTILINE)
+
+
+@pytest.mark.slow
+def test_the_help_comes_from_a_process_of_its_own() -> None:
+    assert generate.read_help("track").startswith("usage: deepgps track")
 
 
 @pytest.mark.parametrize(
@@ -125,7 +139,6 @@ def test_a_table_of_names_is_complete(page: str, names: list[str]) -> None:
     assert not [name for name in names if f"`{name}`" not in text]
 
 
-@pytest.mark.slow
 def test_every_file_of_a_run_is_in_the_page_of_formats(finished_run: Path) -> None:
     paths = [path.relative_to(finished_run).as_posix() for path in finished_run.rglob("*") if path.is_file()]
     names = {re.sub(r"^recording/(use/)?", "", path) for path in paths if not path.startswith("pairs/")}
@@ -140,7 +153,6 @@ def test_every_file_of_a_run_is_in_the_page_of_formats(finished_run: Path) -> No
     assert len(names) > 20 and lost == []
 
 
-@pytest.mark.slow
 def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(finished_run: Path) -> None:
     rows = dict(re.findall(r"^\| `(\S+\.npy)` \| (\(.*?\) \w+) \|", FORMATS, re.MULTILINE))
     paths = [path for path in (finished_run / "recording").rglob("*.npy") if path.parent.name != "test"]
@@ -157,7 +169,6 @@ def test_arrays_of_a_recording_have_the_shape_and_type_of_the_page(finished_run:
         assert (images.ndim, images.dtype) == (4, np.uint8) and "(N, rings, sectors, 3) uint8" in FORMATS
 
 
-@pytest.mark.slow
 def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(finished_run: Path) -> None:
     metrics, manifest = (
         read_json(finished_run / "metrics.json"),
@@ -174,7 +185,6 @@ def test_every_key_of_metrics_and_manifest_is_in_the_page_of_formats(finished_ru
     assert sorted(key for key in wanted if f"`{key}`" not in FORMATS) == []
 
 
-@pytest.mark.slow
 def test_the_error_field_is_as_the_page_of_formats_says(finished_run: Path) -> None:
     field = np.load(finished_run / "error_field.npz")
     (cells, _), (headings,) = field["truth"].shape, field["heading"].shape
@@ -183,7 +193,6 @@ def test_the_error_field_is_as_the_page_of_formats_says(finished_run: Path) -> N
     np.testing.assert_allclose(worst, read_fields(finished_run)["deepgps"].error)
 
 
-@pytest.mark.slow
 def test_the_script_of_the_page_on_trust_counts_what_metrics_say(
     finished_run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.pages import Block, check_code
+
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples"
 SAYS = {
     "scenario_and_error_field.py": ([], "error_field.png"),
@@ -27,6 +29,11 @@ def test_every_example_is_tried_and_short():
     examples = {path.name: path.read_text() for path in EXAMPLES.glob("*.py")}
     assert set(examples) == set(SAYS)
     assert {name: len(text.splitlines()) for name, text in examples.items() if len(text.splitlines()) > 40} == {}
+
+
+@pytest.mark.parametrize("name", SAYS)
+def test_an_example_imports_what_there_is(name: str):
+    check_code(Block(EXAMPLES / name, 1, "python", (EXAMPLES / name).read_text()))
 
 
 @pytest.mark.slow

@@ -6,10 +6,11 @@ import re
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import chdir, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Iterator
+from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
-from subprocess import CompletedProcess
+from select import select
+from subprocess import CompletedProcess, Popen
 
 import pytest
 
@@ -25,6 +26,8 @@ methods: [deepgps_compass, deepgps, posenet, knn]
 learn: {train: {steps: 60, checkpoint_steps: 20}, fold: {restarts: 1}}
 """
 """The scenario of the run that tests share."""
+LIMIT_S = 120.0
+"""Longest wait for anything that a process does."""
 
 
 def deepgps(*words: str, cwd: Path, **environment: str) -> CompletedProcess[str]:
@@ -53,14 +56,35 @@ def deepgps_here(*words: str, cwd: Path) -> CompletedProcess[str]:
     return CompletedProcess(words, code, out.getvalue(), errors.getvalue())
 
 
-def wait_until(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
-    """Wait for something that a running process brings about; it is ended where that takes too long."""
-    end = time.monotonic() + 120
+@contextmanager
+def started(*command: str, cwd: Path | None = None, **environment: str) -> Iterator[Popen[str]]:
+    """A process that has been started, which is killed when left if it has not ended by then."""
+    with Popen(
+        command, cwd=cwd, env={**os.environ, **environment}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def read_line(process: Popen[str], awaited: str) -> str:
+    """The next line that a process prints; it is killed, and the test fails, where that takes too long."""
+    assert process.stdout is not None
+    if not select([process.stdout], [], [], LIMIT_S)[0]:
+        process.kill()
+        pytest.fail(f"waited {LIMIT_S:.0f} s for {awaited}: {process.communicate()}")
+    return process.stdout.readline()
+
+
+def wait_until(condition: Callable[[], object], process: Popen[str], awaited: str = "its work") -> None:
+    """Wait for something that a running process brings about; it is killed where that takes too long."""
+    end = time.monotonic() + LIMIT_S
     while not condition():
-        assert process.poll() is None, process.communicate()
+        assert process.poll() is None, f"{awaited}: {process.communicate()}"
         if time.monotonic() > end:
             process.kill()
-            pytest.fail(f"waited in vain: {process.communicate()}")
+            pytest.fail(f"waited {LIMIT_S:.0f} s for {awaited}: {process.communicate()}")
         time.sleep(0.02)
 
 
