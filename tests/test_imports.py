@@ -93,10 +93,7 @@ ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.commands", "ray": "deepgp
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),
     *("deepgps.reports.run_figures", "deepgps.reports.field_plot"),
-    *(
-        "deepgps.robot_io.export.trajectories",
-        "deepgps.robot_io.export.mcap",
-    ),  # which write the truth beside the methods' poses
+    "deepgps.robot_io.export.trajectories",  # which writes the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *(f"deepgps.studies.reports.{name}" for name in ("mds", "concave", "corridors")),
 )

@@ -24,7 +24,7 @@ class DiagnoseArguments:
 def diagnose_command(words: Sequence[str]) -> None:
     """Say what is wrong with the wheels of a recording, how sure that is, and what to set; no ground truth is used."""
     arguments = parse(DiagnoseArguments, "diagnose", words, diagnose_command.__doc__)
-    from deepgps.diagnosis.command import diagnose_folder, is_diagnosis
+    from deepgps.diagnosis.store import diagnose_folder, is_diagnosis
     from deepgps.reports.wheels_page import print_diagnosis
 
     if arguments.out is not None:

@@ -52,8 +52,7 @@ def locate_command(words: Sequence[str]) -> None:
     arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     from deepgps.api.run import load
-    from deepgps.robot_io.locate.command import Wish, locate_source
-    from deepgps.robot_io.locate.locate import describe
+    from deepgps.robot_io.locate.locate import Wish, describe, locate_source
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)

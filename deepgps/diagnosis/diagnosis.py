@@ -12,8 +12,7 @@ from threadpoolctl import threadpool_limits
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
-from deepgps.diagnosis.sight import Sight
-from deepgps.diagnosis.turning import FEWEST, measure_curvature, measure_turn_scale
+from deepgps.diagnosis.turning import FEWEST, Sight, measure_curvature, measure_turn_scale
 from deepgps.diagnosis.walk import fit_slip, fit_step_noise
 from sim.errors import InputError
 from sim.recording.format import Recording

@@ -1,6 +1,6 @@
 """The gaps between consecutive readings, and what they show without a model: stuck wheels, ticks, readings lost."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from deepgps.data.dead_reckoning import travel
 from deepgps.data.plausible_readings import count_left_out
 from deepgps.data.runs import find_stretches
 from sim.recording.format import Recording
+from sim.recording.turns import KINDS
 from sim.sensors.encoder import measure_tick
 
 STUCK_TICKS, STUCK_M = 6, 0.3
@@ -128,3 +129,24 @@ def measure_loss(recording: Recording) -> tuple[float, float, float]:
     middle = (lost + Z95**2 / (2 * total)) / shrunk
     half = Z95 / shrunk * np.sqrt(lost * (1.0 - lost) / total + Z95**2 / (4 * total**2))
     return lost, max(float(middle - half), 0.0) if lost else 0.0, float(middle + half)
+
+
+def mend_stuck(recording: Recording) -> Recording:
+    """The recording with the gaps in which a wheel is stuck taken from the other wheel.
+
+    On a segment both wheels travel alike, and in a turn in place in opposite directions. Other gaps stay as they are.
+    """
+    gaps = read_gaps(recording)
+    if not gaps.stuck:
+        return recording
+    sign = gaps.inside.astype(np.int64)
+    if recording.turns is not None:
+        in_place = recording.turns.after[recording.turns.kind == KINDS.index("in_place")] - 1
+        sign[in_place[~gaps.inside[in_place]]] = -1
+    ticks = np.diff(recording.reading[:, 2:], axis=0)
+    for stretch in gaps.stuck:
+        part = slice(stretch.first, stretch.last + 1)
+        ticks[part, stretch.wheel] = sign[part] * ticks[part, 1 - stretch.wheel]
+    reading = recording.reading.copy()
+    reading[1:, 2:] = reading[0, 2:] + np.cumsum(ticks, axis=0)
+    return replace(recording, reading=reading)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from os.path import isfile
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,15 @@ from deepgps.diagnosis.diagnosis import (
     diagnose,
 )
 from deepgps.diagnosis.findings import as_stored
-from deepgps.diagnosis.mend import mend_stuck
-from sim.errors import DamagedError
+from deepgps.diagnosis.gaps import mend_stuck
+from deepgps.runs.owned_folder import hold, is_older
+from deepgps.runs.run_folder import RUN, is_study
+from deepgps.terminal.progress import Report
+from sim.errors import DamagedError, InputError
+from sim.files.checksums import drop_sum
 from sim.files.json_files import read_json, write_json
-from sim.recording.format import Recording
+from sim.recording.format import Recording, open_recording
+from sim.user_input import shorten
 
 FILE = "diagnosis.json"
 SCHEMA = 1
@@ -90,3 +96,50 @@ def digest_files(recording: Recording) -> str:
     manifest = recording.manifest
     named = json.dumps([manifest.sha256, manifest.odometry], sort_keys=True)
     return hashlib.sha256(named.encode()).hexdigest()[:16]
+
+
+def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[Diagnosis, Path | None]:
+    """Diagnose the wheels of a recording or of a run, and write what was found.
+
+    Args:
+        folder: The folder of a recording or of a run.
+        out: The file to write; None: that of the run, if the recording is a run's.
+        progress: Called before and after.
+
+    Returns:
+        The diagnosis, and the file that was written, if any.
+
+    Raises:
+        InputError: The folder is neither, or the recording has no images after turns.
+    """
+    home = folder if isfile(folder / "manifest.json") else folder / "recording"
+    if not isfile(home / "manifest.json"):
+        raise InputError(
+            f"{shorten(str(folder), 300)} is neither a recording (it has no manifest.json) nor a run with a finished "
+            "recording"
+        )
+    run = home.parent if home.name == "recording" and isfile(home.parent / RUN.first) else None
+    if run is not None and (is_older(run, RUN) or is_study(run.resolve().parent.parent)):
+        run = None  # a study's runs, and those of an earlier version, are not changed
+    progress("diagnose", 0, 1)
+    recording = open_recording(home)
+    diagnosis = diagnose(recording)
+    progress("diagnose", 1, 1)
+    path = out or (run and run / FILE)
+    if run is not None and path == run / FILE:
+        with hold(run, RUN, "the run"):
+            if read_diagnosis(run, recording) != diagnosis:
+                drop_sum(run / "run.rrd")  # the viewer's recording shows the diagnosis
+                (run / "run.rrd").unlink(missing_ok=True)
+            write_diagnosis(run / FILE, diagnosis, recording)
+    elif path is not None:
+        write_diagnosis(path, diagnosis, recording)
+    return diagnosis, path
+
+
+def is_diagnosis(data: bytes) -> bool:
+    """Whether these are the contents of a diagnosis, which may be written over."""
+    try:
+        return {"quantities", "stretches", "faults"} <= set(json.loads(data))
+    except (ValueError, TypeError, RecursionError):
+        return False

@@ -23,7 +23,7 @@ from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.segments import find_runs
 from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.diagnosis import apply_diagnosis, can_diagnose, diagnose
-from deepgps.diagnosis.mend import mend_stuck
+from deepgps.diagnosis.gaps import mend_stuck
 from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE

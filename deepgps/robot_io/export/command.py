@@ -6,9 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from deepgps.api.run import Frame, Run
-from deepgps.robot_io.export.mcap import write_drives
 from deepgps.robot_io.export.onnx_folder import write_onnx
-from deepgps.robot_io.export.trajectories import WRITE, Format, find_trajectories, write_trajectories
+from deepgps.robot_io.export.trajectories import WRITE, Format, find_trajectories, write_drives, write_trajectories
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.errors import InputError

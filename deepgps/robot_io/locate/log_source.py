@@ -10,15 +10,15 @@ import numpy as np
 
 from deepgps.data.field_of_view import check_view
 from deepgps.robot_io.locate.pictures import Picture
+from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import Log, open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
-from deepgps.robot_io.logs.joints import open_wheels
+from deepgps.robot_io.logs.lag import choose_lag, measure_lag
+from deepgps.robot_io.logs.messages import open_wheels
 from deepgps.robot_io.logs.pictures import ImageList, open_images, take_images
-from deepgps.robot_io.logs.polar import PolarSource, open_polar
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
 from deepgps.robot_io.logs.segmentation import Path as Odometry
 from deepgps.robot_io.logs.segmentation import find_path
-from deepgps.robot_io.logs.turn_pairs import choose_lag, measure_lag
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 

@@ -1,14 +1,18 @@
-"""The camera's calibration, from a log's CameraInfo, a file or the robot's configuration."""
+"""The camera of a log: its calibration, from CameraInfo, a file or the configuration, and the polar images it gives."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.robot_io.logs.containers import Log
+from deepgps.robot_io.logs.pictures import take_images
 from deepgps.robot_io.logs.robot_config import CameraConfig
+from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.raw_camera import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
@@ -17,6 +21,8 @@ from sim.user_input import quote
 INFO = "sensor_msgs/msg/CameraInfo"
 LEAST = np.radians(30.0)
 """Smallest angle between the optical axis and the rim that is worth learning from [rad]."""
+FIRST = 20
+"""Images of which most have the size of all; some cameras begin with another one."""
 
 
 def find_camera(log: Log, config: CameraConfig, size: tuple[int, int]) -> RawCamera:
@@ -150,3 +156,73 @@ def _assume(config: CameraConfig, size: tuple[int, int]) -> RawCamera:
     assert config.circle_px is not None and config.field_of_view_deg is not None
     focal = config.circle_px / (np.radians(config.field_of_view_deg) / 2)
     return RawCamera("equidistant", size, (focal, focal), ((size[0] - 1) / 2, (size[1] - 1) / 2), (0.0, 0.0, 0.0, 0.0))
+
+
+@dataclass
+class PolarSource:
+    """A log's images and what makes polar images of them.
+
+    Attributes:
+        log: The log.
+        topic: Topic of the images.
+        camera: Its calibration.
+        unwrap: Makes polar images.
+        lens: Lens of the polar images.
+        damaged: Numbers of images that cannot be used, and why, as far as they have been read.
+        drawn: Numbers of the images that have been read.
+    """
+
+    log: Log
+    topic: str
+    camera: RawCamera
+    unwrap: Unwrapping
+    lens: Lens
+    damaged: dict[int, str] = field(default_factory=dict)
+    drawn: set[int] = field(default_factory=set)
+
+    @property
+    def size(self) -> int:
+        """Size of a polar image."""
+        return self.unwrap.rings * self.unwrap.sectors * 3
+
+    def draw(self, wanted: Sequence[int], store: IO[bytes], progress: Report, label: str) -> None:
+        """Write the polar images of some images of the log to a file, in the order of ``wanted``."""
+        places = dict[int, list[int]]()
+        for place, number in enumerate(wanted):
+            places.setdefault(number, []).append(place)
+        self.drawn.update(places)
+        store.truncate(len(wanted) * self.size)
+        for done, (number, image) in enumerate(take_images(self.log, self.topic, places, self.damaged)):
+            try:
+                data = self.unwrap(image).tobytes()
+            except InputError as error:
+                self.damaged[number] = str(error)
+                continue
+            for place in places[number]:
+                store.seek(place * self.size)
+                store.write(data)
+            progress(label, done + 1, len(places))
+        store.flush()
+
+    def map(self, store: IO[bytes], count: int) -> np.ndarray:
+        """The polar images in a file (n, rings, sectors, 3), memory-mapped."""
+        shape = (count, self.unwrap.rings, self.unwrap.sectors, 3)
+        return np.memmap(store, np.uint8, "c", shape=shape) if count else np.empty(shape, np.uint8)
+
+
+def open_polar(log: Log, config: CameraConfig) -> PolarSource:
+    """Find the calibration, for the size of most of the first images that can be decoded.
+
+    Raises:
+        InputError: There is no such image, or no calibration for it.
+    """
+    problems = dict[int, str]()
+    sizes = Counter(
+        (image.shape[1], image.shape[0]) for _, image in take_images(log, config.topic, range(FIRST), problems)
+    )
+    if not sizes:
+        why = next(iter(problems.values()), "there is none")
+        raise InputError(f"camera.topic {config.topic}: none of the first images can be used: {why}")
+    camera = find_camera(log, config, sizes.most_common(1)[0][0])
+    unwrap, lens = prepare_unwrapping(camera, config)
+    return PolarSource(log, config.topic, camera, unwrap, lens)

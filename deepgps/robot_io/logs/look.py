@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.robot_io.logs import plain_folder, poses
+from deepgps.robot_io.logs import plain_folder
 from deepgps.robot_io.logs.camera import INFO, read_info
-from deepgps.robot_io.logs.clocks import APART_S, compare, find_starts, take_times
 from deepgps.robot_io.logs.containers import Log, open_log
-from deepgps.robot_io.logs.images import COMPRESSED, RAW, decoder
-from deepgps.robot_io.logs.joints import JOINT_STATE, ODOMETRY
+from deepgps.robot_io.logs.drive import APART_S, compare, find_starts, take_times
+from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
+from deepgps.robot_io.logs.pictures import COMPRESSED, RAW, decoder
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.user_input import shorten
@@ -22,7 +22,7 @@ FIRST = 50
 TURTLEBOT3 = ("wheel_left_joint", "wheel_right_joint")
 BURGER = {"radius_m": 0.033, "track_m": 0.16}
 DECODED = (JOINT_STATE, INFO, RAW, COMPRESSED)
-DESCRIBED = (*DECODED, ODOMETRY, *poses.KINDS)
+DESCRIBED = (*DECODED, ODOMETRY, *POSE_KINDS)
 """Types of which more is said than the number of messages."""
 
 
@@ -193,8 +193,8 @@ def _find_info(seen: dict[str, Seen], camera: str | None) -> str | None:
 
 def _find_pose(seen: dict[str, Seen]) -> str | None:
     """A topic of poses that does not come from the wheels."""
-    times = {topic: np.sort(one.log_ns) for topic, one in seen.items() if one.kind in poses.KINDS[:3]}
-    often = [topic for topic, ns in times.items() if len(ns) > 1 and np.median(np.diff(ns)) <= poses.GAP_S * 1e9]
+    times = {topic: np.sort(one.log_ns) for topic, one in seen.items() if one.kind in POSE_KINDS[:3]}
+    often = [topic for topic, ns in times.items() if len(ns) > 1 and np.median(np.diff(ns)) <= GAP_S * 1e9]
     return max(often, key=lambda topic: len(times[topic]), default=None)  # a goal is sent seldom
 
 

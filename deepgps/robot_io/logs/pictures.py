@@ -1,17 +1,134 @@
-"""The images of a log: their times, and those that are wanted, decoded one at a time."""
+"""The images of a log: their times, and those that are wanted, decoded one at a time, in every usual encoding."""
 
 from array import array
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
-from deepgps.robot_io.logs.images import COMPRESSED, RAW, decoder
 from deepgps.robot_io.logs.sample import Part, Sample
-from sim.errors import InputError
+from sim.errors import InputError, one_line
+from sim.user_input import quote
 
+RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")
+"""How JPEG and PNG begin; what a message says of its format differs between drivers."""
 KINDS = (RAW, COMPRESSED)
+
+
+# what OpenCV says of a damaged picture is in our own message
+cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)  # pyright: ignore[reportAttributeAccessIssue]
+
+
+class Encoding(NamedTuple):
+    """How pixels are stored.
+
+    Attributes:
+        channels: Bytes of a pixel.
+        code: OpenCV's conversion to RGB; None: they are RGB.
+        extra: Rows of the image that follow as one of colours, as a fraction of its height.
+    """
+
+    channels: int
+    code: int | None
+    extra: float = 0.0
+
+
+ENCODINGS = {
+    "rgb8": Encoding(3, None),
+    "bgr8": Encoding(3, cv2.COLOR_BGR2RGB),
+    "8uc3": Encoding(3, cv2.COLOR_BGR2RGB),
+    "rgba8": Encoding(4, cv2.COLOR_RGBA2RGB),
+    "bgra8": Encoding(4, cv2.COLOR_BGRA2RGB),
+    "8uc4": Encoding(4, cv2.COLOR_BGRA2RGB),
+    "mono8": Encoding(1, cv2.COLOR_GRAY2RGB),
+    "8uc1": Encoding(1, cv2.COLOR_GRAY2RGB),
+    "yuv422": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
+    "uyvy": Encoding(2, cv2.COLOR_YUV2RGB_UYVY),
+    "yuv422_yuy2": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
+    "yuyv": Encoding(2, cv2.COLOR_YUV2RGB_YUY2),
+    "nv21": Encoding(1, cv2.COLOR_YUV2RGB_NV21, 0.5),
+    "nv12": Encoding(1, cv2.COLOR_YUV2RGB_NV12, 0.5),
+    "bayer_rggb8": Encoding(1, cv2.COLOR_BayerRGGB2RGB),
+    "bayer_bggr8": Encoding(1, cv2.COLOR_BayerBGGR2RGB),
+    "bayer_gbrg8": Encoding(1, cv2.COLOR_BayerGBRG2RGB),
+    "bayer_grbg8": Encoding(1, cv2.COLOR_BayerGRBG2RGB),
+}
+
+
+def decoder(kind: str) -> Callable[[Any], np.ndarray]:
+    """The function that turns a message of a type into an image (height, width, 3) uint8 RGB, or raises InputError."""
+    take = decode_raw if kind == RAW else decode_compressed
+
+    def decode(message: Any) -> np.ndarray:
+        try:
+            return take(message)
+        except cv2.error as error:  # a size that the encoding cannot have, or that no memory could hold
+            raise InputError(one_line(error)) from None
+
+    return decode
+
+
+def decode_raw(message: Any) -> np.ndarray:
+    """The image (height, width, 3) uint8 RGB of an ``Image``, whose rows may be padded.
+
+    Raises:
+        InputError: The encoding is unknown, or there are fewer bytes than its size needs.
+    """
+    name = str(message.encoding).strip().lower()
+    if name not in ENCODINGS:
+        raise InputError(f"encoding {quote(message.encoding)}: must be {', '.join(ENCODINGS)}")
+    encoding = ENCODINGS[name]
+    height, width, step = int(message.height), int(message.width), int(message.step)
+    rows, used = height + int(height * encoding.extra), width * encoding.channels
+    data = np.frombuffer(bytes(message.data), np.uint8)
+    step = step or used
+    # The last row may end with its last pixel.
+    if not (height and width) or step < used or len(data) < (rows - 1) * step + used:
+        raise InputError(
+            f"{len(data)} bytes, and {width} x {height} pixels of {name} with rows of {step} bytes need {rows * step}"
+        )
+    padded = np.zeros(rows * step, np.uint8)
+    padded[: min(len(data), rows * step)] = data[: rows * step]
+    pixels = padded.reshape(rows, step)[:, :used]
+    pixels = pixels.reshape(rows, width, encoding.channels) if encoding.channels > 1 else pixels
+    pixels = np.ascontiguousarray(pixels)
+    return pixels if encoding.code is None else cv2.cvtColor(pixels, encoding.code)
+
+
+def decode_file(data: bytes, how: int = cv2.IMREAD_COLOR) -> np.ndarray | None:
+    """Pixels (height, width[, 3]) uint8, BGR or grey, of the bytes of an image file; None: OpenCV cannot read it.
+
+    Raises:
+        InputError: It has more than 8 bits a channel, of which it is not known which ones matter.
+    """
+    depth = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), how | depth) if data else None
+    if pixels is not None and pixels.dtype != np.uint8:
+        raise InputError(f"a picture of {8 * pixels.dtype.itemsize} bits a channel: must be 8")
+    return pixels
+
+
+def decode_compressed(message: Any) -> np.ndarray:
+    """The image (height, width, 3) uint8 RGB of a ``CompressedImage``, recognised by its first bytes.
+
+    Raises:
+        InputError: It is neither a JPEG nor a PNG of 8 bits, or it is damaged.
+    """
+    data = bytes(message.data)
+    if not data.startswith(MAGIC):
+        raise InputError(f"format {quote(message.format)}, {len(data)} bytes: neither JPEG nor PNG")
+    source, _, rest = str(message.format).lower().partition(";")
+    stored = rest.partition("compressed")[2].strip() or source.strip()  # ROS 2 usually stores a mosaic as mono8
+    mosaic = ENCODINGS.get(stored) if stored.startswith("bayer") else None
+    pixels = decode_file(data, cv2.IMREAD_GRAYSCALE if mosaic else cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise InputError(f"format {quote(message.format)}, {len(data)} bytes: the picture is damaged")
+    code = mosaic.code if mosaic and mosaic.code is not None else cv2.COLOR_BGR2RGB
+    return cv2.cvtColor(pixels, code)
 
 
 @dataclass

@@ -6,8 +6,8 @@ from functools import partial
 from pathlib import Path
 
 from deepgps.diagnosis.diagnosis import diagnose
-from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, read_diagnosis, write_diagnosis
+from deepgps.diagnosis.turning import Sight
 from deepgps.studies.engine.pool import Tell, attempt, do_all
 from deepgps.studies.engine.worker import Failures
 from deepgps.studies.plan import Plan

@@ -9,8 +9,8 @@ import pytest
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, diagnose
 from deepgps.diagnosis.findings import correct, find_faults
-from deepgps.diagnosis.sight import Sight
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
+from deepgps.diagnosis.turning import Sight
 from deepgps.reports.wheels_page import ALL_WELL, NOT_MEASURED, UNKNOWN, write_markdown
 from sim.errors import InputError
 from sim.geometry import wrap

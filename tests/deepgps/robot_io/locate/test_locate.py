@@ -12,8 +12,7 @@ import pytest
 
 import deepgps
 from deepgps.robot_io.locate.locate import find_shape
-from deepgps.robot_io.locate.pictures import LARGEST_BYTES, open_pictures, read_stream
-from deepgps.robot_io.locate.unwrapping import Unwrapper
+from deepgps.robot_io.locate.pictures import LARGEST_BYTES, Unwrapper, open_pictures, read_stream
 from deepgps.viewer.playback import make_warp, warp_round
 from sim.errors import InputError
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.clocks import Aligned, Times, align
+from deepgps.robot_io.logs.drive import Aligned, Times, align
 
 PERIOD_S, DRIVE_S = 0.05, 200.0
 

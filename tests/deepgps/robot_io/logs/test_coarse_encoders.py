@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.coarse_encoders import fill_counts
 from deepgps.robot_io.logs.importing import import_log
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.wheels import Wheels
+from deepgps.robot_io.logs.wheels import Wheels, fill_counts
 from deepgps.terminal.progress import ignore
 from sim.recording.format import open_recording
 from tests.helpers.robot_log import (

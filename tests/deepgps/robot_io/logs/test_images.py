@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from deepgps.robot_io.logs.images import COMPRESSED, RAW, decode_compressed, decode_raw, decoder
+from deepgps.robot_io.logs.pictures import COMPRESSED, RAW, decode_compressed, decode_raw, decoder
 from sim.errors import InputError
 from tests.helpers.robot_log import ENCODERS, encode
 

@@ -14,7 +14,7 @@ from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.robot_io.logs.containers import open_log
 from deepgps.robot_io.logs.drive import find_drive
 from deepgps.robot_io.logs.importing import import_log
-from deepgps.robot_io.logs.joints import open_wheels
+from deepgps.robot_io.logs.messages import open_wheels
 from deepgps.robot_io.logs.pictures import open_images
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
 from deepgps.robot_io.logs.sample import explained

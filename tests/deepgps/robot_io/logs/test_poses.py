@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.robot_io.logs.containers import open_log
-from deepgps.robot_io.logs.joints import open_wheels, read_yaw
-from deepgps.robot_io.logs.poses import open_poses
+from deepgps.robot_io.logs.messages import open_poses, open_wheels, read_yaw
 from deepgps.robot_io.logs.robot_config import WheelConfig
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.data.segments import read_segments
-from deepgps.diagnosis.mend import mend_stuck
+from deepgps.diagnosis.gaps import mend_stuck
 from sim.recording.format import Recording, open_recording
 
 

@@ -1,4 +1,4 @@
-"""The wheels' angles in a log, from joint states or, without them, from the path of an odometry."""
+"""The wheels' angles and the poses in a log: joint states, the path of an odometry, motion capture."""
 
 import math
 from array import array
@@ -16,13 +16,21 @@ from sim.geometry import wrap
 from sim.user_input import quote
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
-KINDS = (JOINT_STATE, ODOMETRY)
+WHEEL_KINDS = (JOINT_STATE, ODOMETRY)
 LEAST_LENGTH = 1e-6
 """Length of a quaternion up to which it tells no orientation."""
 MOST_SIDEWAYS = 0.2
 """Part of an odometry's path that may go sideways; more, and its orientation is wrong."""
 UNUSABLE = "the position or the quaternion is not finite, or the quaternion is 0"
 """Why a message of a pose is left out."""
+POSE_KINDS = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "geometry_msgs/msg/TransformStamped",
+    "nav_msgs/msg/Odometry",
+)
+GAP_S = 0.5
+"""Longest time between two poses across which they are interpolated [s]."""
 
 
 @dataclass
@@ -85,7 +93,7 @@ class WheelLog:
 
     def _find(self, message: Any) -> tuple[float, float]:
         self.names.update(message.name)
-        left, right = (_take(message, name, self.config.topic) for name in (self.config.left, self.config.right))
+        left, right = (_take_angle(message, name, self.config.topic) for name in (self.config.left, self.config.right))
         backward = self.config.backward
         return -left if backward in {"left", "both"} else left, -right if backward in {"right", "both"} else right
 
@@ -96,7 +104,7 @@ class WheelLog:
 
 def open_wheels(log: Log, config: WheelConfig) -> WheelLog:
     """Prepare to read the wheels of a log; raises InputError if it lacks the topic, or an odometry is reversed."""
-    from_odometry = log.check_topic(config.topic, "wheels.topic", KINDS) == ODOMETRY
+    from_odometry = log.check_topic(config.topic, "wheels.topic", WHEEL_KINDS) == ODOMETRY
     if from_odometry and config.backward != "none":
         raise InputError(f"wheels.backward {config.backward} must be none: {config.topic} is an odometry")
     return WheelLog(config, from_odometry)
@@ -115,7 +123,7 @@ def find_joint(names: Sequence[str], wanted: str) -> int | None:
     return like[0] if like else None
 
 
-def _take(message: Any, wanted: str, topic: str) -> float:
+def _take_angle(message: Any, wanted: str, topic: str) -> float:
     """The position of a joint in a message, which may hold only some joints or no positions; NaN: not there."""
     try:
         index = find_joint(message.name, wanted)
@@ -165,3 +173,80 @@ def read_yaw(turn: Any) -> float:
         return math.nan
     w, x, y, z = w / length, x / length, y / length, z / length
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+@dataclass
+class PoseLog:
+    """Poses in the order in which they were logged.
+
+    Attributes:
+        log_ns: When each was logged (n,) [ns].
+        stamp_ns: Its stamp (n,) [ns]; 0: none.
+        values: x, y [m] and yaw [rad] of each, one after the other.
+        without: Messages that tell no pose and are left out.
+    """
+
+    log_ns: array = field(default_factory=lambda: array("q"))
+    stamp_ns: array = field(default_factory=lambda: array("q"))
+    values: array = field(default_factory=lambda: array("d"))
+    without: int = 0
+
+    @property
+    def pose(self) -> np.ndarray:
+        """Poses (n, 3) x, y [m], yaw [rad]."""
+        return np.array(self.values).reshape(-1, 3)
+
+    def take(self, sample: Sample, part: Part) -> None:
+        """Read a message; one that tells no pose is only counted."""
+        pose = _take_pose(part.decode(sample))
+        if not all(map(math.isfinite, pose)):
+            self.without += 1
+            return
+        self.log_ns.append(sample.log_ns)
+        self.stamp_ns.append(sample.stamp_ns)
+        self.values.extend(pose)
+
+    def check(self, topic: str) -> None:
+        """Raise InputError if there is no pose."""
+        if not self.log_ns:
+            why = f": in {self.without} messages {UNUSABLE}" if self.without else ""
+            raise InputError(f"pose.topic {topic} holds no pose{why}")
+
+
+def open_poses(log: Log, topic: str) -> PoseLog:
+    """Prepare to read the poses of a topic; raises InputError if there is no such topic."""
+    log.check_topic(topic, "pose.topic", POSE_KINDS)
+    return PoseLog()
+
+
+def find_poses(time_s: np.ndarray, pose: np.ndarray, at_s: np.ndarray) -> np.ndarray:
+    """Poses (m, 3) at some times (m,) [s], interpolated; NaN where none was measured within half a second.
+
+    Args:
+        time_s: Times of the poses (n,) [s]; NaN where they are not known.
+        pose: Poses (n, 3) x, y [m], yaw [rad].
+        at_s: The times.
+    """
+    order = np.argsort(time_s, kind="stable")
+    order = order[np.isfinite(time_s[order])]
+    time_s, pose = time_s[order], pose[order]
+    if not len(time_s):
+        return np.full((len(at_s), 3), np.nan)
+    columns = [pose[:, 0], pose[:, 1], np.unwrap(pose[:, 2])]
+    found = np.column_stack([np.interp(at_s, time_s, values) for values in columns])
+    found[:, 2] = wrap(found[:, 2])
+    after = np.searchsorted(time_s, at_s)
+    inside = (after > 0) & (after < len(time_s))
+    before, after = np.clip(after - 1, 0, None), np.clip(after, None, len(time_s) - 1)
+    found[~(inside & (time_s[after] - time_s[before] <= GAP_S))] = np.nan
+    return found
+
+
+def _take_pose(message: Any) -> tuple[float, float, float]:
+    """x, y [m] and yaw [rad] of a message of any of the types."""
+    if hasattr(message, "transform"):
+        place, turn = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        place, turn = pose.position, pose.orientation
+    return float(place.x), float(place.y), read_yaw(turn)
