@@ -8,7 +8,7 @@ from pathlib import Path
 from deepgps.config.scenario import Scenario
 from sim.files.checksums import sha256
 from sim.recording.manifest import SCHEMA
-from sim.user_input import read_file, shorten
+from sim.rooms.mjcf_files import list_files
 
 
 def list_own_files(scenario: Scenario) -> dict[str, str]:
@@ -32,12 +32,8 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
     """
     if not isfile(Path(path)):
         return None
-    from sim.rooms.mjcf_files import LARGEST_MJCF, Files
-
-    used = Files(Path(path), field).list_used()
-    return read_file(Path(path), LARGEST_MJCF, shorten(path, 300)) + b"".join(
-        bytes.fromhex(sha256(one)) for one in used
-    )
+    own, *used = list_files(Path(path), "room" if field == "room.mjcf" else "robot")
+    return own.read_bytes() + b"".join(bytes.fromhex(sha256(one)) for one in used)
 
 
 def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:

@@ -10,10 +10,10 @@ from sim.errors import InputError
 from sim.robot.chassis import Chassis
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, Body, wheel_speeds
 from sim.robot.own import describe_own
-from sim.rooms.mjcf_files import LARGEST_MJCF
+from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import empty_room
 from sim.settings import TURN_RATE_RPS, DriveSettings, RobotSettings, SimSettings
-from sim.user_input import read_file, shorten
+from sim.user_input import shorten
 
 RAMP_S = 0.5
 """Time in which a test drive speeds up and slows down [s]."""
@@ -55,8 +55,8 @@ def calibrate(settings: SimSettings, body: Body = BURGER) -> tuple[float, float]
 def calibrate_own(settings: SimSettings) -> Body:
     """Dimensions of a user's own robot: size from its geoms, wheel radius and track from two drives."""
     path = Path(settings.robot.mjcf or "")
-    content = read_file(path, LARGEST_MJCF, f"robot.mjcf {shorten(str(path), 300)}")
-    return _calibrate_once(settings.robot.model_dump_json(), content, settings.drive.speed_mps)
+    list_files(path, "robot")
+    return _calibrate_once(settings.robot.model_dump_json(), path.read_bytes(), settings.drive.speed_mps)
 
 
 @lru_cache(maxsize=8)

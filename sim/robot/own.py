@@ -1,4 +1,4 @@
-"""A user's own robot: an MJCF file, vetted as rooms are, whose parts get the names that the testbed's own robot has."""
+"""A user's own robot: an MJCF file, tried out as rooms are; its parts get the names of the testbed's own robot."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,8 @@ import numpy as np
 from sim.errors import InputError, one_line
 from sim.robot.footprint import reach_of_geoms
 from sim.robot.model import BASE, BUMPER, CAMERA, CAMERA_SITE, WHEELS, Body
-from sim.rooms.mjcf import vet
+from sim.rooms.mjcf_files import list_files
+from sim.rooms.spec import drop_claims
 from sim.settings import RobotSettings
 from sim.user_input import shorten
 
@@ -95,9 +96,10 @@ def describe_own(robot: RobotSettings) -> Body:
 def _read(robot: RobotSettings) -> mujoco.MjSpec:
     """The robot under the testbed's names, without anything else that moves or measures, and without bumper."""
     path = Path(robot.mjcf or "")
-    vet(path, "robot.mjcf")
+    list_files(path, "robot")
     try:
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
+        drop_claims(spec)
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
         raise _refuse(robot, f"MuJoCo cannot read it: {shorten(one_line(error), 400)}") from None
     if spec.meshes or spec.hfields or spec.skins or spec.textures:

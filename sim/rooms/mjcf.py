@@ -1,4 +1,4 @@
-"""A user's own room: an MJCF file, vetted before MuJoCo reads it, and made static."""
+"""A user's own room: an MJCF file, tried out before it is read here, and made static."""
 
 from pathlib import Path
 
@@ -7,14 +7,11 @@ import numpy as np
 
 from sim.errors import InputError, one_line
 from sim.rooms.free_space import collides
-from sim.rooms.mjcf_files import Files
-from sim.rooms.mjcf_limits import FARTHEST, MOST, refuse_excess
-from sim.rooms.spec import PREFIX, list_active
+from sim.rooms.mjcf_files import list_files
+from sim.rooms.spec import PREFIX, make_static
 from sim.user_input import quote, shorten
 
 FLOOR = "floor"
-_SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
-_SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 _SUPPORT_M, _BELOW_M = 0.001, 0.002
 """How far from z = 0 the top of a floor may be, and how far below z = 0 the plane under boxes is [m]."""
 SLOW_TRIANGLES = 100_000
@@ -29,16 +26,15 @@ def load_room(path: Path) -> mujoco.MjSpec:
     may end before the room does.
 
     Raises:
-        InputError: The file is missing, is not MJCF, refers outside its folder, uses plugins or is too large.
+        InputError: The file is missing, is not MJCF, refers outside its folder, uses plugins, or takes too long.
     """
-    vet(path)
+    list_files(path)
     what = f"room.mjcf {shorten(str(path), 300)}"
     try:
         spec = mujoco.MjSpec.from_file(str(path.resolve()))
-        _still(spec)
+        make_static(spec)
         _refuse_robot_names(spec)
         model = spec.compile()
-        _refuse_large(model)
     except InputError as error:
         raise InputError(f"{what}: {error}") from None
     except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
@@ -50,51 +46,12 @@ def load_room(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def vet(path: Path, field: str = "room.mjcf") -> None:
-    """Refuse a harmful file before MuJoCo sees it.
-
-    A room must not make MuJoCo open anything outside its folder, or take more memory or time than a room needs.
-
-    Raises:
-        InputError: The file is refused; one line names the file, the element and what is allowed.
-    """
-    files = Files(path, field)
-    files.refuse_forbidden()
-    refuse_excess(files)
-
-
-def _still(spec: mujoco.MjSpec) -> None:
-    """Make a room static: remove all that moves, acts, measures, alters contacts or claims memory."""
-    for element in [*list_active(spec), *spec.skins]:
-        spec.delete(element)
-    for body in spec.bodies:
-        body.mocap = False
-    defaults = mujoco.MjSpec()
-    spec.memory = defaults.memory
-    for name in _SIZES:
-        setattr(spec, name, getattr(defaults, name))
-    spec.visual.global_.offwidth = defaults.visual.global_.offwidth
-    spec.visual.global_.offheight = defaults.visual.global_.offheight
-
-
 def _refuse_robot_names(spec: mujoco.MjSpec) -> None:
     """Refuse names that the robot's own parts may have."""
     named = (spec.bodies, spec.geoms, spec.sites, spec.cameras, spec.materials, spec.textures, spec.meshes)
     for element in [element for group in named for element in group]:
         if element.name.startswith(PREFIX):
             raise InputError(f"the name {quote(element.name)} begins with {PREFIX}, as the robot's own parts do")
-
-
-def _refuse_large(model: mujoco.MjModel) -> None:
-    """Refuse what only the compiled room shows: infinite geoms, and too many geoms or triangles."""
-    data = mujoco.MjData(model)
-    mujoco.mj_kinematics(model, data)
-    if not (np.abs(data.geom_xpos) < FARTHEST).all() or not (np.abs(model.geom_size) < FARTHEST).all():
-        raise InputError("a geom is infinitely large or far away")
-    if model.ngeom > MOST.geoms:
-        raise InputError(f"more than {MOST.geoms} geoms")
-    if (triangles := _count_triangles(model)) > MOST.triangles:
-        raise InputError(f"its meshes draw {triangles} triangles; at most {MOST.triangles}")
 
 
 def list_notes(model: mujoco.MjModel) -> list[str]:

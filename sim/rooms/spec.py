@@ -10,6 +10,8 @@ DRAWN_GROUPS = (0, 1, 2)
 """Groups of the geoms that cameras see."""
 NEAR_M = 0.01
 """Distance from a camera within which nothing is drawn [m]."""
+_SIZES = ("njmax", "nconmax", "nstack", "nkey", "nuserdata", "nuser_body", "nuser_jnt", "nuser_geom", "nuser_site")
+_SIZES += ("nuser_cam", "nuser_tendon", "nuser_actuator", "nuser_sensor")
 
 
 def empty_room() -> mujoco.MjSpec:
@@ -34,6 +36,25 @@ def freeze(room: mujoco.MjSpec) -> mujoco.MjSpec:
     spec.compiler.boundmass = spec.compiler.boundinertia = 0.0
     spec.compiler.inertiafromgeom = mujoco.MjSpec().compiler.inertiafromgeom
     return spec
+
+
+def make_static(spec: mujoco.MjSpec) -> None:
+    """Remove all that moves, acts, measures, alters contacts or claims memory."""
+    for element in [*list_active(spec), *spec.skins]:
+        spec.delete(element)
+    for body in spec.bodies:
+        body.mocap = False
+    drop_claims(spec)
+
+
+def drop_claims(spec: mujoco.MjSpec) -> None:
+    """Set the sizes for which a model claims memory to MuJoCo's own."""
+    defaults = mujoco.MjSpec()
+    spec.memory = defaults.memory
+    for name in _SIZES:
+        setattr(spec, name, getattr(defaults, name))
+    spec.visual.global_.offwidth = defaults.visual.global_.offwidth
+    spec.visual.global_.offheight = defaults.visual.global_.offheight
 
 
 def list_active(spec: mujoco.MjSpec) -> list[Any]:

@@ -12,9 +12,9 @@ from tests.faults.bombs_mjcf import ROOMS, room, save
 from tests.faults.bombs_yaml import SCENARIOS, STUDIES, Make
 from tests.faults.command import Ended, deepgps
 
-TIME_S = 2.0
-MEMORY_MB = 500.0
-GIVEN_UP_S = 30.0
+TIME_S = 12.0
+MEMORY_MB = 2_200.0
+GIVEN_UP_S = 90.0
 """A command that takes so long is ended: it fell."""
 LONGEST = 2_000
 """Characters of one line that one still reads."""

@@ -1,7 +1,6 @@
 import os
 import re
-import struct
-import zlib
+import time
 from pathlib import Path
 
 import mujoco
@@ -15,11 +14,10 @@ from sim.robot.model import wheel_speeds
 from sim.robot.scene import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
-from sim.rooms.mjcf import list_notes, load_room, vet
+from sim.rooms.mjcf import list_notes, load_room
+from sim.rooms.mjcf_trial import try_out
 from sim.settings import SimSettings
 
-OUTSIDE = "lies outside the room's own folder"
-RELATIVE = "must be a path relative to the room's own folder"
 WALLS = """
 <geom type="box" size="0.1 2 1" pos="2.1 0 1"/><geom type="box" size="0.1 2 1" pos="-2.1 0 1"/>
 <geom type="box" size="2 0.1 1" pos="0 1.6 1"/><geom type="box" size="2 0.1 1" pos="0 -1.6 1"/>
@@ -115,206 +113,90 @@ def test_compiler_settings_and_own_assets_work(tmp_path):
     assert data.geom_xpos[tent, 0] < 0 < data.geom_xpos[tent, 1]
 
 
-@pytest.mark.parametrize(
-    ("body", "head", "text"),
-    [
-        ('<include file="../secret.xml"/>', "", f"include file ../secret.xml: {OUTSIDE}"),
-        (
-            '<include file="/etc/passwd"/>',
-            "",
-            f"include file /etc/passwd: {RELATIVE}",
-        ),
-        ("", '<asset><mesh file="../a.obj"/></asset>', f"mesh file ../a.obj: {OUTSIDE}"),
-        (
-            "",
-            '<compiler meshdir=".."/><asset><mesh file="a.obj"/></asset>',
-            f"meshdir ..: {OUTSIDE}",
-        ),
-        (
-            "",
-            '<compiler texturedir="/etc"/><asset><texture type="2d" file="a.png"/></asset>',
-            f"texturedir /etc: {RELATIVE}",
-        ),
-        (
-            "",
-            '<compiler assetdir="../x"/><asset><hfield name="h" file="a.png"/></asset>',
-            f"assetdir ../x: {OUTSIDE}",
-        ),
-        (
-            "",
-            '<asset><texture type="cube" fileright="../a.png"/></asset>',
-            f"texture fileright ../a.png: {OUTSIDE}",
-        ),
-        (
-            "",
-            '<asset><model name="m" file="../m.xml"/></asset>',
-            f"model file ../m.xml: {OUTSIDE}",
-        ),
-        ("", '<extension><plugin plugin="x"/></extension>', "extensions are not allowed (<extension>)"),
-        ("", '<actuator><plugin plugin="x"/></actuator>', "plugins are not allowed (<plugin>)"),
-        ('<include file="missing.xml"/>', "", "include file missing.xml: no such file"),
-        ('<include file="room.xml"/>', "", "room.xml includes itself"),
-    ],
-)
-def test_what_reaches_out_of_its_folder_is_refused(tmp_path, body, head, text):
-    inner = tmp_path / "room"
-    inner.mkdir()
-    (tmp_path / "secret.xml").write_text("<mujocoinclude/>")
-    assert _refusal(_write(inner, WALLS + body, head)) == text
+GEOM = '<geom size="1"/>'
+OUTSIDE = {
+    "include file ../secret.xml": '<include file="../secret.xml"/>',
+    "include file /etc/passwd": '<include file="/etc/passwd"/>',
+    "include file link.xml": '<include file="link.xml"/>',
+    "mesh file ../secret.obj": '<asset><mesh file="../secret.obj"/></asset>',
+    "mesh file secret.obj": '<compiler meshdir="linked"/><asset><mesh file="secret.obj"/></asset>',
+    "compiler meshdir ..": '<compiler meshdir=".."/><asset><mesh file="secret.obj"/></asset>',
+    "compiler texturedir /etc": '<compiler texturedir="/etc"/><asset><texture type="2d" file="a.png"/></asset>',
+    "texture fileright ../a.png": '<asset><texture type="cube" fileright="../a.png"/></asset>',
+    "model file ../secret.xml": '<asset><model name="m" file="../secret.xml"/></asset>',
+    "compiler assetdir ../x": '<include file="inner.xml"/>',
+}
 
 
-def test_a_link_that_leads_out_is_refused(tmp_path):
+def test_nothing_outside_its_own_folder_is_opened(tmp_path):
     inner = tmp_path / "room"
     inner.mkdir()
-    (tmp_path / "secret.xml").write_text("<mujocoinclude/>")
+    for name in ("secret.xml", "secret.obj"):
+        (tmp_path / name).write_text("<mujocoinclude/>")
     (inner / "link.xml").symlink_to(tmp_path / "secret.xml")
-    text = _refusal(_write(inner, '<include file="link.xml"/>'))
-    assert text == f"include file link.xml: {OUTSIDE}"
-
-
-def test_a_folder_named_by_an_included_file_is_vetted(tmp_path):
-    inner = tmp_path / "room"
-    inner.mkdir()
-    (inner / "a.xml").write_text('<mujocoinclude><compiler meshdir=".."/></mujocoinclude>')
-    head = '<include file="a.xml"/><asset><mesh file="secret.obj"/></asset>'
-    assert _refusal(_write(inner, "", head)) == f"meshdir ..: {OUTSIDE}"
-
-
-def test_an_included_file_is_vetted_as_well(tmp_path):
-    inner = tmp_path / "room"
-    inner.mkdir()
-    (inner / "a.xml").write_text('<mujocoinclude><include file="../secret.xml"/></mujocoinclude>')
-    text = _refusal(_write(inner, '<include file="a.xml"/>'))
-    assert text == f"include file ../secret.xml: {OUTSIDE}"
+    (inner / "linked").symlink_to(tmp_path)
+    (inner / "inner.xml").write_text('<mujocoinclude><compiler assetdir="../x"/></mujocoinclude>')
+    for start, head in OUTSIDE.items():
+        with pytest.raises(InputError, match="its own folder") as caught:
+            try_out(_write(inner, WALLS, head), is_room=True)
+        assert str(caught.value).startswith(start)
+    assert _refusal(_write(inner, "", OUTSIDE["mesh file secret.obj"])).startswith("mesh file secret.obj: lies outside")
 
 
 @pytest.mark.parametrize(
-    "head",
-    [
-        '<!DOCTYPE mujoco [<!ENTITY s SYSTEM "file:///etc/passwd">]><mujoco>&s;</mujoco>',
-        '<?xml version="1.0"?>\n<!DOCTYPE mujoco>\n<mujoco/>',
-    ],
-)
-def test_entities_are_refused(tmp_path, head):
-    path = tmp_path / "room.xml"
-    path.write_text(head)
-    assert _refusal(path) == "a DOCTYPE or an entity is not allowed in room.xml"
-
-
-@pytest.mark.parametrize(
-    ("content", "start"),
+    ("content", "reason"),
     [
         ("hello", "not XML: "),
-        ("", "not XML: "),
         ("<robot/>", "not an MJCF file: its root is <robot>, and must be <mujoco>"),
         ("<mujoco><worldbody><geom sise='1'/></worldbody></mujoco>", "MuJoCo cannot read it: "),
-        ("<mujoco><worldbody><geom size='-1'/></worldbody></mujoco>", "MuJoCo cannot read it: "),
+        ("<mujoco><extension><plugin plugin='x'/></extension></mujoco>", "extensions are not allowed"),
+        ("<mujoco><include file='missing.xml'/></mujoco>", "MuJoCo cannot read it: .*missing.xml"),
+        ("<mujoco><asset><mesh file='broken.obj'/></asset></mujoco>", "MuJoCo cannot read it: .*broken"),
+        ("<mujoco><asset><mesh file='pipe'/></asset></mujoco>", "mesh file pipe is a pipe or a device"),
+        (f"<mujoco><worldbody><geom size='1' pos='1e308 0 0'/>{GEOM}</worldbody></mujoco>", "far away"),
+        ('<!DOCTYPE mujoco [<!ENTITY s SYSTEM "file:///etc/passwd">]><mujoco>&s;</mujoco>', "a DOCTYPE, an entity"),
+        ("<mujoco xmlns='u'/>", "a namespace is not allowed"),
+        ("<mujoco>\xe4</mujoco>".encode("latin-1"), "is not UTF-8 text"),
     ],
 )
-def test_what_is_no_mjcf_is_refused(tmp_path, content, start):
-    path = tmp_path / "room.xml"
-    path.write_text(content)
-    assert _refusal(path).startswith(start)
+def test_what_is_no_room_is_refused_in_one_line(tmp_path, content, reason):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "broken.obj").write_text("v 0 0 0\nv nan 1 0\nf 1 2 9\n")
+    (tmp_path / "room.xml").write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(InputError, match=reason) as caught:
+        try_out(tmp_path / "room.xml", is_room=True)
+    assert "\n" not in str(caught.value)
 
 
-def test_text_in_another_encoding_is_refused(tmp_path):
-    path = tmp_path / "room.xml"
-    path.write_bytes('<?xml version="1.0" encoding="utf-16"?><mujoco/>'.encode("utf-16"))
-    assert _refusal(path) == "room.xml is not UTF-8 text"
-
-
-def test_a_missing_file_is_named(tmp_path):
-    assert _refusal(tmp_path / "none.xml") == "no such file"
-    assert _refusal(tmp_path) == f"{tmp_path.name} is a folder, not a file"
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def _picture(width: int, height: int, pixels: bytes, more: bytes = b"") -> bytes:
-    head = _chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-    return b"\x89PNG\r\n\x1a\n" + head + more + _chunk(b"IDAT", zlib.compress(pixels)) + _chunk(b"IEND", b"")
-
-
-GEOM = '<geom size="1"/>'
-TEXTURE = '<asset><texture name="t" type="2d" file="a.png"/></asset>'
-
-
-@pytest.mark.parametrize(
-    ("body", "head", "text"),
-    [
-        (f'<replicate count="1000000000">{GEOM}</replicate>', "", "replicate count 1000000000 must be a whole number"),
-        ('<replicate count="1000">' * 3 + GEOM + "</replicate>" * 3, "", "more than 200000 elements"),
-        (f'<replicate count="9999">{GEOM}<site/></replicate>', "", "more than 10000 copies by replicate"),
-        ('<replicate count="999999"><light/></replicate>', "", "more than 200000 elements"),
-        (f'<replicate count="1e9">{GEOM}</replicate>', "", "replicate count 1e9 must be a whole number"),
-        (GEOM, '<asset><texture builtin="flat" width="60000" height="60000"/></asset>', "at most 8192 pixels"),
-        (GEOM, "<asset>" + '<texture builtin="flat" width="8000"/>' * 9 + "</asset>", "bytes of textures"),
-        (
-            GEOM,
-            '<default><texture builtin="flat" width="8000"/></default><asset>' + "<texture/>" * 9 + "</asset>",
-            "bytes of textures",
-        ),
-        (GEOM, '<asset><hfield nrow="100000" ncol="100000" size="1 1 1 1"/></asset>', "cells of terrain"),
-        (GEOM, '<asset><mesh builtin="cone" params="1000000 1"/></asset>', "params 1000000 must be at most 256"),
-        ("<body>" * 200 + "</body>" * 200, "", "more than 100 elements, one in the other"),
-        ("<body/>" * 8001, "", "more than 8000 bodies"),
-        (GEOM * 20_001, "", "more than 20000 geoms"),
-        ("<light/>" * 1_001, "", "more than 1000 lights"),
-        ('<replicate count="1001"><camera/></replicate>', "", "more than 1000 cameras"),
-        ("<a/>" * 100_001, "", "more than 100000 elements"),
-        ('<geom size="1" pos="nan 0 0"/>', "", "geom pos nan: a number must lie between"),
-        ('<geom size="1" pos="0 -inf 0"/>', "", "geom pos -inf: a number must lie between"),
-        ('<body quat="1e308 0 0 0"/>', "", "body quat 1e308: a number must lie between"),
-        ('<geom size="1" mass="100e9"/>', "", "geom mass 100e9: a number must lie between"),
-        ('<geom size="0x1p100"/>', "", "geom size 0x1p100: a number must lie between"),
-        ('<body pos="9e9 0 0">' * 9 + GEOM + "</body>" * 9, "", "a geom is infinitely large or far away"),
-        ('<body name="robot/base"/>', "", "the name 'robot/base' begins with robot/"),
-        ("", '<include xmlns="u" file="../secret.xml"/>', "a namespace is not allowed in room.xml"),
-        ("", '<asset><model name="m" file="room.xml"/></asset>', "room.xml includes itself"),
-        ("", '<include file="a.xml"/><include file="a.xml"/>', "a.xml is included twice"),
-        ('<attach model="m" prefix="x"/>', '<asset><model name="m"/></asset>', "no file has that model"),
-    ],
-)
-def test_what_would_cost_too_much_or_is_no_number_is_refused_in_one_line(tmp_path, body, head, text):
-    (tmp_path / "a.xml").write_text("<mujocoinclude/>")
-    assert text in _refusal(_write(tmp_path, body, head))
-
-
-def test_files_that_name_the_next_one_twice_are_refused(tmp_path):
-    for number in range(25):
-        following = f'<include file="f{number + 1}.xml"/>' * 2
-        (tmp_path / f"f{number}.xml").write_text(f"<mujocoinclude>{following}</mujocoinclude>")
-        twice = "".join(f'<attach model="n" body="b" prefix="{prefix}"/>' for prefix in "xy")
-        head = f'<asset><model name="n" file="m{number + 1}.xml"/></asset>'
-        _write(tmp_path, f'<body name="b">{twice}</body>', head, f"m{number}.xml")
-    (tmp_path / "f25.xml").write_text("<mujocoinclude/>")
-    _write(tmp_path, f'<body name="b">{GEOM}</body>', name="m25.xml")
-    assert "is included twice" in _refusal(_write(tmp_path, "", '<include file="f0.xml"/>'))
-    attached = _write(tmp_path, '<attach model="n" prefix="x"/>', '<asset><model name="n" file="m0.xml"/></asset>')
-    assert ": more than" in ": " + _refusal(attached)
-
-
-@pytest.mark.parametrize(
-    ("content", "text"),
-    [
-        (_picture(60_000, 60_000, b""), "a side of a texture has at most 8192 pixels"),
-        (_picture(1, 1, bytes(1_000_000)), "the PNG file has more pixels than its header says"),
-        (_picture(1, 1, bytes(4), _chunk(b"zTXt", bytes(70_000))), "more than 64 KiB of text in it"),
-        (_picture(1, 1, bytes(4))[:20], "the PNG file has no header"),
-    ],
-)
-def test_a_picture_that_would_grow_is_refused(tmp_path, content, text):
-    (tmp_path / "a.png").write_bytes(content)
-    assert text in _refusal(_write(tmp_path, GEOM, TEXTURE))
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "a.png")
-    assert _refusal(_write(tmp_path, GEOM, TEXTURE)) == "texture file a.png is a pipe or a device"
+def test_a_path_that_is_no_file_is_named(tmp_path):
     os.mkfifo(tmp_path / "pipe.xml")
-    assert _refusal(tmp_path / "pipe.xml") == "pipe.xml is a pipe or a device, not a file"
+    for name, reason in (("none.xml", ": no such file"), ("", " is a folder"), ("pipe.xml", " is a pipe or a device")):
+        with pytest.raises(InputError, match=reason) as caught:
+            load_room(tmp_path / name)
+        assert str(caught.value).startswith(f"room.mjcf {tmp_path / name}")
+
+
+BOMBS = {
+    "deep": (8, "<body>" * 200_000 + "</body>" * 200_000, ""),
+    "huge": (0, GEOM, '<asset><texture builtin="flat" width="60000" height="60000"/></asset>'),
+    "many": (0, '<replicate count="1000">' * 3 + GEOM + "</replicate>" * 3, ""),
+    "twice": (25, "", '<asset><model name="n" file="m0.xml"/></asset>'),
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["huge", *(pytest.param(name, marks=pytest.mark.slow) for name in ("deep", "many", "twice"))]
+)
+def test_a_bomb_ends_in_one_line(tmp_path, name):
+    files, body, head = BOMBS[name]
+    for number in range(files):
+        twice = "".join(f'<attach model="n" body="b" prefix="{prefix}"/>' for prefix in "xy")
+        following = f'<asset><model name="n" file="m{number + 1}.xml"/></asset>'
+        _write(tmp_path, f'<body name="b">{twice}</body>', following, f"m{number}.xml")
+    _write(tmp_path, f'<body name="b">{GEOM}</body>', name=f"m{files}.xml")
+    before = time.perf_counter()
+    _refusal(_write(tmp_path, body, head))
+    assert time.perf_counter() - before < 60.0
 
 
 def test_sizes_that_claim_memory_are_left_out_and_no_warning_is_written(tmp_path, monkeypatch, capfd):
@@ -329,20 +211,6 @@ def test_sizes_that_claim_memory_are_left_out_and_no_warning_is_written(tmp_path
     assert data.warning.number.any()
     assert not (tmp_path / "MUJOCO_LOG.TXT").exists()
     assert capfd.readouterr() == ("", "")
-
-
-def test_honest_rooms_are_below_every_limit(tmp_path):
-    """Two million triangles, 5,000 geoms, a hundred textures of 2048 pixels."""
-    (tmp_path / "m.obj").write_text("v 0 0 0\n" * 100_000 + "f 1 2 3\n" * 200_000)
-    (tmp_path / "t.png").write_bytes(
-        _picture(2048, 2048, bytes(2048 * (3 * 2048 + 1)), _chunk(b"eXIf", bytes(12_000_000)))
-    )
-    meshes = "".join(f'<mesh name="m{number}" file="m.obj"/>' for number in range(10))
-    textures = "".join(f'<texture name="t{number}" type="2d" file="t.png"/>' for number in range(100))
-    geoms = "".join(f'<geom name="g{number}" size="0.1" pos="{number / 7} 0 1e-12"/>' for number in range(5000))
-    vet(_write(tmp_path, geoms, f"<asset>{meshes}{textures}</asset>"))
-    model = load_room(_write(tmp_path, f'<replicate count="5000">{GEOM}</replicate>')).compile()
-    assert model.ngeom == 5001
 
 
 SEED = (
@@ -365,7 +233,7 @@ def test_any_change_of_a_room_is_a_room_or_one_line(tmp_path_factory, changes):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     path.write_text(text)
     try:
-        assert load_room(path).compile().ngeom >= 1
+        assert try_out(path, is_room=True) == [path]
     except InputError as error:
         assert str(error).isprintable()
         assert len(str(error)) < 1000
