@@ -32,7 +32,7 @@ from deepgps.reports.field_plot import add_scale, draw_field, draw_room
 from deepgps.reports.run_figures import read_histories
 from deepgps.reports.style import PAPER, count_by_decades, to_png
 from deepgps.runs.run_folder import open_run
-from deepgps.viewer.playback import colours_of_places
+from deepgps.viewer.scene import colours_of_places
 from sim.alignment import fit_alignment
 from sim.files.arrays import read_arrays
 from sim.files.atomic import write_bytes

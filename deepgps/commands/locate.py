@@ -77,6 +77,6 @@ def _watch_located(live: tuple[str, ...] | None, recording: Path, in_world: bool
     if live is None:
         return nullcontext(lambda *_: None)
     os.environ.setdefault("RUST_LOG", "off")  # as for the live view of a run
-    from deepgps.viewer.live.located import show_located
+    from deepgps.viewer.located import show_located
 
     return show_located(" ".join(live), recording, in_world, lambda text: print_error("warning", text))

@@ -105,6 +105,6 @@ def _watch(
         return nullcontext(progress)
     # Rerun reads this when it is imported. It also raises what it would log, and a lost viewer deserves only one line.
     os.environ.setdefault("RUST_LOG", "off")
-    from deepgps.viewer.live.live import show_live
+    from deepgps.viewer.live import show_live
 
     return show_live(" ".join(arguments.live), scenario, folder, progress, lambda text: print_error("warning", text))

@@ -58,7 +58,7 @@ def to_png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def smooth(values: np.ndarray) -> np.ndarray:
-    """Running median of values (N,) over about a fortieth of them, with shorter windows at the ends."""
+def smooth(values: np.ndarray, first: int = 0) -> np.ndarray:
+    """Running median of values (N,) over about a fortieth of them, from ``first`` on; shorter at the ends."""
     half = max(len(values) // 80, 1)
-    return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(len(values))])
+    return np.array([np.median(values[max(i - half, 0) : i + half + 1]) for i in range(first, len(values))])

@@ -14,7 +14,8 @@ from matplotlib.colors import to_rgb
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
 from deepgps.reports.field_plot import REFUSED, colours_of
-from deepgps.viewer.scene import LAYER_M, Places, lift, put
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import Rows, put
 
 LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
@@ -29,7 +30,7 @@ HEAD_SHARE = 0.35
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
-def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Places = (), root: str = "world") -> None:
+def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows = (), root: str = "world") -> None:
     """Log a method's errors at the worst heading of each place: large, small and refused ones as separate entities."""
     path, thin = f"{root}/error_field/{name}", find_thinness(field.truth)
     accepted, refused = split_by_acceptance(field)
@@ -44,9 +45,9 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Plac
         put(stream, path, _list_values(find_worst(field)))
 
 
-def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField, root: str = "world") -> None:
+def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
     """Log a method's errors at each heading that all places share, if there are several."""
-    for number, path in enumerate(list_headings(name, field, root)):
+    for number, path in enumerate(list_headings(name, field)):
         chosen = np.zeros(field.predicted.shape[:2], bool)
         chosen[:, number] = True
         one = find_worst(field, chosen)
@@ -55,11 +56,11 @@ def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField, root:
         _log_arrows(stream, path, name, one, colours_of(one.error), said, find_thinness(field.truth))
 
 
-def list_headings(name: str, field: ErrorField, root: str = "world") -> list[str]:
+def list_headings(name: str, field: ErrorField) -> list[str]:
     """Entities of a method's errors at each heading; empty if places have headings of their own, or only one."""
     if field.heading.ndim != 1 or len(field.heading) < 2:
         return []
-    return [f"{root}/error_field/{name}/heading/{_degrees(one):03.0f}_deg" for one in field.heading]
+    return [f"world/error_field/{name}/heading/{_degrees(one):03.0f}_deg" for one in field.heading]
 
 
 def describe_errors(field: WorstField) -> list[str]:
@@ -96,7 +97,7 @@ def _log_arrows(
     colours: np.ndarray,
     said: Sequence[str],
     thin: float,
-    at: Places = (),
+    at: Rows = (),
 ) -> None:
     """Log arrows and dots in these colours (n or 1, 4), each with what is said of it in its tooltip."""
     words = rr.AnyValues(error=pa.array(said, pa.utf8()), method=[title_of(name)])

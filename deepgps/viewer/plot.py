@@ -11,7 +11,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 from matplotlib import ticker
 
-from deepgps.viewer.scene import Places, put
+from deepgps.config.methods import title_of
+from deepgps.reports.style import colour_on_dark
+from deepgps.viewer.timeline import Rows, put
 from deepgps.viewer.views import STILL
 
 WIDTH = 2.1
@@ -19,6 +21,10 @@ LEGEND = 0.8  # width of the legend
 ROW, ROWS = 0.15, 0.7  # height of a row of the legend, and of all rows at most
 TICKS = 4
 GRID, INK = (44, 49, 60), (170, 177, 190)
+DISTRIBUTION = "report/distribution"
+MIN_ERROR_M = 1e-3
+PALE = 150
+"""Opacity of the curves of all runs but the last."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +93,7 @@ def make_axis(title: str, values: np.ndarray | Sequence[float], log: bool = Fals
     return Axis(title, low, high, {float(one): f"{one:.6g}" for one in found}, log)
 
 
-def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Sequence[Curve], at: Places = ()) -> None:
+def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Sequence[Curve], at: Rows = ()) -> None:
     """Log a plot below an entity, statically or from the places ``at`` on."""
     columns, rows = WIDTH * x.share(list(x.ticks)), 1 - y.share(list(y.ticks))
     grid = [[(column, 0), (column, 1)] for column in columns] + [[(0, row), (WIDTH, row)] for row in rows]
@@ -113,7 +119,7 @@ def log_plot(stream: rr.RecordingStream, path: str, x: Axis, y: Axis, curves: Se
                 put(stream, f"{path}/curves/{curve.name}/points", thing, at)
 
 
-def log_cursor(stream: rr.RecordingStream, path: str, x: Axis, value: float, at: Places) -> None:
+def log_cursor(stream: rr.RecordingStream, path: str, x: Axis, value: float, at: Rows) -> None:
     """Log a vertical line at a value of a plot's abscissa, where the slider is."""
     column = WIDTH * float(x.share([value])[0])
     line = rr.LineStrips2D([[(column, 0), (column, 1)]], colors=INK, radii=rr.Radius.ui_points(0.8))
@@ -136,9 +142,36 @@ def _put_text(
     path: str,
     places: Sequence[tuple[float, float]],
     labels: Sequence[str],
-    at: Places,
+    at: Rows,
     colours: Sequence[tuple[int, ...]] = (INK,),
 ) -> None:
     points = np.asarray(places, float).reshape(-1, 2)
     radius = rr.Radius.ui_points(0)
     put(stream, path, rr.Points2D(points, labels=labels, show_labels=True, radii=radius, colors=list(colours)), at)
+
+
+def log_distribution(
+    stream: rr.RecordingStream, errors: Mapping[str, Sequence[np.ndarray]], labels: Sequence[str] = ("",)
+) -> None:
+    """Log the share of test positions whose error is at most a given value.
+
+    Args:
+        stream: Stream to log to.
+        errors: Errors of each method (C,) [m], in as many runs as there are labels; all but the last run are pale.
+        labels: What distinguishes the runs.
+    """
+    curves = []
+    for method, runs in errors.items():
+        for label, error in zip(labels, runs, strict=True):
+            colour = (*colour_on_dark(method), 255 if label == labels[-1] else PALE)
+            centimetres = 100 * np.maximum(np.sort(error), MIN_ERROR_M)
+            share = 100 * np.arange(1, len(error) + 1) / len(error)
+            title = ", ".join([title_of(method), *([label] if label else [])])
+            curves.append(Curve(f"{method}{f'_{label}' if label else ''}", title, colour, centimetres, share))
+    x = make_axis("error of the worst heading [cm]", np.concatenate([curve.x for curve in curves]), log=True)
+    log_plot(stream, DISTRIBUTION, x, make_axis("test positions [%]", [0, 100]), curves)
+
+
+def distribution_view() -> rrb.Spatial2DView:
+    """A view of the plot."""
+    return plot_view("Distribution of errors", DISTRIBUTION)

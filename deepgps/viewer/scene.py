@@ -4,32 +4,36 @@ In a study they change along its timelines: a function with the argument ``at``,
 that is valid from these places on.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
+import cv2
 import numpy as np
 import rerun as rr
+import trimesh
+from matplotlib.colors import hsv_to_rgb, to_rgb
 
 from deepgps.reports.field_plot import SCALE_M, TICKS_M, colours_of
-from deepgps.viewer import playback
+from deepgps.reports.style import SCREEN
+from deepgps.viewer.timeline import Rows, put
+from sim.errors import InputError
 from sim.occupancy import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale
-Places = Sequence[rr.TimeColumn]  # one place on each of some timelines
 
 
 def log_room(stream: rr.RecordingStream, scene: Path, space: FreeSpace, root: str = "world") -> None:
     stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     if scene.is_file():  # planar worlds have no walls
-        room = rr.Asset3D(contents=playback.open_room(scene, space), media_type="model/gltf-binary")
+        room = rr.Asset3D(contents=open_room(scene, space), media_type="model/gltf-binary")
         stream.log(f"{root}/room", room, static=True)
     log_floor(stream, space, root=root)
 
 
-def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), root: str = "world") -> None:
+def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Rows = (), root: str = "world") -> None:
     """Log the floor plan and the outline of what the robot can reach."""
-    plan, corner = playback.draw_floor_plan(space)
+    plan, corner = draw_floor_plan(space)
     put(
         stream,
         f"{root}/floor_plan",
@@ -43,7 +47,7 @@ def log_floor(stream: rr.RecordingStream, space: FreeSpace, at: Places = (), roo
         ),
         at,
     )
-    strips = [lift(line, 0.0) for line in playback.find_outline(space)]
+    strips = [lift(line, 0.0) for line in find_outline(space)]
     put(stream, f"{root}/outline", rr.LineStrips3D(strips, radii=0.008, colors=[120, 130, 150]), at)
 
 
@@ -97,18 +101,53 @@ def log_strip(
     stream.log(f"{path}/ticks", ticks, static=True)
 
 
-def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Places = ()) -> None:
-    """Log something from the places ``at`` on, or statically without them; wall-clock time is never written."""
-    if not at:
-        stream.log(path, thing, static=True)
-        return
-    batches = thing.as_component_batches()
-    columns = [
-        rr.ComponentColumn(one.component_descriptor(), one, lengths=[len(one.as_arrow_array())]) for one in batches
-    ]
-    stream.send_columns(path, at, columns)
-
-
 def lift(points: np.ndarray, z: float) -> np.ndarray:
     """Points (N, 2) as (N, 3) at height ``z`` [m]."""
     return np.concatenate([points, np.full((len(points), 1), z)], axis=1)
+
+
+def open_room(scene: Path, space: FreeSpace) -> bytes:
+    """The room's mesh as GLB, open to view: without its south wall and the objects in its upper quarter."""
+    try:
+        loaded = trimesh.load_scene(scene)
+    except Exception as error:  # trimesh passes on whatever its readers raise
+        raise InputError(f"{scene} cannot be read: {error}") from None
+    roof, south = 0.75 * loaded.bounds[1, 2], limits(space, margin_m=0.0)[0][1]
+    hidden = []
+    for node in loaded.graph.nodes_geometry:
+        transform, name = loaded.graph[node]
+        corners = trimesh.transform_points(trimesh.bounds.corners(loaded.geometry[name].bounds), transform)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        in_south_wall = high[1] < south and high[2] > 0.1
+        on_south_wall = high[1] < south + 0.25 and low[2] > 0.05
+        if low[2] > roof or in_south_wall or on_south_wall:
+            hidden.append(name)
+    loaded.delete_geometry(hidden)
+    glb = loaded.export(file_type="glb")
+    assert isinstance(glb, bytes)
+    return glb
+
+
+def draw_floor_plan(space: FreeSpace) -> tuple[np.ndarray, np.ndarray]:
+    """Picture of the floor (rows, columns, 3) uint8, southern row first, and its south-west corner (2,) [m]."""
+    palette = [to_rgb(colour) for colour in SCREEN]
+    kind = np.where(space.reachable, 0, np.where(space.free, 1, 2))
+    cells = (np.stack(limits(space, margin_m=0.1)) - space.origin) / space.cell_m
+    low, high = np.maximum(np.rint(cells[0]).astype(int), 0), np.rint(cells[1]).astype(int) + 1
+    picture = (np.array(palette) * 255).astype(np.uint8)[kind[low[1] : high[1], low[0] : high[0]]]
+    return np.ascontiguousarray(picture), space.origin + (low - 0.5) * space.cell_m
+
+
+def find_outline(space: FreeSpace) -> list[np.ndarray]:
+    """Closed lines (n, 2) [m] around the reachable area and around the obstacles in it."""
+    contours, _ = cv2.findContours(space.reachable.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    return [space.origin + np.vstack([line, line[:1]])[:, 0] * space.cell_m for line in contours]
+
+
+def colours_of_places(place: np.ndarray) -> np.ndarray:
+    """Colours (N, 3) uint8 that tell places (N, 2) [m] apart: hue around the middle, paler towards it."""
+    middle = (place.min(axis=0) + place.max(axis=0)) / 2
+    offset = (place - middle) / np.maximum(np.ptp(place, axis=0) / 2, 1e-9)
+    hue = np.arctan2(offset[:, 1], offset[:, 0]) / (2 * np.pi) % 1
+    saturation = np.clip(0.15 + 0.85 * np.linalg.norm(offset, axis=1), 0, 1)
+    return (hsv_to_rgb(np.stack([hue, saturation, np.ones(len(place))], axis=1)) * 255).astype(np.uint8)

@@ -1,19 +1,23 @@
-"""Parts that several layouts share: views, their eyes, and the times that they show."""
+"""Parts that several layouts share: views and their eyes."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.viewer.timeline import DRIVE_TIME, PROGRESS, PROGRESS_END_S
+from deepgps.viewer.timeline import lately
 from sim.occupancy import FreeSpace, limits
 
 STILL = rrb.EntityBehavior(interactive=False)
 HIDDEN = rrb.EntityBehavior(visible=False)
 BACKDROP = ("room", "floor_plan", "outline", "scale")
-Overrides = dict[Any, Any]  # by entity
+"""Entities that cannot tell anything and so do not catch the pointer."""
+EYE = rrb.EyeControls3D(
+    kind=rrb.Eye3DKind.Orbital, position=(0.0, -3.0, 6.4), look_target=(0.0, -0.3, 0.0), eye_up=(0.0, 1.0, 0.0)
+)
+"""View until the room is known: it shows all of a room of usual size."""
 
 
 def arrange(tabs: Sequence[rrb.Container | rrb.View], time: rrb.TimePanel, active: int = 0) -> rrb.Blueprint:
@@ -27,9 +31,23 @@ def arrange(tabs: Sequence[rrb.Container | rrb.View], time: rrb.TimePanel, activ
     )
 
 
-def hold_still(root: str = "world") -> Overrides:
-    """Overrides for a view, so that only what can tell something catches the pointer."""
-    return {f"{root}/{name}": STILL for name in BACKDROP}
+def room_view(
+    name: str,
+    contents: Iterable[str],
+    eye: rrb.EyeControls3D,
+    root: str = "world",
+    overrides: Mapping[Any, Any] | None = None,
+    line_grid: bool = False,
+) -> rrb.Spatial3DView:
+    """A view of entities below ``root``, of which only what can tell something catches the pointer."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=root,
+        contents=[f"{root}/{one}" for one in contents],
+        eye_controls=eye,
+        line_grid=line_grid,
+        overrides={f"{root}/{name}": STILL for name in BACKDROP} | dict(overrides or {}),
+    )
 
 
 def field_view(
@@ -37,67 +55,42 @@ def field_view(
     method: str,
     eye: rrb.EyeControls3D,
     around: Sequence[str],
-    hidden: Sequence[str] = (),
+    hidden: Iterable[str] = (),
     root: str = "world",
 ) -> rrb.Spatial3DView:
     """A view of a method's error field with other entities below ``root`` around it, some of them hidden at first."""
-    return rrb.Spatial3DView(
-        name=name,
-        origin=root,
-        contents=[*(f"{root}/{one}" for one in around), f"{root}/error_field/{method}/**"],
-        eye_controls=eye,
-        line_grid=False,
-        overrides={**hold_still(root), **dict.fromkeys(hidden, HIDDEN)},
-    )
+    return room_view(name, [*around, f"error_field/{method}/**"], eye, root, dict.fromkeys(hidden, HIDDEN))
 
 
-def series_view(name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0) -> rrb.TimeSeriesView:
+def text_view(name: str, origin: str) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(name=name, origin=origin)
+
+
+def series_view(
+    name: str, path: str, lately_s: float | None = None, drive_s: float = 0.0, since: rrb.TimeAxis | None = None
+) -> rrb.TimeSeriesView:
     """A plot along the slider, of everything or of the last seconds, whose name says what a legend would."""
+    infinite = rr.TimeRangeBoundary.infinite
+    whole = since or rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
     return rrb.TimeSeriesView(
         name=name,
         origin=path,
         plot_legend=rrb.PlotLegend(visible=False),
-        axis_x=whole_axis() if lately_s is None else None,
+        axis_x=whole if lately_s is None else None,
         time_ranges=None if lately_s is None else lately(lately_s, drive_s),
     )
 
 
-def whole_axis() -> rrb.TimeAxis:
-    """Show a plot from its first to its last value."""
-    infinite = rr.TimeRangeBoundary.infinite
-    return rrb.TimeAxis(view_range=rr.TimeRange(start=infinite(), end=infinite()))
-
-
-def until_now() -> list[rrb.VisibleTimeRange]:
-    """Show what was logged from the start to the slider."""
-    infinite = rr.TimeRangeBoundary.infinite
-    return _since(infinite(), infinite())
-
-
-def lately(seconds: float, drive_s: float) -> list[rrb.VisibleTimeRange]:
-    """Show the last seconds [s] of the drive, also on the timeline ``progress``, on which the drive is rescaled."""
-    relative, share = rr.TimeRangeBoundary.cursor_relative, seconds / max(drive_s, seconds)
-    return _since(relative(seconds=-seconds), relative(seconds=-PROGRESS_END_S * share))
-
-
-def _since(drive_time: rr.TimeRangeBoundary, progress: rr.TimeRangeBoundary) -> list[rrb.VisibleTimeRange]:
-    now = rr.TimeRangeBoundary.cursor_relative(seconds=0)
-    return [
-        rrb.VisibleTimeRange(DRIVE_TIME, start=drive_time, end=now),
-        rrb.VisibleTimeRange(PROGRESS, start=progress, end=now),
-    ]
-
-
-def aim_eye(space: FreeSpace, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
+def aim_eye(space: FreeSpace | None, tilt: float = 0.0, reach: float = 1.0, before: float = 0.25) -> rrb.EyeControls3D:
     """Place the eye above the room, with space for the scale in front of it.
 
     Args:
-        space: The room's floor.
+        space: The room's floor; None: it is not known.
         tilt: How far the eye is tilted to the south [rad].
         reach: Distance of the eye, as a multiple of the distance at which the plan is visible.
         before: How far south of the room's middle the eye looks [m].
     """
-    return aim_eye_at(*limits(space), tilt, reach, before)
+    return EYE if space is None else aim_eye_at(*limits(space), tilt, reach, before)
 
 
 def aim_eye_at(

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 
 import deepgps
-from deepgps.viewer.playback import make_warp, warp_round
+from deepgps.viewer.pictures import make_warp, warp_round
 
 run = deepgps.simulate("tiny", methods=["deepgps", "knn"], settings={"encoder.step_noise": 0.05})
 

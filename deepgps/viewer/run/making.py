@@ -9,17 +9,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import rerun as rr
-from scipy.spatial import KDTree
 
 from deepgps.config.methods import folder_of
 from deepgps.data.runs import find_starts
-from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
-from deepgps.reports.field_plot import colours_of
-from deepgps.viewer.run.coverage import make_tiles
-from deepgps.viewer.scene import LAYER_M, lift, put
-from deepgps.viewer.timeline import making_index
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import Rows, making_rows, put, put_text
 from sim.alignment import Alignment, fit_alignment
 from sim.recording.format import Recording
 
@@ -29,6 +25,11 @@ BELIEVED, REFUSED, OPEN = (63, 208, 165), (232, 37, 79), (120, 130, 150)
 ARC_M, ARC_POINTS = 0.06, 12
 ELLIPSES, ELLIPSE_POINTS, SIGMAS, SEEN_M = 100, 24, 2.0, 0.06
 """Most ellipses, points of each, standard deviations, and the half axis up to which the middle one is enlarged [m]."""
+LEGEND = (
+    "Blue: path; orange: parts that stay undecided. Yellow arcs: turns, by the two images before and after; point at "
+    "one for its angle. Green: loop closures that are believed; red: refused; grey: not judged yet. Each stage is "
+    "aligned with the last."
+)
 
 
 def find_map(run: Path, methods: Iterable[str]) -> tuple[str | None, StoredMap | None]:
@@ -56,7 +57,7 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
     rows = np.split(recording.reading[:, 1], np.flatnonzero(np.diff(segment)) + 1)
     last = len(stored.stage) - 1
     for stage in range(last + 1):
-        at = making_index(stage, last)
+        at = making_rows(stage, last)
         own = fit_alignment(stored.stage_places[stage][known].astype(float), final[known], "SE2")
         places = own.apply(stored.stage_places[stage].astype(float))
         _log_path(stream, places, rows, stored.undecided, at)
@@ -68,33 +69,11 @@ def log_making(stream: rr.RecordingStream, stored: StoredMap, recording: Recordi
             larger = _log_ellipses(stream, stored, world, at)
             size = f"drawn {larger:g} times as large" if larger > 1.0 else "at their true size"
             words += [f"Ellipses: {SIGMAS:g} standard deviations, {size}."]
-        text = "\n\n".join([*words, LEGEND])
-        put(stream, TEXT, rr.TextDocument(text, media_type="text/markdown"), at)
-
-
-def log_expected(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
-    """Log the error that a method's initial map expects at each test position, in the colours of the error field."""
-    if field.expected is None:
-        return
-    apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)[:, -1]
-    said = rr.AnyValues(expected=pa.array([f"{100 * one:.2f} cm expected" for one in field.expected], pa.utf8()))
-    tiles = make_tiles(field.truth, float(np.median(apart)), 2 * LAYER_M, colours_of(field.expected))
-    for thing in (tiles, said):
-        put(stream, name_expected(name), thing)
-
-
-def list_expected(name: str, field: ErrorField) -> list[str]:
-    """The entity of the errors that a method's initial map expects; empty if it has none."""
-    return [] if field.expected is None else [name_expected(name)]
-
-
-def name_expected(name: str) -> str:
-    """The entity of the errors that a method's initial map expects."""
-    return f"world/error_field/{name}/expected"
+        put_text(stream, TEXT, "\n\n".join([*words, LEGEND]), at)
 
 
 def _log_path(
-    stream: rr.RecordingStream, places: np.ndarray, rows: list[np.ndarray], undecided: np.ndarray, at: list
+    stream: rr.RecordingStream, places: np.ndarray, rows: list[np.ndarray], undecided: np.ndarray, at: Rows
 ) -> None:
     """Log the segments, those that end undecided in a colour of their own."""
     strips = {"path": [], "undecided": []}
@@ -107,7 +86,7 @@ def _log_path(
 
 
 def _log_turns(
-    stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, heading: np.ndarray, at: list
+    stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, heading: np.ndarray, at: Rows
 ) -> None:
     """Log an arc at each turn, from the heading before to the heading after, with a stroke along the latter."""
     before = stored.turn[:, 0]
@@ -122,7 +101,7 @@ def _log_turns(
         put(stream, f"{MAKING}/turns", thing, at)
 
 
-def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, stage: int, at: list) -> None:
+def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, stage: int, at: Rows) -> None:
     """Log a line between the two ends of each loop closure; before the first round, none is judged."""
     ends = places[stored.closure]
     shown, believed = np.isfinite(ends).all(axis=(1, 2)), stored.stage_believed[stage]
@@ -142,7 +121,7 @@ def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndar
             put(stream, f"{MAKING}/{name}", thing, at)
 
 
-def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignment, at: list) -> float:
+def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignment, at: Rows) -> float:
     """Log ellipses of the positions' errors at some observations, and return how many times larger they are drawn."""
     known = np.flatnonzero(stored.known)
     some = known[np.linspace(0, len(known) - 1, min(ELLIPSES, len(known))).astype(int)]
@@ -182,10 +161,3 @@ def _describe(stored: StoredMap, stage: int, off_m: float | None) -> list[str]:
         share = 100 * stored.undecided.mean()
         words.append(f"The map itself expects an RMS error of {expected:.2f} cm; {share:.1f} % of it is undecided.")
     return words
-
-
-LEGEND = (
-    "Blue: path; orange: parts that stay undecided. Yellow arcs: turns, by the two images before and after; point at "
-    "one for its angle. Green: loop closures that are believed; red: refused; grey: not judged yet. Each stage is "
-    "aligned with the last."
-)

@@ -7,6 +7,7 @@ opens a timeline at its end.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import rerun as rr
 from scipy.spatial import KDTree
@@ -14,14 +15,30 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.reports.table import tabulate
-from deepgps.viewer.run.alike import find_alike
-from deepgps.viewer.run.place_drawing import ALIKE, log_map, log_pictures, log_radii
-from deepgps.viewer.timeline import place_index
+from deepgps.viewer.error_field import draw_arrows
+from deepgps.viewer.layers import draw_circles
+from deepgps.viewer.pictures import encode_jpeg, enlarge, log_jpegs, make_warp, warp_round
+from deepgps.viewer.run.drive import camera_of
+from deepgps.viewer.scene import LAYER_M, lift
+from deepgps.viewer.timeline import Rows, place_rows, send_rows
 from sim.recording.format import Recording, Truth
+from sim.recording.manifest import ObservationKind
 
 PLACES = 12  # of each method
 APART_M = 0.25
 LABEL_ABOVE = 0.07  # as a share of the room's depth
+ALIKE = 2
+PICTURES = ("test", *(f"alike_{number + 1}" for number in range(ALIKE)), "closest")
+COLOURS: dict[str, tuple[int, int, int]] = {
+    "test": (255, 255, 255),
+    "alike": (255, 196, 60),
+    "closest": (63, 208, 165),
+}
+ROUND_PX, POLAR_ZOOM = 256, 3
+HEADING_M = 0.22
+MAX_COMPARED = 20_000  # observations; of longer recordings, evenly spread ones
+SMALL_ROWS, SMALL_COLUMNS = 8, 64
+CHUNK = 1_000
 IMAGE_COLUMNS = ("image", "x, y [m]", "away [m]", "heading")
 NOTE = (
     "Away: from the true position. Alike: most like the test image, at any heading; closest: taken nearest to it. "
@@ -79,22 +96,22 @@ def log_places(
     predicted = np.stack([field.predicted[place.cell, place.heading] for field, place in cells])
     away, closest = KDTree(truth.pose[:, :2]).query(true)
     shown = np.column_stack([alike, closest])  # indices of training observations
-    at = place_index(len(places))
+    at = place_rows(len(places))
     refused = [not field.is_accepted[place.cell, place.heading] for field, place in cells]
     above_m = LABEL_ABOVE * np.ptp(cells[0][0].truth[:, 1])
-    log_map(stream, true, predicted, refused, truth.pose[shown], above_m, at)
-    log_radii(stream, predicted, [_radii_at(*one) for one in cells], at)
+    _log_map(stream, true, predicted, refused, truth.pose[shown], above_m, at)
+    _log_radii(stream, predicted, [_radii_at(*one) for one in cells], at)
     texts = {
         "text": [_describe(number, places, fields, float(away[number])) for number in range(len(places))],
         "taken": [_describe_images(*one) for one in zip(true, truth.pose[shown], strict=True)],
     }
     for name, rows in texts.items():
-        stream.log(f"place/{name}", rr.TextDocument.from_fields(media_type="text/markdown"), static=True)
-        stream.send_columns(f"place/{name}", at, rr.TextDocument.columns(text=rows))
+        style = rr.TextDocument.from_fields(media_type="text/markdown")
+        send_rows(stream, f"place/{name}", style, rr.TextDocument.columns(text=rows), at)
     if recording.kind == "polar_image":
         heading = np.array([_headings_at(field, place)[place.heading] for field, place in cells])
         turn = truth.pose[shown, 2] - heading[:, None]
-        log_pictures(stream, recording, tests, shown, turn, at)
+        _log_pictures(stream, recording, tests, shown, turn, at)
 
 
 def _headings_at(field: ErrorField, place: Place) -> np.ndarray:
@@ -161,3 +178,155 @@ def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:
         for name, pose in zip((*(f"alike {k + 1}" for k in range(ALIKE)), "closest"), taken, strict=True)
     ]
     return "\n\n".join(["Where the training images were taken:", tabulate(IMAGE_COLUMNS, images), NOTE])
+
+
+def _log_map(
+    stream: rr.RecordingStream,
+    true: np.ndarray,
+    predicted: np.ndarray,
+    refused: Sequence[bool],
+    taken: np.ndarray,
+    above_m: float,
+    at: Rows,
+) -> None:
+    """Log each place's arrow above all others, and where the training images were taken.
+
+    Args:
+        stream: Stream to log to.
+        true: True positions (n, 2) [m].
+        predicted: Predicted positions (n, 2) [m].
+        refused: Whether the method refuses each image.
+        taken: Poses of the training images (n, ALIKE + 1, 3) [m, m, rad].
+        above_m: How far above its place the label is [m], since the viewer draws a label below its point.
+        at: The times of the n places.
+    """
+    arrows = draw_arrows(true, predicted, 5 * LAYER_M)
+    _log_lines(stream, "error", arrows, COLOURS["test"], at)
+    _log_dots(stream, "test", true, 0.03, 6 * LAYER_M, at)
+    errors = zip(np.linalg.norm(predicted - true, axis=1), refused, strict=True)
+    labels = [f"{100 * error:.1f} cm{', refused' if no else ''}" for error, no in errors]
+    _log_labels(stream, "test", true + [0, above_m], labels, at)
+    for number, name in enumerate(PICTURES[1:]):
+        place, yaw = taken[:, number, :2], taken[:, number, 2]
+        # a training image may be both: the closest one's dot is the larger and the lower
+        closest = name == PICTURES[-1]
+        _log_dots(stream, name, place, 0.05 if closest else 0.03, (4 if closest else 6) * LAYER_M, at)
+        ahead = place + HEADING_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
+        arrows = draw_arrows(place, ahead, (3 if closest else 5) * LAYER_M)
+        _log_lines(stream, f"{name}/heading", arrows, _colour_of(name), at)
+        if not closest:
+            _log_labels(stream, name, ahead, [name.removeprefix("alike_")] * len(true), at)
+
+
+def _log_radii(stream: rr.RecordingStream, predicted: np.ndarray, radii: Sequence[Sequence[float]], at: Rows) -> None:
+    """Log circles of some radii [m] around each predicted position (n, 2) [m]; a method without radii has none."""
+    counts = [len(some) for some in radii]
+    circles = draw_circles(
+        np.repeat(predicted, counts, axis=0), np.array([one for some in radii for one in some]), 5 * LAYER_M
+    )
+    rows = rr.LineStrips3D.columns(strips=circles).partition(counts)
+    style = rr.LineStrips3D.from_fields(radii=0.007, colors=[COLOURS["test"]])
+    send_rows(stream, "world/place/radius", style, rows, at)
+
+
+def _log_lines(
+    stream: rr.RecordingStream, name: str, strips: np.ndarray, colour: tuple[int, int, int], at: Rows
+) -> None:
+    style = rr.LineStrips3D.from_fields(radii=0.014, colors=[colour])
+    send_rows(stream, f"world/place/{name}", style, rr.LineStrips3D.columns(strips=strips), at)
+
+
+def _log_dots(
+    stream: rr.RecordingStream, name: str, place: np.ndarray, radius_m: float, height_m: float, at: Rows
+) -> None:
+    """Log a dot at one of the places (n, 2) [m] at each time."""
+    style = rr.Points3D.from_fields(radii=radius_m, colors=[_colour_of(name)], point_shading="Flat")
+    send_rows(stream, f"world/place/{name}", style, rr.Points3D.columns(positions=lift(place, height_m)), at)
+
+
+def _log_labels(stream: rr.RecordingStream, name: str, place: np.ndarray, labels: Sequence[str], at: Rows) -> None:
+    """Log a label below one of the places (n, 2) [m] at each time."""
+    style = rr.Points3D.from_fields(radii=0.0, colors=[_colour_of(name)], show_labels=True)
+    rows = rr.Points3D.columns(positions=lift(place, 6 * LAYER_M), labels=labels)
+    send_rows(stream, f"world/place/{name}/label", style, rows, at)
+
+
+def _colour_of(name: str) -> tuple[int, int, int]:
+    return COLOURS[name.partition("_")[0]]
+
+
+def _log_pictures(
+    stream: rr.RecordingStream,
+    recording: Recording,
+    tests: np.ndarray,
+    shown: np.ndarray,
+    turn: np.ndarray,
+    at: Rows,
+) -> None:
+    """Log test images (n, ...) and training images, polar and as round pictures.
+
+    Args:
+        stream: Stream to log to.
+        recording: The recording.
+        tests: Test images (n, rings, sectors, 3).
+        shown: Indices of training images (n, ALIKE + 1).
+        turn: Angles by which training images are turned to the test image's heading (n, ALIKE + 1) [rad].
+        at: The times of the n places.
+    """
+    _, rings, sectors, _ = recording.observation.shape
+    warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
+    images = {"test": list(tests)}
+    for k, name in enumerate(PICTURES[1:]):
+        rows = zip(recording.observation[shown[:, k]], turn[:, k], strict=True)
+        images[name] = [turn_picture(image, angle) for image, angle in rows]
+    for name, polar in images.items():
+        large = [enlarge(image, POLAR_ZOOM) for image in polar]
+        rounds = [warp_round(image, warp) for image in polar]
+        for kind, pictures in (("polar", large), ("round", rounds)):
+            log_jpegs(stream, f"place/{name}/{kind}", map(encode_jpeg, pictures), at)
+
+
+def turn_picture(polar: np.ndarray, angle: float) -> np.ndarray:
+    """Turn a polar image (rings, sectors, ...) counter-clockwise by an angle [rad], to the nearest sector."""
+    return np.roll(polar, round(angle / (2 * np.pi) * polar.shape[1]), axis=1)
+
+
+def find_alike(recording: Recording, tests: np.ndarray, count: int) -> np.ndarray:
+    """Find the training observations most like each of some test observations.
+
+    Polar images and scans are compared at every turn: the squared difference follows from a circular correlation.
+
+    Args:
+        recording: The recording; its training observations are read in pieces.
+        tests: Test observations (T, ...).
+        count: Number of training observations to find for each.
+
+    Returns:
+        Indices of training observations (T, count), the most alike first.
+    """
+    every = -(-len(recording.observation) // MAX_COMPARED)
+    wanted = _shrink(tests, recording.kind)
+    parts = []
+    for first in range(0, len(recording.observation), CHUNK * every):
+        known = _shrink(recording.observation[first : first + CHUNK * every : every], recording.kind)
+        parts.append(_compare(wanted, known))
+    return every * np.argsort(np.concatenate(parts, axis=1), axis=1, kind="stable")[:, :count]
+
+
+def _shrink(observations: np.ndarray, kind: ObservationKind | None) -> np.ndarray:
+    """Observations as small arrays (n, rows, columns) that turn along their columns; vectors have one column."""
+    values = np.asarray(observations)
+    if kind == "polar_image":
+        pictures = [cv2.resize(image, (SMALL_COLUMNS, SMALL_ROWS), interpolation=cv2.INTER_AREA) for image in values]
+        values = np.moveaxis(np.stack(pictures), 3, 1).reshape(len(values), -1, SMALL_COLUMNS)
+    elif kind != "scan":
+        values = values.reshape(len(values), -1, 1)
+    return np.nan_to_num(values.astype(np.float32))
+
+
+def _compare(wanted: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Least squared difference (T, n), up to a constant, between T and n small arrays over all turns."""
+    columns = known.shape[2]
+    spectra, power = np.fft.rfft(known).conj(), (known**2).sum(axis=(1, 2))
+    products = (np.einsum("rf,nrf->nf", np.fft.rfft(one), spectra) for one in wanted)
+    return np.stack([power - 2 * np.fft.irfft(product, n=columns).max(axis=1) for product in products])

@@ -5,47 +5,48 @@ Entities: ``world`` (room, robot, path, error fields, the initial map's making, 
 ``place`` (pictures of the worst places) and ``report`` (text and plots).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rerun as rr
 
 from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
-from deepgps.evaluation.error_field import read_all_headings
+from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
 from deepgps.reports import run_figures
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
 from deepgps.runs.run_folder import METRICS
-from deepgps.viewer.distribution import log_distribution
-from deepgps.viewer.error_field import list_headings, log_field, log_headings
+from deepgps.viewer.error_field import log_field
+from deepgps.viewer.layers import list_layers, log_coverage, log_layers
+from deepgps.viewer.pictures import LARGE, PICTURES, read_pictures
+from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run.coverage import log_coverage
-from deepgps.viewer.run.diagnosis import log_diagnosis
-from deepgps.viewer.run.drive import find_pictures, log_drive
-from deepgps.viewer.run.encoders import log_encoders
-from deepgps.viewer.run.layout import make_blueprint
-from deepgps.viewer.run.making import find_map, list_expected, log_expected, log_making
-from deepgps.viewer.run.pictures import LARGE, PICTURES, log_pictures, read_pictures
+from deepgps.viewer.run.drive import find_pictures, log_diagnosis, log_drive, log_encoders
+from deepgps.viewer.run.layout import FIGURES, make_blueprint
+from deepgps.viewer.run.making import find_map, log_making
 from deepgps.viewer.run.places import find_places, log_places
-from deepgps.viewer.run.radii import list_radii, log_radii
 from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
-from deepgps.viewer.run.yaw import list_yaws, log_yaws
 from deepgps.viewer.save import find_home, hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
+from deepgps.viewer.timeline import put_text
 from sim.files.checksums import is_intact
+from sim.occupancy import FreeSpace
 from sim.recording.format import has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
-HELP = (
-    "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m].",
+READING = "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m]."
+SLIDING = (
     "The slider goes through the worst places, the drive and the training at the same time, in 100 s; choose the "
-    "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps.",
+    "timeline `place` to step through the worst places, `drive_time` or `step` for seconds or training steps."
+)
+LAYERS = (
     "The panel on the left (button at the top right) switches on and off: each heading, errors above and below 10 cm, "
     "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in magenta), "
-    "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m.",
+    "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m."
 )
 
 
@@ -64,10 +65,9 @@ def write_run(run: Path) -> Path:
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)
     titles = ({LARGE: "Fisheye, drawn larger for people"} if pictures else {}) | find_pictures(recording)
-    lists = (list_headings, list_yaws, list_radii, list_expected)
     blueprint = make_blueprint(
         space,
-        {name: [path for paths in lists for path in paths(name, field)] for name, field in fields.items()},
+        {name: list_layers(name, field) for name, field in fields.items()},
         list(histories),
         titles,
         float(recording.time[-1] - recording.time[0]),
@@ -76,24 +76,15 @@ def write_run(run: Path) -> Path:
 
     def log(stream: rr.RecordingStream) -> None:
         log_room(stream, recording.folder / "scene.glb", space)
-        log_scale(stream, space)
-        for name, field in fields.items():
-            log_field(stream, name, field)
-            log_headings(stream, name, field)
-            log_yaws(stream, name, field)
-            log_radii(stream, name, field)
-            log_expected(stream, name, field)
-        log_coverage(stream, driven, space)
+        log_results(stream, metrics, fields, space, driven, [READING, SLIDING, LAYERS])
         log_places(stream, fields, find_places(fields), recording, truth)
-        log_drive(stream, recording, truth)
-        log_pictures(stream, pictures, recording)
+        log_drive(stream, recording, truth, pictures)
         log_encoders(stream, recording, truth)
+        log_diagnosis(stream, run)
         if stored is not None:
             log_making(stream, stored, recording, find_true_camera(recording, truth))
         for name, history in histories.items():
             log_training(stream, name, history, driven)
-        _log_report(stream, metrics)
-        log_diagnosis(stream, run)
         log_distribution(stream, {name: [field.worst] for name, field in fields.items()})
 
     save_recording(path, hash_run(run), f"{metrics['scenario']}, seed {metrics['seed']}", blueprint, log)
@@ -116,7 +107,29 @@ def lacks_truth(run: Path) -> bool:
     return is_whole(run / "recording") and not has_truth(run / "recording")
 
 
-def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
+def log_results(
+    stream: rr.RecordingStream,
+    metrics: Mapping[str, Any],
+    fields: Mapping[str, ErrorField],
+    space: FreeSpace,
+    driven: np.ndarray,
+    notes: Sequence[str],
+) -> None:
+    """Log a run's error fields with their layers and their scale, and its figures.
+
+    Args:
+        stream: Stream to log to.
+        metrics: The contents of the run's metrics.json.
+        fields: Error fields by method name.
+        space: The room's floor.
+        driven: True positions of the training images (N, 2) [m].
+        notes: How to read what is shown.
+    """
+    log_scale(stream, space)
+    for name, field in fields.items():
+        log_field(stream, name, field)
+        log_layers(stream, name, field)
+    log_coverage(stream, driven, space)
     lines = [
         f"# {metrics['scenario']}, seed {metrics['seed']}",
         "",
@@ -128,10 +141,10 @@ def _log_report(stream: rr.RecordingStream, metrics: Mapping[str, Any]) -> None:
         "Each arrow points from a true test position to the predicted position, for the worst heading there that the "
         "method accepts; grey ones are the worst that it refuses. All methods share one colour scale.",
         "",
-        *(f"- {sentence}" for sentence in HELP),
+        *(f"- {sentence}" for sentence in notes),
     ]
-    for name, text in {"figures": "\n".join(lines), "text": markdown_report(metrics)}.items():
-        stream.log(f"report/{name}", rr.TextDocument(text, media_type="text/markdown"), static=True)
+    put_text(stream, FIGURES, "\n".join(lines))
+    put_text(stream, "report/text", markdown_report(metrics))
 
 
 def hash_run(run: Path) -> str:

@@ -18,16 +18,14 @@ from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import run_figures
 from deepgps.reports.without_truth import markdown
 from deepgps.runs.run_folder import WITHOUT_TRUTH
-from deepgps.viewer.run.diagnosis import diagnosis_view, log_diagnosis
-from deepgps.viewer.run.drive import LEG, find_pictures, log_images, log_path, log_ticks
-from deepgps.viewer.run.layout import camera_views, loss_view, ticks_view
-from deepgps.viewer.run.training import Data, log_loss, log_snapshots, snapshot_index
+from deepgps.viewer.run.drive import LEG, RECKONED, find_pictures, log_diagnosis, log_images, log_path, log_ticks
+from deepgps.viewer.run.layout import camera_views, diagnosis_view, loss_view, ticks_view
+from deepgps.viewer.run.training import log_loss, log_points, loss_rows, snapshot_rows
 from deepgps.viewer.save import hash_files, save_recording
-from deepgps.viewer.timeline import PROGRESS, drive_index, send_series
-from deepgps.viewer.views import aim_eye_at, arrange, series_view, until_now
+from deepgps.viewer.timeline import PROGRESS, drive_clock, put_text, send_series, until_now
+from deepgps.viewer.views import aim_eye_at, arrange, series_view, text_view
 from sim.recording.format import Recording, open_recording
 
-RECKONED = (255, 150, 40)
 NOTE = (
     "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "
     "dead-reckoned path; *Training* shows how each method's map unfolds, each in a frame of its own."
@@ -41,71 +39,62 @@ def write_without_truth(run: Path, path: Path) -> Path:
         InputError: The folder holds no finished recording.
     """
     recording = keep_plausible(open_recording(run / "recording"))
+    reckoned = dead_reckon(recording)[:, :2]
     histories = run_figures.read_histories(run)
 
     def log(stream: rr.RecordingStream) -> None:
-        _log_drive(stream, recording)
+        _log_drive(stream, recording, reckoned)
         for name, history in histories.items():
-            _log_map(stream, name, history)
+            log_loss(stream, name, history, loss_rows(history))
+            snapshot = history["snapshot"].astype(float)
+            log_points(stream, f"map/{name}", snapshot[-1], snapshot, snapshot_rows(history))
         log_diagnosis(stream, run)
         known = markdown(run) if read_judged(run) else ""
-        stream.log("report", rr.TextDocument(f"{NOTE}\n\n{known}", media_type="text/markdown"), static=True)
+        put_text(stream, "report", f"{NOTE}\n\n{known}")
 
-    blueprint = _make_blueprint(recording, {name: history["snapshot"][-1] for name, history in histories.items()})
+    last = {name: history["snapshot"][-1] for name, history in histories.items()}
     shown = [
         run / "recording" / "manifest.json",
         *sorted(run.glob("*/history.npz")),
         *run.glob(DIAGNOSIS),
         *run.glob(WITHOUT_TRUTH),
     ]
-    identity = hash_files(run, shown)
-    save_recording(path, identity, f"{run.name}, without truth", blueprint, log)
+    blueprint = _make_blueprint(recording, reckoned, last)
+    save_recording(path, hash_files(run, shown), f"{run.name}, without truth", blueprint, log)
     return path
 
 
-def _log_drive(stream: rr.RecordingStream, recording: Recording) -> None:
-    seen, first = np.unique(recording.reading[:, 1], return_index=True)
-    log_path(stream, "world/reckoned", dead_reckon(recording)[:, :2], (RECKONED, LEG), recording)
+def _log_drive(stream: rr.RecordingStream, recording: Recording, reckoned: np.ndarray) -> None:
+    clock, segment = drive_clock(recording), recording.reading[:, 0]
+    log_path(stream, "world/reckoned", segment, reckoned, (RECKONED, LEG), recording.time, clock)
     distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
-    indexes = drive_index(recording.time, recording)
-    send_series(stream, "drive/distance/encoder", indexes, distance, "by encoder", RECKONED)
+    send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", RECKONED)
     log_ticks(stream, recording)
-    log_images(stream, recording, seen, recording.time[first])
+    log_images(stream, recording)
 
 
-def _log_map(stream: rr.RecordingStream, name: str, history: Data) -> None:
-    """Log a training's loss, and its snapshots in their own frame, coloured by the places of the last one."""
-    log_loss(stream, name, history)
-    snapshot = history["snapshot"].astype(float)
-    log_snapshots(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_index(history))
-
-
-def _make_blueprint(recording: Recording, last: Mapping[str, np.ndarray]) -> rrb.Blueprint:
-    """The viewer's layout for a recording and the methods' last maps (n, 2)."""
-    methods, pictures = list(last), find_pictures(recording)
+def _make_blueprint(recording: Recording, reckoned: np.ndarray, last: Mapping[str, np.ndarray]) -> rrb.Blueprint:
+    """The viewer's layout for a recording with its dead-reckoned path (R, 2) and the methods' last maps (n, 2)."""
     drive_s = float(recording.time[-1] - recording.time[0])
-    curves = [series_view("Distance travelled [m]", "drive/distance"), ticks_view(drive_s)]
     path = rrb.Spatial3DView(
         name="Dead-reckoned path",
         origin="world",
-        eye_controls=_aim_at(dead_reckon(recording)[:, :2]),
+        eye_controls=_aim_at(reckoned),
         overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
     )
-    maps = [
-        rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
-        for name, points in last.items()
-    ]
-    losses = [loss_view(name) for name in methods]
-    note = rrb.TextDocumentView(name="Without truth", origin="report")
-    tabs: list[rrb.Horizontal | rrb.Vertical] = [
-        rrb.Horizontal(
-            path,
-            rrb.Vertical(*camera_views(pictures), *curves, rrb.Tabs(note, diagnosis_view())),
-            name="Drive",
-            column_shares=[3, 2],
-        )
-    ]
-    if methods:
+    beside = rrb.Vertical(
+        *camera_views(find_pictures(recording)),
+        series_view("Distance travelled [m]", "drive/distance"),
+        ticks_view(drive_s),
+        rrb.Tabs(text_view("Without truth", "report"), diagnosis_view()),
+    )
+    tabs: list[rrb.Horizontal | rrb.Vertical] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
+    if last:
+        maps = [
+            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
+            for name, points in last.items()
+        ]
+        losses = [loss_view(name) for name in last]
         tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
     return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=PROGRESS, play_state="following"))
 

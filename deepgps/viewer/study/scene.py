@@ -1,4 +1,4 @@
-"""What a study shows along a slider: the floor plan, a heading above each error field, and curves."""
+"""What a study shows along a slider: the floor plan, a heading above each error field, curves, and texts."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,18 +9,27 @@ import rerun as rr
 from deepgps.config.methods import title_of
 from deepgps.reports import field_plot
 from deepgps.reports.style import colour_on_dark
-from deepgps.studies.table import Row, find_methods
+from deepgps.reports.table import tabulate
+from deepgps.studies.study import Study
+from deepgps.studies.table import Row, find_methods, split_by
 from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis
-from deepgps.viewer.scene import Places, lift, log_floor, put
-from deepgps.viewer.study.layout import CURVES, Frame
-from deepgps.viewer.study.sliders import Slider, Step
-from deepgps.viewer.study.text import describe_field
+from deepgps.viewer.scene import lift, log_floor
+from deepgps.viewer.study.sliders import RUN, Slider, Step
+from deepgps.viewer.timeline import Rows, put
 from sim.occupancy import FreeSpace
 
-FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
-MOST_TICKS, MOST_LETTERS = 8, 12
-WIDE = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
+Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording
+CURVES = {"rms": "RMS", "median": "Median"}
+FIGURES = {"rms_m": "RMS", "median_m": "median", "p95_m": "p95", "max_m": "max"}
+FRAME_M = 4.5  # depth of the rectangle that rooms are drawn in, chosen to suit the size of the text
+MAX_TICKS, MAX_LETTERS, MAX_VALUES = 8, 12, 8
+WIDE = 3.0  # natural logarithm of the ratio from which on errors are drawn on a logarithmic axis
+
+
+def slider_row(slider: Slider, place: int) -> Rows:
+    """The row at a place of a slider."""
+    return [rr.TimeColumn(slider.timeline, sequence=[place])]
 
 
 def find_frame(spaces: Spaces) -> Frame:
@@ -37,7 +46,7 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         space = spaces[step.rows[0]["recording"]] if step.done else None
         if space is None or (shown is not None and _is_same(space, shown)):
             continue
-        shown, at = space, [rr.TimeColumn(slider.timeline, sequence=[place])]
+        shown, at = space, slider_row(slider, place)
         low, high = field_plot.limits(space)
         scale = float(np.min((frame[1] - frame[0]) / (high - low)))
         middle = -scale * (low + high) / 2
@@ -53,23 +62,12 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         put(stream, "world/metre/length", name, at)
 
 
-def log_heading(
-    stream: rr.RecordingStream,
-    method: str,
-    slider: Slider,
-    step: Step,
-    frame: Frame,
-    at: Places,
-) -> None:
+def log_heading(stream: rr.RecordingStream, method: str, slider: Slider, step: Step, frame: Frame, at: Rows) -> None:
     """Log the slider's place and the size of the errors above a method's error field."""
-    text = describe_field(method, slider, step)
     place = [[(frame[0][0] + frame[1][0]) / 2, frame[1][1] + 1.15, 0.0]]
-    put(
-        stream,
-        f"heading/{method}",
-        rr.Points3D(place, radii=0.0, colors=colour_on_dark(method), labels=[text], show_labels=True),
-        at,
-    )
+    text, colour = describe_field(method, slider, step), colour_on_dark(method)
+    label = rr.Points3D(place, radii=0.0, colors=colour, labels=[text], show_labels=True)
+    put(stream, f"heading/{method}", label, at)
 
 
 def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
@@ -88,10 +86,9 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
         ]
         errors = np.concatenate([curve.y for curve in curves])
         y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > WIDE), zero=True)
-        log_plot(stream, f"curve/{name}", x, y, curves, [rr.TimeColumn(slider.timeline, sequence=[first])])
+        log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
         for place, value in zip(slider.places, where, strict=True):
-            at = [rr.TimeColumn(slider.timeline, sequence=[place])]
-            log_cursor(stream, f"curve/{name}", x, value, at)
+            log_cursor(stream, f"curve/{name}", x, value, slider_row(slider, place))
 
 
 def _make_abscissa(slider: Slider, where: Sequence[float]) -> Axis:
@@ -100,7 +97,7 @@ def _make_abscissa(slider: Slider, where: Sequence[float]) -> Axis:
         axis = make_axis(slider.name, where, log=min(where) > 0 and max(where) > 30 * min(where))
         axis = replace(axis, low=min(axis.low, *where), high=max(where))
         return replace(axis, ticks=_choose_ticks(axis, slider))
-    every = -(-len(where) // MOST_TICKS)
+    every = -(-len(where) // MAX_TICKS)
     ticks = {place: _cut(step.value) for place, step in list(zip(where, slider.steps, strict=True))[::every]}
     return Axis(slider.name, min(where) - 0.5, max(where) + 0.5, ticks)
 
@@ -109,7 +106,7 @@ def _choose_ticks(axis: Axis, slider: Slider) -> dict[float, str]:
     """The slider's own values, without those too close to the one before."""
     ticks: dict[float, str] = {}
     for value, step in sorted(zip(slider.numbers, slider.steps, strict=True), key=lambda pair: pair[0]):
-        if not ticks or axis.share([value])[0] - axis.share([list(ticks)[-1]])[0] > 1 / MOST_TICKS:
+        if not ticks or axis.share([value])[0] - axis.share([list(ticks)[-1]])[0] > 1 / MAX_TICKS:
             ticks[value] = step.value
     return ticks
 
@@ -129,7 +126,7 @@ def _make_curves(method: str, name: str, rows: Sequence[tuple[float, Row]]) -> l
 
 
 def _cut(text: str) -> str:
-    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 1]}…"
+    return text if len(text) <= MAX_LETTERS else f"{text[: MAX_LETTERS - 1]}…"
 
 
 def _round_length(most: float) -> float:
@@ -141,3 +138,78 @@ def _round_length(most: float) -> float:
 def _is_same(one: FreeSpace, other: FreeSpace) -> bool:
     same = one.cell_m == other.cell_m and np.array_equal(one.origin, other.origin)
     return same and np.array_equal(one.free, other.free) and np.array_equal(one.reachable, other.reachable)
+
+
+def describe_field(method: str, slider: Slider, step: Step) -> str:
+    """The lines above a method's error field."""
+    where = step.value if slider.name == RUN else f"{slider.name} {step.value}"
+    row = next((row for row in step.rows if row["method"] == method), None)
+    if row is None:
+        return f"{where}\nno {title_of(method)}"
+    if row["failure"] is not None:
+        return f"{where}\nfailed"
+    return f"{where}\nRMS {write_length(row['rms_m'])}, median {write_length(row['median_m'])}"
+
+
+def describe_step(slider: Slider, step: Step) -> str:
+    """Describe a slider's place in Markdown: which run is shown, its errors, and the RMS over all seeds."""
+    row = step.rows[0]
+    blocks = [f"# {slider.name} {step.value}" if slider.name != RUN else f"# {step.value}"]
+    if row["failure"] is not None:
+        return "\n\n".join([*blocks, f"This run failed: {row['failure']}"])
+    blocks.append(f"Run `{row['run']}`: {step.words}.")
+    cells = [[title_of(one["method"]), *(write_length(one[name]) for name in FIGURES)] for one in step.rows]
+    blocks.append(tabulate(["method", *FIGURES.values()], cells))
+    seeds = len({one["run"] for one in step.repeats})
+    if seeds > 1:
+        ranges = [
+            f"{title_of(name)} {_range([one['rms_m'] for one in group])}"
+            for name, group in split_by(step.repeats, "method").items()
+        ]
+        blocks.append(f"RMS of all {seeds} seeds: {'; '.join(ranges)}.")
+    return "\n\n".join(blocks)
+
+
+def describe_study(
+    study: Study, rows: Sequence[Row], sliders: Sequence[Slider], left_out: Sequence[str], every: int
+) -> str:
+    """Describe in Markdown what each slider does, and how to read an error field."""
+    runs = split_by(rows, "run")
+    lines = [f"- **{slider.name}**: {_list_values(slider)}" for slider in sliders]
+    first = f"The slider at the bottom moves `{sliders[0].name}`"
+    more = "; the list to its left has the others." if len(sliders) > 1 else "."
+    reading = (
+        "Each arrow points from a true test position to the predicted position, for the worst heading there. All "
+        "methods and all positions of a slider share one colour scale. Every room is scaled to fill the same "
+        "rectangle; the bar above it shows its scale. Point at an arrow or a dot: error, heading → predicted x, y [m]. "
+        "The numbers on a slider are the setting's values, in the unit in brackets after its name."
+    )
+    notes = [f"Left out because it has too many positions: {name}." for name in left_out]
+    notes += [f"Only one in {every} test positions is drawn, to keep the file small."] if every > 1 else []
+    return "\n\n".join(
+        [f"# {study.name}: {len(runs)} runs of {study.scenario}", first + more, "\n".join(lines), reading, *notes]
+    )
+
+
+def write_length(length_m: float) -> str:
+    """Write a length in a suitable unit; less than a micrometre counts as zero."""
+    if length_m < 1e-6:
+        return "0 mm"
+    if length_m < 0.01:
+        return f"{1000 * length_m:.2f} mm"
+    return f"{100 * length_m:.1f} cm" if length_m < 1 else f"{length_m:.2f} m"
+
+
+def _list_values(slider: Slider) -> str:
+    if slider.name == RUN:
+        return f"all {len(slider.steps)} runs, one after another"
+    values = [f"`{step.value}`" for step in slider.steps]
+    if len(values) > MAX_VALUES:
+        values = [*values[: MAX_VALUES - 2], "...", values[-1]]
+    count = f"{len(slider.steps)} positions, " if "..." in values else ""
+    others = f" (with {slider.others})" if slider.others else ""
+    return f"{count}{', '.join(values)}{others}"
+
+
+def _range(values: Sequence[float]) -> str:
+    return f"{write_length(min(values))} to {write_length(max(values))}"

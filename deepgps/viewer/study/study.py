@@ -5,26 +5,53 @@ fills the same rectangle), ``curve`` (errors along each timeline) and ``report``
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
 import rerun as rr
+import rerun.blueprint as rrb
+from pydantic import ValidationError
 
+from deepgps.config.methods import title_of
+from deepgps.config.scenario import load_scenario, read_yaml
+from deepgps.config.setting_problems import describe_problems
+from deepgps.evaluation.error_field import ErrorField, read_all_headings
+from deepgps.runs.run_folder import is_study
+from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
-from deepgps.studies.table import Row, find_methods, varied_in
+from deepgps.studies.table import Row, find_methods, read_rows, read_setting, varied_in
 from deepgps.viewer.error_field import NO_PLACES, log_field
+from deepgps.viewer.plot import plot_view
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.save import holds, save_recording
-from deepgps.viewer.scene import Places, log_scale_below, put
-from deepgps.viewer.study import text as study_text
-from deepgps.viewer.study.layout import make_blueprint
-from deepgps.viewer.study.read import count_arrows, hash_study, open_space, own_values, read_step, read_study
-from deepgps.viewer.study.scene import find_frame, log_curves, log_heading, log_rooms
-from deepgps.viewer.study.sliders import Slider, find_sliders
-from sim.files.checksums import is_intact
+from deepgps.viewer.save import hash_files, holds, save_recording
+from deepgps.viewer.scene import log_scale_below
+from deepgps.viewer.study.scene import (
+    CURVES,
+    Frame,
+    describe_step,
+    describe_study,
+    find_frame,
+    log_curves,
+    log_heading,
+    log_rooms,
+    slider_row,
+)
+from deepgps.viewer.study.sliders import Slider, Step, find_sliders
+from deepgps.viewer.timeline import put, put_text
+from deepgps.viewer.views import STILL, arrange, text_view
+from sim.errors import DamagedError, InputError
+from sim.files.arrays import read_arrays
+from sim.files.checksums import check_lines, check_sum, is_intact
+from sim.occupancy import FreeSpace
+from sim.recording.format import open_truth
+from sim.renamed import translate_study
 
 STUDY = "study.rrd"
-MOST_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
-MOST_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
+MAX_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
+MAX_PLACES = 2_000  # of one slider, about 10 kB each in addition to their arrows
+STEPS_PER_SECOND = 1.5
 
 
 def write_study(folder: Path) -> Path:
@@ -60,7 +87,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
     done = {row["run"]: row for row in rows if row["failure"] is None}
     spaces = {row["recording"]: open_space(folder, row) for row in done.values()}
     found = find_sliders(rows, list(study.axes), own_values(study, varied_in(rows[0])))
-    sliders = [slider for slider in found if len(slider.steps) <= MOST_PLACES] or found[:1]
+    sliders = [slider for slider in found if len(slider.steps) <= MAX_PLACES] or found[:1]
     left_out = [slider.name for slider in found if slider not in sliders]
     methods = find_methods(rows)
     frame, every = find_frame(spaces), _thin(folder, sliders)
@@ -72,15 +99,15 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
         for slider in sliders:
             log_rooms(stream, slider, spaces, frame)
             for place, step in zip(slider.places, slider.steps, strict=True):
-                at = [rr.TimeColumn(slider.timeline, sequence=[place])]
+                at = slider_row(slider, place)
                 fields = read_step(folder, step) if step.done else {}
                 for method in methods:
                     log_field(stream, method, fields.get(method, NO_PLACES).take(slice(None, None, every)), at)
                     log_heading(stream, method, slider, step, frame, at)
-                _log_text(stream, "here", study_text.describe_step(slider, step), at)
+                put_text(stream, "report/here", describe_step(slider, step), at)
             log_curves(stream, slider)
-        _log_text(stream, "sliders", study_text.describe_study(study, rows, sliders, left_out, every))
-        _log_text(stream, "table", (folder / "table.md").read_text(encoding="utf-8"))
+        put_text(stream, "report/sliders", describe_study(study, rows, sliders, left_out, every))
+        put_text(stream, "report/table", (folder / "table.md").read_text(encoding="utf-8"))
         for path in pictures:
             image = rr.EncodedImage(contents=path.read_bytes(), media_type="image/png")
             put(stream, f"report/figures/{path.stem}", image)
@@ -89,12 +116,137 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
     save_recording(folder / STUDY, identity, study.name, blueprint, log)
 
 
-def _log_text(stream: rr.RecordingStream, name: str, text: str, at: Places = ()) -> None:
-    put(stream, f"report/{name}", rr.TextDocument(text, media_type="text/markdown"), at)
-
-
 def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
     """Stride of the test positions that are shown, so that the file stays small."""
     steps = [step for slider in sliders for step in slider.steps if step.done]
     arrows = sum(count_arrows(folder, step) for step in steps)
-    return max(1, -(-arrows // MOST_ARROWS))
+    return max(1, -(-arrows // MAX_ARROWS))
+
+
+def read_study(folder: Path) -> tuple[Study, list[Row]]:
+    """Read a study and its table; raise InputError if the study is unfinished, broken, or has no finished run."""
+    path = folder / "table.parquet"
+    if not is_study(folder) or not path.is_file():
+        lack = "table.parquet" if is_study(folder) else "study.yaml"
+        raise InputError(f"{folder} is not a finished study: it has no {lack} (deepgps study writes it)")
+    try:
+        check_lines(folder / "study.yaml")
+        check_sum(path)
+    except DamagedError as error:
+        raise DamagedError(f"{error}; run deepgps study with the same study and --out to write it again") from None
+    try:
+        study = Study.model_validate(translate_study(read_yaml(folder / "study.yaml")))
+    except ValidationError as error:
+        raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
+    if REPORTS[study.report].gather:
+        raise InputError(f"{folder} is a study without maps to view; its page is {folder / 'table.md'}")
+    try:
+        rows = read_rows(path)
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{path} cannot be read: {str(error).splitlines()[0]}") from None
+    if not rows or not {"run", "recording", "seed", "samples", "method", "failure"} <= set(rows[0]):
+        raise InputError(f"{path} is not a study's table")
+    if not any(row["failure"] is None for row in rows):
+        raise InputError(f"{folder} has no finished run; see its table.md for the reasons")
+    return study, rows
+
+
+def own_values(study: Study, names: Sequence[str]) -> dict[str, object]:
+    """The scenario's own values of the settings that vary; empty if its file is gone or of another version."""
+    with suppress(InputError, AttributeError):
+        scenario = load_scenario(study.scenario, study.set)
+        return {name: read_setting(scenario, name) for name in names}
+    return {}
+
+
+def open_space(folder: Path, row: Row) -> FreeSpace:
+    return open_truth(folder / "runs" / row["run"] / "recording").free_space
+
+
+def read_step(folder: Path, step: Step) -> dict[str, ErrorField]:
+    return read_all_headings(folder / "runs" / step.rows[0]["run"])
+
+
+def count_arrows(folder: Path, step: Step) -> int:
+    """Number of arrows in the error fields of a step: one for each method and test position."""
+    path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
+    return len(step.rows) * len(read_arrays(path)["truth"])
+
+
+def hash_study(folder: Path, rows: Sequence[Row]) -> str:
+    """Thirty-two hexadecimal digits of a study's table, figures, error fields and recordings."""
+    runs = dict.fromkeys(folder / "runs" / row["run"] for row in rows if row["failure"] is None)
+    shown = [
+        folder / "study.yaml",
+        folder / "table.parquet",
+        folder / "table.md",
+        *sorted(folder.glob("figures/*.png")),
+    ]
+    shown += [run / name for name in ("error_field.npz", "recording/manifest.json") for run in runs]
+    for path in shown:
+        if not path.is_file():
+            raise InputError(f"{folder} is an incomplete study: {path.relative_to(folder)} is missing")
+    return hash_files(folder, shown)
+
+
+def make_blueprint(slider: Slider, methods: Sequence[str], figures: Sequence[str], frame: Frame) -> rrb.Blueprint:
+    """The viewer's layout for a study, which opens with the error fields of all methods side by side.
+
+    Args:
+        slider: The slider to open with.
+        methods: Names of the methods.
+        figures: Names of the study's figures.
+        frame: Rectangle in which every room is drawn.
+    """
+    pictures = [rrb.Spatial2DView(name=name.replace("_", " "), origin=f"report/figures/{name}") for name in figures]
+    tabs = [
+        _error_fields(methods, frame),
+        _beside_here(rrb.Vertical(*_plots()), "Curves"),
+        *([_beside_here(rrb.Tabs(*pictures), "Figures")] if figures else []),
+        _beside_here(text_view("Table", "report/table"), "Report"),
+    ]
+    apart = float(np.ptp(slider.places)) / max(len(slider.steps) - 1, 1)
+    fps = STEPS_PER_SECOND * max(apart, 1.0)
+    return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=slider.timeline, fps=fps, play_state="paused"))
+
+
+def _error_fields(methods: Sequence[str], frame: Frame) -> rrb.Horizontal:
+    backdrop = ("world/floor_plan", "world/outline", "world/metre", "scale")
+    fields = (
+        rrb.Spatial3DView(
+            name=title_of(method),
+            origin="/",
+            contents=[
+                *("world/floor_plan", "world/outline", "world/metre/**", "scale/**"),
+                *(f"world/error_field/{method}/**", f"heading/{method}"),
+            ],
+            eye_controls=_aim_eye(frame, wide=len(methods) != 2),
+            line_grid=False,
+            overrides=dict.fromkeys(backdrop, STILL),
+        )
+        for method in methods
+    )
+    shown = rrb.Vertical(
+        rrb.Grid(*fields, grid_columns=1 if len(methods) == 1 else 2), rrb.Horizontal(*_plots()), row_shares=[5, 2]
+    )
+    texts = rrb.Vertical(text_view("Here", "report/here"), text_view("Sliders", "report/sliders"))
+    return rrb.Horizontal(shown, texts, column_shares=[5, 2], name="Error fields")
+
+
+def _plots() -> list[rrb.Spatial2DView]:
+    return [plot_view(f"{title} along the slider [cm]", f"curve/{name}") for name, title in CURVES.items()]
+
+
+def _beside_here(shown: rrb.View | rrb.Container, name: str) -> rrb.Horizontal:
+    return rrb.Horizontal(shown, text_view("Here", "report/here"), column_shares=[5, 2], name=name)
+
+
+def _aim_eye(frame: Frame, wide: bool) -> rrb.EyeControls3D:
+    """Place the eye above the frame so that a wide or high panel shows the frame, its heading and its scale."""
+    width, depth = frame[1] - frame[0]
+    seen = max(depth + 2.2, 1.1 * width / (1.5 if wide else 0.83))
+    # the viewer's field of view is 55 degrees; an eye exactly above has no up direction of its own, so north is up
+    distance = seen / (2 * np.tan(np.radians(55 / 2)))
+    return rrb.EyeControls3D(
+        kind=rrb.Eye3DKind.Orbital, position=(0.0, 0.0, distance), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 1.0, 0.0)
+    )

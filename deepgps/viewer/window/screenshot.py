@@ -14,7 +14,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from deepgps.reports.field_plot import COLOURS
 from deepgps.runs.run_folder import is_study
-from deepgps.viewer.pair.difference import CHANGE
+from deepgps.viewer.pair import CHANGE
 from deepgps.viewer.run.recording import lacks_truth
 from deepgps.viewer.window.chromium import Picture, find_chromium, open_page
 from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_viewer, has_display

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from deepgps.runs.run_folder import is_study
-from deepgps.viewer.pair.pair import write_pair
+from deepgps.viewer.pair import write_pair
 from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.study.study import find_study
 from deepgps.viewer.window.connect import HOST, end_group, find_free_port, find_viewer, has_display

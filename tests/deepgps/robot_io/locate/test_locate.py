@@ -13,7 +13,7 @@ import pytest
 import deepgps
 from deepgps.robot_io.locate.locate import find_shape
 from deepgps.robot_io.locate.pictures import LARGEST_BYTES, Unwrapper, open_pictures, read_stream
-from deepgps.viewer.playback import make_warp, warp_round
+from deepgps.viewer.pictures import make_warp, warp_round
 from sim.errors import InputError
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye
 from tests.helpers.command import assert_one_clear_line, deepgps_here

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from deepgps.viewer.run import alike
-from deepgps.viewer.run.alike import find_alike
+from deepgps.viewer.run import places
+from deepgps.viewer.run.places import find_alike
 
 
 def make_recording(observation: np.ndarray, kind: str) -> Any:
@@ -19,7 +19,7 @@ def make_recording(observation: np.ndarray, kind: str) -> Any:
     [("polar_image", (16, 128, 3)), ("polar_image", (5, 61, 3)), ("scan", (4, 45)), ("vector", (12,))],
 )
 def test_an_observation_is_most_like_itself_at_any_turn(kind: str, shape: tuple[int, ...], monkeypatch) -> None:
-    monkeypatch.setattr(alike, "CHUNK", 7)
+    monkeypatch.setattr(places, "CHUNK", 7)
     rng = np.random.default_rng(0)
     known = rng.integers(0, 255, (20, *shape)).astype(np.uint8 if kind == "polar_image" else np.float32)
     turns = {128: 6, 45: 9}.get(shape[-2] if kind == "polar_image" else shape[-1], 0)
@@ -30,7 +30,7 @@ def test_an_observation_is_most_like_itself_at_any_turn(kind: str, shape: tuple[
 
 
 def test_of_a_long_recording_every_few_observations_are_compared(monkeypatch) -> None:
-    monkeypatch.setattr(alike, "MOST", 10)
+    monkeypatch.setattr(places, "MAX_COMPARED", 10)
     known = np.random.default_rng(1).normal(size=(30, 6)).astype(np.float32)
     found = find_alike(make_recording(known, "vector"), known[[3, 12]], 1)
     np.testing.assert_array_equal(found[:, 0], [3, 12])

@@ -17,13 +17,12 @@ from scipy.spatial.distance import pdist
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import read_all_headings, read_fields, split_by_acceptance
 from deepgps.reports.run_report import describe
+from deepgps.viewer.layers import COVERAGE, DENSITY
+from deepgps.viewer.pictures import choose_views, write_pictures
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.run import drive
-from deepgps.viewer.run.coverage import COVERAGE, DENSITY
 from deepgps.viewer.run.drive import ROBOT
-from deepgps.viewer.run.pictures import choose_views, write_pictures
-from deepgps.viewer.run.place_drawing import PICTURES, turn_picture
-from deepgps.viewer.run.places import find_places
+from deepgps.viewer.run.places import PICTURES, find_places, turn_picture
 from deepgps.viewer.run.recording import RECORDING, find_recording, write_run
 from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S, STEP
 from deepgps.viewer.window.connect import find_viewer

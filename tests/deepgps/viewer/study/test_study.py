@@ -21,11 +21,11 @@ from deepgps.studies.table import gather, write_table
 from deepgps.viewer.error_field import PARTS, REFUSED_PART
 from deepgps.viewer.read import read_entity, read_error_field, read_error_table
 from deepgps.viewer.study import study as viewer
+from deepgps.viewer.study.scene import write_length
 from deepgps.viewer.study.sliders import find_sliders
 from deepgps.viewer.study.study import STUDY as STUDY_RRD
 from deepgps.viewer.study.study import find_study
 from deepgps.viewer.study.study import write_study as write_rrd
-from deepgps.viewer.study.text import write_length
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError
@@ -261,7 +261,7 @@ def test_a_run_that_failed_shows_nothing_and_another_seed_stands_in(tmp_path):
 
 
 def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monkeypatch):
-    monkeypatch.setattr(viewer, "MOST_PLACES", 11)
+    monkeypatch.setattr(viewer, "MAX_PLACES", 11)
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
     assert {line for line, _ in fields(path, "deepgps")} == {LINE, "case", "seed"}
@@ -270,7 +270,7 @@ def test_a_slider_with_too_many_places_is_left_out_and_that_is_said(copied, monk
 
 def test_a_large_study_is_thinned_and_says_so(study, copied, monkeypatch):
     whole = fields(study[0] / STUDY_RRD, "deepgps")[LINE, 0][0]
-    monkeypatch.setattr(viewer, "MOST_ARROWS", 19 * 2 * len(whole) // 3 + 1)  # 19 places on four sliders, two methods
+    monkeypatch.setattr(viewer, "MAX_ARROWS", 19 * 2 * len(whole) // 3 + 1)  # 19 places on four sliders, two methods
     (copied / STUDY_RRD).unlink()
     path = write_rrd(copied)
     with np.load(copied / "runs" / find(study[1], ROOMS[0], NOISES[0], 0).run / "error_field.npz") as arrays:

@@ -9,11 +9,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.viewer.live.layout import EYE
-from deepgps.viewer.live.live import GONE
-from deepgps.viewer.playback import enlarge
+from deepgps.viewer.layers import draw_circles
+from deepgps.viewer.live import GONE
+from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room
-from deepgps.viewer.views import aim_eye, arrange, hold_still
+from deepgps.viewer.views import aim_eye, arrange, room_view
 from deepgps.viewer.window.connect import find_url, knock, open_viewer
 from sim.errors import InputError, one_line
 from sim.occupancy import FreeSpace
@@ -25,7 +25,6 @@ IMAGE, TIME = "image", "time"
 TRAIL = 2000
 """Positions of which the way is drawn."""
 ROBOT, REFUSED, WAY = (90, 200, 250), (240, 90, 80), (150, 160, 180)
-SIDES = 64
 ARROW_M, LARGER = 0.25, 4
 FLUSH_S = 5.0
 """How long a viewer may take for what is left at the end [s]."""
@@ -110,20 +109,17 @@ class LocatedView:
         arrow = [] if yaw is None or np.isnan(yaw) else [[ARROW_M * np.cos(yaw), ARROW_M * np.sin(yaw), 0.0]]
         origins = at if arrow else np.empty((0, 3))
         self.stream.log(f"{root}/yaw", rr.Arrows3D(vectors=arrow, origins=origins, radii=0.02, colors=[colour]))
-        angle = np.linspace(0.0, 2 * np.pi, SIDES + 1)
-        circle = position + (radius_m or 0.0) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        self.stream.log(f"{root}/radius", rr.LineStrips3D([lift(circle, LAYER_M)], colors=[colour], radii=0.006))
+        circle = draw_circles(position[None], np.array([radius_m or 0.0]), LAYER_M)
+        self.stream.log(f"{root}/radius", rr.LineStrips3D(circle, colors=[colour], radii=0.006))
 
 
 def make_blueprint(space: FreeSpace | None) -> rrb.Blueprint:
     """The layout: the robot in the room, the image, and the radius over time."""
-    room = rrb.Spatial3DView(
-        name="Robot, with the circle of 95 %",
-        origin="world",
-        contents=["world/room", "world/floor_plan", "world/outline", "world/located/**"],
-        eye_controls=aim_eye(space, tilt=0.45, reach=1.3, before=-0.4) if space else EYE,
+    room = room_view(
+        "Robot, with the circle of 95 %",
+        ["room", "floor_plan", "outline", "located/**"],
+        aim_eye(space, tilt=0.45, reach=1.3, before=-0.4),
         line_grid=space is None,
-        overrides=hold_still(),
     )
     beside = rrb.Vertical(
         rrb.Spatial2DView(name="Polar image", origin="image"),

@@ -10,7 +10,8 @@ import trimesh
 
 from deepgps.data.runs import find_starts
 from deepgps.evaluation.segment_errors import measure_distances
-from deepgps.viewer.playback import draw_floor_plan, encode_jpeg, find_outline, make_warp, open_room, warp_round
+from deepgps.viewer.pictures import encode_jpeg, make_warp, warp_round
+from deepgps.viewer.scene import draw_floor_plan, find_outline, open_room
 from sim.errors import InputError
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, project_round

@@ -12,7 +12,7 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 import deepgps
-from deepgps.viewer.live.located import LocatedView
+from deepgps.viewer.located import LocatedView
 from tests.helpers.command import deepgps as deepgps_command
 from tests.helpers.command import deepgps_here
 from tests.helpers.live_server import serve_grpc

@@ -13,15 +13,14 @@ from rerun.chunk import RrdReader
 
 from deepgps.config.scenario import Scenario, write_out
 from deepgps.runs.owned_folder import MARK, OLD_LOCK
-from deepgps.viewer.pair.difference import (
+from deepgps.viewer.pair import (
     Pair,
     colours_of_change,
     describe_pair,
-    measure_change,
     open_pair,
     scale_change,
+    write_pair,
 )
-from deepgps.viewer.pair.pair import write_pair
 from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.window.connect import find_viewer
@@ -91,8 +90,8 @@ def test_the_fields_of_both_runs_read_back(runs: tuple[Path, Path], written: Pat
 def test_the_other_way_round_every_change_turns_its_sign(runs: tuple[Path, Path]) -> None:
     there, back = open_pair(runs), open_pair(runs[::-1])
     for method in METHODS:
-        change = measure_change(there, method)
-        np.testing.assert_array_equal(change, -measure_change(back, method))
+        change = there.change(method)
+        np.testing.assert_array_equal(change, -back.change(method))
         better, worse = int((change < -0.01).sum()), int((change > 0.01).sum())
         same = len(change) - better - worse
         assert f" | {better} | {same} | {worse} |" in describe(there)
@@ -108,7 +107,7 @@ def test_a_run_and_its_copy_differ_nowhere(runs: tuple[Path, Path], tmp_path: Pa
     pair = open_pair([runs[0], Path(shutil.copytree(runs[0], tmp_path / "copy"))])
     text = describe(pair)
     assert pair.same_floor
-    assert all(not measure_change(pair, method).any() for method in METHODS)
+    assert all(not pair.change(method).any() for method in METHODS)
     assert "Both runs have the same settings." in text
     assert text.count("| 1.00") == 4 * len(METHODS)
 

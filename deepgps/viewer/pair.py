@@ -1,0 +1,270 @@
+"""Two runs in one recording: the change of their error fields below ``change``, each run below ``a`` and ``b``.
+
+A comparison reads runs that are complete, and adds nothing to them but its recording.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from matplotlib.colors import LinearSegmentedColormap
+
+from deepgps.config.methods import title_of
+from deepgps.config.scenario import list_settings
+from deepgps.evaluation.error_field import ErrorField, read_all_headings
+from deepgps.reports.field_plot import SCALE_M
+from deepgps.reports.run_report import COLUMNS, read_metrics
+from deepgps.reports.table import tabulate
+from deepgps.runs.run_folder import open_run
+from deepgps.viewer.error_field import find_thinness, log_field
+from deepgps.viewer.plot import distribution_view, log_distribution
+from deepgps.viewer.run.recording import hash_run
+from deepgps.viewer.save import find_home, holds, save_recording
+from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
+from deepgps.viewer.timeline import put_text
+from deepgps.viewer.views import aim_eye, arrange, field_view, room_view, text_view
+from sim.errors import InputError
+from sim.occupancy import FreeSpace, limits
+from sim.recording.format import open_truth
+
+PAIRS = "pairs"
+SAME_M = SCALE_M[0]
+"""Errors that differ by less than this count as equal [m]."""
+# blue: B is better; grey: the same; orange: B is worse
+CHANGE = LinearSegmentedColormap.from_list(
+    "change",
+    [
+        *[(0.0, "#3d6bff"), (0.25, "#2fb5ff"), (0.48, "#4a7f99")],
+        (0.5, "#59606e"),
+        *[(0.52, "#9c7350"), (0.75, "#ffa03c"), (1.0, "#ff4a2e")],
+    ],
+)
+LABELS = {-1.0: "B better by 1 m", -0.5: "10 cm", 0.0: "within 1 cm", 0.5: "10 cm", 1.0: "B worse by 1 m"}
+TABLES = (("rms_m", "median_m"), ("p95_m", "max_m"))
+"""Figures of each table, few enough for its width."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One run of a pair.
+
+    Attributes:
+        folder: The run's folder.
+        metrics: The contents of its metrics.json.
+        fields: Its error fields by method name.
+        space: The free space of its room.
+    """
+
+    folder: Path
+    metrics: Mapping[str, Any]
+    fields: Mapping[str, ErrorField]
+    space: FreeSpace
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two runs, A and B.
+
+    Attributes:
+        sides: Both runs, by the entity below which each is logged.
+        methods: Methods that both runs have, in the order of the first.
+        same_floor: Whether both have the same room and test positions, so that errors can be compared at each position.
+    """
+
+    sides: Mapping[str, Side]
+    methods: Sequence[str]
+    same_floor: bool
+
+    def errors(self, method: str) -> list[np.ndarray]:
+        """Errors of A and of B at each test position (C,) [m], at the worst heading."""
+        return [side.fields[method].worst for side in self.sides.values()]
+
+    def change(self, method: str) -> np.ndarray:
+        """Error of B minus error of A at each test position (C,) [m]."""
+        a, b = self.errors(method)
+        return b - a
+
+
+def write_pair(folders: Sequence[Path]) -> Path:
+    """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
+
+    The runs' own files do not change, and nothing is added to a first run of an earlier version: its pairs are in the
+    user's cache.
+
+    Raises:
+        InputError: The folders are not two complete runs with a method in common.
+    """
+    pair = open_pair(folders)
+    shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
+    number = hashlib.sha256(str(shown).encode()).hexdigest()[:32]
+    path = find_home(folders[0]) / PAIRS / f"{number[:12]}.rrd"
+    if not holds(path, number):
+        title = " and ".join(folder.resolve().name for folder in folders)
+        save_recording(path, number, title, _make_blueprint(pair), lambda stream: _log_pair(stream, pair))
+    return path
+
+
+def open_pair(folders: Sequence[Path]) -> Pair:
+    """Open two runs; raise InputError unless there are exactly two different runs with a method in common."""
+    if len(folders) != 2:
+        raise InputError(f"exactly two runs can be compared, not {len(folders)}: {', '.join(map(str, folders))}")
+    if folders[0].resolve() == folders[1].resolve():
+        raise InputError(f"{folders[0]} and {folders[1]} are the same run; choose two different ones")
+    a, b = (
+        Side(folder, read_metrics(folder), read_all_headings(folder), open_truth(folder / "recording").free_space)
+        for folder in folders
+    )
+    methods = [name for name in a.fields if name in b.fields]
+    if not methods:
+        names = [", ".join(side.fields) for side in (a, b)]
+        raise InputError(f"no method is in both runs: {a.folder} has {names[0]}, {b.folder} has {names[1]}")
+    places = (a.fields[methods[0]].truth, b.fields[methods[0]].truth)
+    same = np.array_equal(*places) and np.array_equal(a.space.reachable, b.space.reachable)
+    return Pair({"a": a, "b": b}, methods, same)
+
+
+def scale_change(change: np.ndarray) -> np.ndarray:
+    """Scale changes (...,) [m] to [-1, 1]: 0 up to a centimetre, then logarithmic to a metre, as errors are drawn."""
+    decades = np.log10(SCALE_M[1] / SAME_M)
+    return np.sign(change) * np.clip(np.log10(np.maximum(np.abs(change), SAME_M) / SAME_M) / decades, 0, 1)
+
+
+def colours_of_change(share: np.ndarray) -> np.ndarray:
+    """Colours (..., 4) uint8 RGBA of scaled changes (...,)."""
+    return (CHANGE((np.asarray(share) + 1) / 2) * 255).round().astype(np.uint8)
+
+
+def describe_pair(pair: Pair) -> str:
+    """Describe as Markdown both runs, the settings that differ, where which run is better, and both runs' figures."""
+    runs = [
+        [f"**{root.upper()}**", side.folder.resolve().name, str(side.metrics["scenario"]), str(side.metrics["seed"])]
+        for root, side in pair.sides.items()
+    ]
+    return "\n\n".join(
+        [
+            "# B compared with A",
+            tabulate(["", "run", "scenario", "seed"], runs),
+            _list_settings(pair),
+            _list_places(pair),
+            "Errors [cm] for the worst heading of each test position:",
+            *(_list_figures(pair, names) for names in TABLES),
+        ]
+    )
+
+
+def _list_settings(pair: Pair) -> str:
+    """A table of the settings that differ, without ``methods``, since only common methods are shown."""
+    a, b = (list_settings(open_run(side.folder)) for side in pair.sides.values())
+    differ = [name for name in a | b if a.get(name) != b.get(name) and name != "methods"]
+    if not differ:
+        return "Both runs have the same settings."
+    rows = [[name, str(a.get(name, "-")), str(b.get(name, "-"))] for name in differ]  # of plugins, one may lack some
+    return tabulate(["different setting", "A", "B"], rows)
+
+
+def _list_places(pair: Pair) -> str:
+    if not pair.same_floor:
+        return "**The rooms or test positions differ**, so there is no difference of the fields to show."
+    rows = []
+    for name in pair.methods:
+        change = pair.change(name)
+        better, worse = int((change < -SAME_M).sum()), int((change > SAME_M).sum())
+        rows.append([title_of(name), str(better), str(len(change) - better - worse), str(worse)])
+    table = tabulate(["method", "B better", "same", "B worse"], rows)
+    return f"Test positions where B is better or worse by more than {100 * SAME_M:g} cm:\n\n{table}"
+
+
+def _list_figures(pair: Pair, names: Sequence[str]) -> str:
+    """A table with a row for each method: figures of A, of B, and their ratio."""
+    columns = [column for column in COLUMNS if column[1] in names]
+    heads = [name for heading, _, _ in columns for name in (f"{heading.split(' [')[0]} A", "B", "B / A")]
+    rows = []
+    for method in pair.methods:
+        cells = [title_of(method)]
+        for _, name, write in columns:
+            a, b = (side.metrics["methods"].get(method, {}).get(name) for side in pair.sides.values())
+            cells += ["-" if value is None else write(value) for value in (a, b)]
+            cells.append("-" if not a or b is None else f"{b / a:.2f}")
+        rows.append(cells)
+    return tabulate(["method", *heads], rows)
+
+
+def _log_pair(stream: rr.RecordingStream, pair: Pair) -> None:
+    for root, side in pair.sides.items():
+        log_room(stream, side.folder / "recording" / "scene.glb", side.space, root)
+        log_scale(stream, side.space, root)
+        for name in pair.methods:
+            log_field(stream, name, side.fields[name], root=root)
+    if pair.same_floor:
+        _log_changes(stream, pair)
+    put_text(stream, "report/pair", describe_pair(pair))
+    log_distribution(stream, {name: pair.errors(name) for name in pair.methods}, ("A", "B"))
+
+
+def _log_changes(stream: rr.RecordingStream, pair: Pair) -> None:
+    """Log the room, and in it a dot at each test position with both errors as text, and the changes as values."""
+    a = pair.sides["a"]
+    log_room(stream, a.folder / "recording" / "scene.glb", a.space, "change")
+    labels = {(change + 1) / 2: label for change, label in LABELS.items()}
+    log_strip(stream, "change/scale", *limits(a.space), colours_of_change(np.linspace(-1, 1, STRIP)), labels)
+    for name in pair.methods:
+        truth, change = a.fields[name].truth, pair.change(name)
+        radius = 0.03 * find_thinness(truth)
+        dots = rr.Points3D(
+            lift(truth, LAYER_M + radius),  # on the floor, not half below it
+            radii=radius,
+            colors=colours_of_change(scale_change(change)),
+            point_shading="Flat",
+        )
+        rows = zip(100 * change, *(100 * error for error in pair.errors(name)), strict=True)
+        words = [f"{one:+.1f} cm: A {before:.1f}, B {after:.1f}" for one, before, after in rows]
+        stream.log(f"change/field/{name}/places", dots, rr.AnyValues(change=words), static=True)
+        stream.log(f"change/field/{name}", rr.AnyValues(change_m=change), static=True)
+
+
+def _make_blueprint(pair: Pair) -> rrb.Blueprint:
+    """The viewer's layout for a pair: the difference, if both runs share a floor, then both runs side by side."""
+    fields = [
+        rrb.Vertical(
+            *(
+                field_view(
+                    f"{root.upper()}: error field of {title_of(name)}",
+                    name,
+                    aim_eye(side.space, tilt=0.35),
+                    ["room", "floor_plan", "scale/**"],
+                    root=root,
+                )
+                for root, side in pair.sides.items()
+            ),
+            name=title_of(name),
+        )
+        for name in pair.methods
+    ]
+    text = text_view("Figures", "report/pair")
+    beside = rrb.Horizontal(rrb.Tabs(*fields), text, column_shares=[5, 2], name="Side by side")
+    difference = [rrb.Horizontal(_change_views(pair), text, column_shares=[5, 2], name="Difference")]
+    return arrange(
+        [*(difference if pair.same_floor else []), beside, distribution_view()], rrb.TimePanel(state="hidden")
+    )
+
+
+def _change_views(pair: Pair) -> rrb.Vertical:
+    """The first method's changes in the furnished room, and the other methods' as plans."""
+    first, *others = pair.methods
+    space = pair.sides["a"].space
+    room = room_view(
+        f"Where the error of {title_of(first)} changed from A to B",
+        ["room", "floor_plan", "scale/**", f"field/{first}/**"],
+        aim_eye(space, tilt=0.45, reach=1.08),
+        "change",
+    )
+    above = aim_eye(space, reach=0.85, before=0.0)
+    plans = [
+        room_view(f"{title_of(name)}: A to B", ["floor_plan", f"field/{name}/**"], above, "change") for name in others
+    ]
+    return rrb.Vertical(room, *([rrb.Horizontal(*plans)] if plans else []), row_shares=[5, 2] if plans else [1])
