@@ -174,12 +174,12 @@ def measure_demo(size: Size, folder: Path) -> list[Row]:
     collect(scenario.model_copy(update={"grid": grid}), folder / "samples", ignore)
     collect_s = stage_times(folder / "samples")["collect"]
     times = read_json(folder / "demo" / "timing.json")
-    training = read_json(folder / "demo" / "deepgps" / "training.json")
+    training, naive = (read_json(folder / "demo" / name / "training.json") for name in ("deepgps", "posenet"))
     grid_s = f"physics, pictures, writing; the demo's test grid takes {times['collect'] - collect_s:.0f} s more"
-    tries = f"features and {training['attempts']} training of {training['steps']} steps; naive: PoseNet"
+    tries = f"{training['attempts']} training of {training['steps']} steps; naive: PoseNet"
     samples = f"{scenario.drive.samples:,} samples"
     return [
-        Row("train", f"training on {samples}", times["train deepgps"], "s", 90.0, False, times["train posenet"], tries),
+        Row("train", f"training on {samples}", training["train_s"], "s", 90.0, False, naive["train_s"], tries),
         Row("demo", "the whole demo", demo_s, "s", 240.0, note=", ".join(f"{n} {s:.0f} s" for n, s in times.items())),
         Row("collect", f"collecting {samples}", collect_s, "s", 40.0, note=grid_s),
     ]

@@ -30,6 +30,7 @@ from deepgps.data.segments import Segments, subsample_learned
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import write_atomic
 from sim.files.checksums import check_sha256, sha256
+from sim.files.folders import only_process
 from sim.files.json_files import read_json, write_json
 
 log = logging.getLogger(__name__)
@@ -238,17 +239,21 @@ def cached_features(
     settings: FeatureSettings,
     generator: torch.Generator,
 ) -> tuple[Features, torch.Tensor]:
-    """Like ``fit_features``, but read from a folder if it holds intact features with the same ``key``."""
-    found = _read_features(folder, key)
-    if found is None:
-        (folder / KEY).unlink(missing_ok=True)
-        fitted, features = fit_features(observation, segments, settings, generator)
-        made = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
-        if fitted.edges is not None:
-            made["edges"] = fitted.edges
-        write_atomic(folder / TABLE, lambda part: save_file(made, part), features.nbytes)
-        write_json(folder / KEY, {"key": key, "sha256": sha256(folder / TABLE)})
-        found = load_file(folder / TABLE)  # which leaves them on the disk: those of a million images are 1 GB
+    """Like ``fit_features``, but read from a folder if it holds intact features with the same ``key``.
+
+    Another process that computes them there is waited for.
+    """
+    with only_process(folder):
+        found = _read_features(folder, key)
+        if found is None:
+            (folder / KEY).unlink(missing_ok=True)
+            fitted, features = fit_features(observation, segments, settings, generator)
+            made = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+            if fitted.edges is not None:
+                made["edges"] = fitted.edges
+            write_atomic(folder / TABLE, lambda part: save_file(made, part), features.nbytes)
+            write_json(folder / KEY, {"key": key, "sha256": sha256(folder / TABLE)})
+            found = load_file(folder / TABLE)  # which leaves them on the disk: those of a million images are 1 GB
     shape = tuple(observation.shape[1:])
     mean, basis = found["mean"], found["basis"]
     fitted = Features(shape, settings.frequencies, mean, basis, found.get("edges"), settings.values)

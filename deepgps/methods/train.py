@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
+from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
+from deepgps.methods.side_by_side import Training, choose_networks, count_processes, train_side_by_side
 from deepgps.runs.timing import timed
 from deepgps.terminal.progress import Report
 from sim.recording.format import is_whole, open_recording
@@ -16,14 +18,27 @@ def ask_for_device(scenario: Scenario, folder: Path) -> None:
         choose_device(scenario.learn.train.device)
 
 
-def train(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Train each method that is not trained yet."""
-    from deepgps.config.methods import folder_of
+def train(scenario: Scenario, folder: Path, progress: Report, processes: int | None = None) -> None:
+    """Train each method that is not trained yet.
+
+    Args:
+        scenario: The scenario.
+        folder: The run's folder, with its recording.
+        progress: Called with each method's steps done and their number.
+        processes: Most networks that are trained at once; None: one for each usable core.
+    """
     from deepgps.methods.fit import fit_method
     from deepgps.positioner.stored_positioner import is_finished
 
-    recording = open_recording(folder / "recording")
-    seed = training_seed(scenario)
+    recording, seed = open_recording(folder / "recording"), training_seed(scenario)
+    missing = [method for method in scenario.methods if not is_finished(folder_of(folder, method))]
+    most = count_processes(scenario.learn) if processes is None else processes
+    networks = choose_networks(missing, scenario.learn) if most > 1 else []
+    if networks:
+        place = folder / "recording"
+        each = [Training(name, place, scenario.learn, seed, folder_of(folder, name)) for name in networks]
+        with timed(folder, f"train {', '.join(networks)}"):
+            train_side_by_side(each, most, progress)
     for method in scenario.methods:
         place = folder_of(folder, method)
         with timed(folder, f"train {method}", done=is_finished(place)):

@@ -3,6 +3,8 @@
 import fcntl
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from sim.files.atomic import PART
@@ -19,6 +21,18 @@ def lock(handle: int, path: Path) -> bool:
         return os.fstat(handle).st_ino == path.stat().st_ino
     except (BlockingIOError, FileNotFoundError):
         return False
+
+
+@contextmanager
+def only_process(folder: Path) -> Iterator[None]:
+    """Make a folder and wait until no other process is in this context with it; a dead process is in none."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def remove_files(folder: Path, ours: re.Pattern[str]) -> None:
