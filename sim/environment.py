@@ -63,7 +63,7 @@ class RoomEnvironment(dm_env.Environment):
         step_s: float = CONTROL_PERIOD_S,
     ) -> None:
         drawn = {name: getattr(settings.encoder, name) for name in _DRAWN_FAULTS}
-        drawn |= {f"plugins.{name}": setting.value for name, setting in settings.encoder.plugins.items()}
+        drawn |= {f"plugins.{name}": strength for name, strength in settings.encoder.plugins.items()}
         for fault, value in drawn.items():
             if value != 0.0:
                 raise InputError(

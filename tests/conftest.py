@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from pathlib import Path
 
 import hypothesis
@@ -35,10 +36,12 @@ SMALL = SimSettings(
 def without_plugins():
     """Forget the plugins that a test has loaded: no other test knows of them."""
     from deepgps.config.methods import METHODS
-    from sim.plugins import ENCODER_FAULTS
+    from sim.plugins import ENCODER_FAULTS, MODULE_PREFIX
 
     methods, faults = dict(METHODS), dict(ENCODER_FAULTS)
     yield
+    for name in [name for name in sys.modules if name.startswith(MODULE_PREFIX)]:
+        del sys.modules[name]
     METHODS.clear()
     METHODS.update(methods)
     ENCODER_FAULTS.clear()

@@ -45,7 +45,7 @@ def simulate(
 
     Raises:
         InputError: A setting is wrong, or the folder holds another run.
-        WorkError: There is no renderer, physics failed, the disk is full, or a plugin's code raises an exception.
+        WorkError: There is no renderer, physics failed, or the disk is full.
     """
     from deepgps.run import run
 
@@ -80,7 +80,6 @@ def train(
 
     Raises:
         InputError: It is no finished recording, a setting is wrong or of the drive, or a method cannot learn from it.
-        WorkError: A plugin's code raises an exception.
     """
     load_plugins(plugins)
     home = Path(recording)

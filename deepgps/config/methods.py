@@ -1,7 +1,7 @@
 """The methods by name, one record each. This module imports nothing heavy, so that settings and reports can use it."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 from sim import renamed
 from sim.alignment import AlignmentKind
 from sim.errors import InputError
-from sim.plugins import HOW_TO_LOAD, Source
+from sim.plugins import HOW_TO_LOAD
 from sim.recording.manifest import ObservationKind
 
 
@@ -30,7 +30,6 @@ class Method:
         reads_turns: Whether it needs the images after turns.
         predict: For a plugin's method whose ``fit`` returns arrays by name in place of a positioner: (these arrays,
             observations (B, ...)) -> positions (B, 2) [m].
-        source: Set when the plugin that defines the method is loaded.
     """
 
     title: str
@@ -42,7 +41,6 @@ class Method:
     reads_ticks: bool = True
     reads_turns: bool = False
     predict: Callable[[Mapping[str, np.ndarray], np.ndarray], np.ndarray] | None = None
-    source: Source | None = field(default=None, compare=False)
 
 
 METHODS: dict[str, Method] = {
@@ -81,8 +79,8 @@ METHODS: dict[str, Method] = {
 }
 """The methods in the order of figures. Scenarios and studies can name every method that is added here.
 
-``deepgps.config.plugins.load_plugins`` adds those of plugins when a process starts: to this one table, as settings
-check themselves against it wherever they are made, and no other table can be passed there.
+``deepgps.config.plugins.load_plugins`` adds those of plugins: to this one table, as settings check themselves against
+it wherever they are made.
 """
 
 

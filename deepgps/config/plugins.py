@@ -1,139 +1,78 @@
-"""Plugins: methods and encoder faults from outside, in a file or in an installed package.
+"""Plugins: methods and encoder faults from outside.
 
-A plugin is a Python module with a table ``METHODS`` of ``deepgps.Method``, a table ``ENCODER_FAULTS`` of
-``deepgps.EncoderFault``, or both. An installed package offers one as an entry point of the group ``deepgps.plugins``.
+A plugin is a Python file with a table ``METHODS`` of ``deepgps.Method``, a table ``ENCODER_FAULTS`` of
+``deepgps.EncoderFault``, or both, which are added to the tables of these names.
 """
 
 import hashlib
-import importlib.util
 import re
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from importlib.metadata import EntryPoint, entry_points
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from deepgps.config.methods import METHODS, Method
 from deepgps.config.scenario import Scenario
-from sim import renamed
-from sim.errors import InputError, WorkError, one_line
-from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD, EncoderFault, Source, describe_failure
+from sim.errors import InputError
+from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD, MODULE_PREFIX, EncoderFault
 from sim.settings import EncoderSettings
 from sim.user_input import quote, read_file, shorten
 
-GROUP = "deepgps.plugins"
 NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
-TAKEN = {"features", "recording", "figures", "pairs", "truth", "heading", *renamed.METHODS}
+TAKEN = {"features", "recording", "figures", "pairs", "truth", "heading"}
 """Names that no method can have: folders of a run, and arrays of an error field."""
 LARGEST = 10 * 1024 * 1024
 
 
-def load_plugins(files: Iterable[str | Path] = ()) -> None:
-    """Load the installed plugins and those in these files; a file that has changed since is loaded again.
+def load_plugins(files: Iterable[str | Path]) -> None:
+    """Add what these plugins define to ``METHODS`` and ``ENCODER_FAULTS``; call it before scenarios are read.
 
-    This is the only function that adds to ``METHODS`` and ``ENCODER_FAULTS``. Call it before scenarios are read.
+    An exception of a plugin's code is passed on.
 
     Raises:
         InputError: A file cannot be read, is no plugin, or defines a name that is taken.
-        WorkError: A plugin's code raises an exception; the message names its file and line.
     """
-    for point in entry_points(group=GROUP):
-        _add(*_import_installed(point))
     for file in files:
-        _add(*_import_file(Path(file).absolute()))
+        path = Path(file).absolute()
+        name = MODULE_PREFIX + hashlib.sha256(str(path).encode()).hexdigest()[:8]
+        before = sys.modules.get(name)
+        module = _import(path, name)
+        for attribute, table, kind in (("METHODS", METHODS, Method), ("ENCODER_FAULTS", ENCODER_FAULTS, EncoderFault)):
+            for known in getattr(before, attribute, {}):
+                table.pop(known, None)
+            added = getattr(module, attribute, {})
+            if not isinstance(added, dict) or not all(isinstance(record, kind) for record in added.values()):
+                raise InputError(f"plugin {path}: {attribute} must map names to deepgps.{kind.__name__}")
+            for own in added:
+                if own in table or own in TAKEN or own in EncoderSettings.model_fields:
+                    raise InputError(f"plugin {path}: the name {own} is taken")
+                if not isinstance(own, str) or not NAME.fullmatch(own):
+                    raise InputError(f"plugin {path}: {quote(own)} is no name of lower-case letters, digits and _")
+            table.update(added)
 
 
-def list_files() -> list[Path]:
-    """The files that are loaded as plugins, for other processes to load them too; they find installed ones."""
-    sources = {record.source for table in (METHODS, ENCODER_FAULTS) for record in table.values() if record.source}
-    return sorted(source.file for source in sources if not source.installed)
+def list_plugins() -> list[Path]:
+    """The files that are loaded as plugins, for other processes to load them too."""
+    return sorted(Path(str(module.__file__)) for name, module in sys.modules.items() if name.startswith(MODULE_PREFIX))
 
 
 def check_plugins(scenario: Scenario) -> None:
-    """Raise InputError if a plugin that a scenario needs is not loaded, or its source is not the scenario's."""
-    wanted = {
-        **{f"method {name}": (METHODS.get(name), source.sha256) for name, source in scenario.plugins.items()},
-        **{
-            f"encoder.plugins.{name}": (ENCODER_FAULTS.get(name), setting.sha256)
-            for name, setting in scenario.encoder.plugins.items()
-        },
+    """Raise InputError if a plugin that a scenario needs is not loaded."""
+    missing = {
+        **{f"method {name}": name in METHODS for name in scenario.methods},
+        **{f"encoder.plugins.{name}": name in ENCODER_FAULTS for name in scenario.encoder.plugins},
     }
-    for name, (found, checksum) in wanted.items():
-        if found is None or found.source is None:
+    for name, is_loaded in missing.items():
+        if not is_loaded:
             raise InputError(f"{name}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
-        if found.source.sha256 != checksum:
-            raise InputError(
-                f"{name}: the source of its plugin, {found.source.file}, has changed since (sha256 "
-                f"{found.source.sha256[:8]}, was {checksum[:8]}); choose another folder"
-            )
 
 
-def _import_file(path: Path) -> tuple[ModuleType, Source]:
+def _import(path: Path, name: str) -> ModuleType:
     code = read_file(path, LARGEST, f"plugin {shorten(str(path), 300)}")
-    source = Source(path, hashlib.sha256(code).hexdigest())
-    name = f"deepgps_plugin_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
-    known = sys.modules.get(name)
-    if known is not None and getattr(known, "__deepgps_source__", None) == source:
-        return known, source
-    if (spec := importlib.util.spec_from_file_location(name, path)) is None:
-        raise InputError(f"plugin {shorten(str(path), 300)}: a plugin is a Python file, whose name ends in .py")
-    module = importlib.util.module_from_spec(spec)
-    module.__dict__["__deepgps_source__"] = source
-    sys.modules[name] = module  # as pickle and dataclasses require
-    try:
-        exec(compile(code, str(path), "exec"), module.__dict__)  # the bytes of the checksum
-    except (InputError, WorkError):
-        del sys.modules[name]
-        raise
-    except Exception as error:
-        del sys.modules[name]
-        raise WorkError(describe_failure(error, path)) from error
-    return module, source
-
-
-def _import_installed(point: EntryPoint) -> tuple[ModuleType, Source]:
-    try:
-        module = point.load()
-    except Exception as error:
-        raise WorkError(f"plugin {point.name} ({point.value}): {type(error).__name__}: {one_line(error)}") from error
-    file = getattr(module, "__file__", None)
-    if not isinstance(module, ModuleType) or file is None:
-        raise InputError(f"plugin {point.name} ({point.value}) must be a module with a file")
-    path = Path(file)
-    parts = sorted(path.parent.rglob("*.py")) if path.name == "__init__.py" else [path]
-    state = hashlib.sha256()
-    for part in parts:
-        state.update(part.read_bytes())
-    return module, Source(path, state.hexdigest(), installed=True)
-
-
-def _add(module: ModuleType, source: Source) -> None:
-    methods = _read_table(module, source, "METHODS", Method)
-    faults = _read_table(module, source, "ENCODER_FAULTS", EncoderFault)
-    if not methods and not faults:
-        raise InputError(f"plugin {source.file} has neither METHODS nor ENCODER_FAULTS, so it adds nothing")
-    for table, added in ((METHODS, methods), (ENCODER_FAULTS, faults)):
-        for name in [name for name, record in table.items() if record.source and record.source.file == source.file]:
-            del table[name]
-        for name, record in added.items():
-            _check_name(name, table, source)
-            table[name] = replace(record, source=source)
-
-
-def _read_table(module: ModuleType, source: Source, name: str, kind: type[Any]) -> dict[str, Any]:
-    table = getattr(module, name, {})
-    wrong = [key for key, value in table.items() if not isinstance(value, kind)] if isinstance(table, Mapping) else [""]
-    if wrong:
-        raise InputError(f"plugin {source.file}: {name} must map names to deepgps.{kind.__name__}")
-    return dict(table)
-
-
-def _check_name(name: object, table: Mapping[str, Any], source: Source) -> None:
-    if not isinstance(name, str) or not NAME.fullmatch(name) or name in TAKEN:
-        raise InputError(f"plugin {source.file}: {quote(name)} cannot be a name; lower-case letters, digits and _ can")
-    before = table[name].source if name in table else None
-    if (name in table and (before is None or before.file != source.file)) or name in EncoderSettings.model_fields:
-        by = f"by {before.file}" if before else "by deepgps itself"
-        raise InputError(f"plugin {source.file}: the name {name} is taken, {by}")
+    module = ModuleType(name)
+    module.__file__ = str(path)
+    exec(compile(code, str(path), "exec"), module.__dict__)  # without a file of bytecode beside the user's file
+    if not hasattr(module, "METHODS") and not hasattr(module, "ENCODER_FAULTS"):
+        raise InputError(f"plugin {path} has neither METHODS nor ENCODER_FAULTS, so it adds nothing")
+    sys.modules[name] = module
+    return module

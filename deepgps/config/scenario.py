@@ -25,16 +25,18 @@ from deepgps.config.setting_problems import DEEPEST, describe_first, describe_pr
 from deepgps.config.spelling import as_key, find_like, suggest
 from sim.errors import InputError
 from sim.paths import SCENARIOS
-from sim.plugins import HOW_TO_LOAD
+from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.recording.manifest import ObservationKind, name_sensors
-from sim.settings import Group, SimSettings
-from sim.settings.group import Seed, WithPlugins
+from sim.settings import SimSettings
+from sim.settings.group import Seed
 from sim.user_input import quote, shorten
+
+STORED = "stored"
+"""The context in which a stored run's scenario is checked: it can be opened without its plugins, not continued."""
 
 
 def _check_method(name: str, info: ValidationInfo) -> str:
-    """A run with a plugin's method can be opened without the plugin, though not continued."""
-    return name if name in info.data.get("plugins", {}) else check_name(name, METHODS, f"; {HOW_TO_LOAD}")
+    return name if info.context == STORED else check_name(name, METHODS, f"; {HOW_TO_LOAD}")
 
 
 MethodName = Annotated[str, AfterValidator(_check_method)]
@@ -50,13 +52,7 @@ NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
 """Pattern of the names of scenarios and studies, which name folders."""
 
 
-class PluginSource(Group):
-    """The source of a plugin."""
-
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-
-
-class Scenario(WithPlugins, SimSettings):
+class Scenario(SimSettings):
     """Every setting that determines a run."""
 
     name: str = Field(default="unnamed", pattern=NAME)
@@ -64,24 +60,16 @@ class Scenario(WithPlugins, SimSettings):
     for other letters than a name may hold."""
     seed: Seed = 0
     """Seed of everything random; each part of the work draws from an RNG stream of its own."""
-    plugins: dict[str, PluginSource] = Field(default_factory=dict)
-    """The plugins of those methods that deepgps does not have itself; filled in from the plugins that are loaded."""
     methods: tuple[MethodName, ...] = ("deepgps", "posenet", "dead_reckoned_labels", "knn")
     """Methods to train and compare."""
     learn: LearnSettings = LearnSettings()
 
-    @model_validator(mode="before")
-    @classmethod
-    def _add_the_sources(cls, values: Any) -> Any:
-        if not isinstance(values, Mapping) or not isinstance(values.get("methods"), list | tuple):
-            return values
-        given = values.get("plugins", {})
-        if not isinstance(given, Mapping):
-            return values  # which the field's own check refuses
-        names = [name for name in values["methods"] if isinstance(name, str)]
-        loaded = {name: METHODS[name].source for name in names if name in METHODS}
-        sources = {name: {"sha256": source.sha256} for name, source in loaded.items() if source}
-        return {**values, "plugins": {**sources, **{name: given[name] for name in names if name in given}}}
+    @model_validator(mode="after")
+    def _plugins_define_the_faults(self, info: ValidationInfo) -> "Scenario":
+        for name, strength in self.encoder.plugins.items():
+            if name not in ENCODER_FAULTS and info.context != STORED:
+                raise ValueError(f"encoder.plugins.{shorten(name)} {strength:g}: no such fault; {HOW_TO_LOAD}")
+        return self
 
     @field_validator("methods")
     @classmethod
@@ -228,9 +216,9 @@ def names_in(folder: Path) -> list[str]:
 
 
 def check_scenario(values: Mapping[str, Any], origin: Path) -> Scenario:
-    """Make a scenario from the plain values of a file; raises InputError that names it, and the settings."""
+    """Make a scenario from the values of a stored run's file; raises InputError that names it, and the settings."""
     try:
-        return Scenario.model_validate(values)
+        return Scenario.model_validate(values, context=STORED)
     except ValidationError as error:
         raise InputError(f"{shorten(str(origin), 300)}: {describe_problems(error, Scenario)}") from None
 

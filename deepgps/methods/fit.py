@@ -21,10 +21,10 @@ from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.methods.attempts import remove_leftovers
 from deepgps.positioner.confidence_fit import make_confidence
 from deepgps.positioner.heading_fit import make_headings
-from deepgps.positioner.positioner import ArrayPositioner, FeaturePositioner, NetworkPositioner, Positioner
+from deepgps.positioner.positioner import ArrayPositioner, FeaturePositioner, Fitted, NetworkPositioner, Positioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, save_positioner
 from deepgps.terminal.progress import Report, ignore
-from sim.plugins import calling
+from sim.errors import WorkError
 from sim.recording.format import Recording, observation_file
 
 
@@ -51,8 +51,10 @@ def fit_method(
             recording = keep_plausible(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             start = time.perf_counter()
-            with calling(method.source):
-                positioner, training = fit(recording, settings, seed, folder, progress)
+            fitted = fit(recording, settings, seed, folder, progress)
+            if not isinstance(fitted, Fitted):
+                raise WorkError(f"method {name}: fit must return deepgps.Fitted, not a {type(fitted).__name__}")
+            positioner, training = fitted
             if method.predict is not None and isinstance(positioner, Mapping):
                 parameters = sum(np.asarray(array).size for array in positioner.values())
                 took = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": parameters}

@@ -20,7 +20,6 @@ from deepgps.positioner.headings import HeadingTable, Yaws
 from deepgps.positioner.nearest_scan import ScanPositioner
 from deepgps.positioner.trilateration import LandmarkPositioner
 from sim.errors import WorkError
-from sim.plugins import calling
 from sim.sensors.camera.upright import Upright
 
 CHUNK = 500
@@ -176,8 +175,7 @@ class ArrayPositioner:
         """Positions (B, 2) float64 [m], in the method's own frame, of observations (B, ...)."""
         method = find_method(self.method)
         assert method.predict is not None
-        with calling(method.source):
-            found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
+        found = np.asarray(method.predict(self.arrays, np.asarray(observations)), float)
         if found.shape != (len(observations), 2):
             raise WorkError(f"method {self.method}: predict must return {(len(observations), 2)}, not {found.shape}")
         return found

@@ -165,8 +165,8 @@ def list_faults(recording: Recording) -> list[str]:
         f"{group}.{name}": value for group in ("encoder", "robot") for name, value in settings.get(group, {}).items()
     }
     was_set["encoder.ticks_per_rev"] = ticks
-    for name, setting in settings.get("encoder", {}).get("plugins", {}).items():
-        sound[f"encoder.plugins.{name}"], was_set[f"encoder.plugins.{name}"] = 0.0, setting["value"]
+    for name, strength in settings.get("encoder", {}).get("plugins", {}).items():
+        sound[f"encoder.plugins.{name}"], was_set[f"encoder.plugins.{name}"] = 0.0, strength
     faults = {name: value for name, value in was_set.items() if name in sound and value != sound[name]}
     if not faults:
         return [f"No faults are set: {ticks} ticks per revolution, all of them correct."]

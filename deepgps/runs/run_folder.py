@@ -107,8 +107,7 @@ def join_methods(scenario: Scenario, folder: Path) -> Scenario:
 
 def is_same_but_methods(one: Scenario, other: Scenario) -> bool:
     """Whether two scenarios differ at most in their methods."""
-    unlike = {"methods", "plugins"}
-    return one.model_dump(exclude=unlike) == other.model_dump(exclude=unlike)
+    return one.model_dump(exclude={"methods"}) == other.model_dump(exclude={"methods"})
 
 
 def find_place(folder: Path, fresh: bool) -> Path:
@@ -130,7 +129,7 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
 
     Raises:
         InputError: The folder does not belong to deepgps, is in use, or holds another run; or a plugin that the
-            scenario needs is not loaded, or has changed.
+            scenario needs is not loaded.
     """
     check_plugins(scenario)
     if is_older(folder, RUN):

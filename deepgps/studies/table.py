@@ -140,7 +140,7 @@ def read_setting(scenario: Scenario, dotted: str) -> Any:
     value: Any = scenario
     for part in dotted.split("."):
         if isinstance(value, Mapping):  # the strengths of plugins' faults; those that are off are left out
-            return value[part].value if part in value else 0.0
+            return value.get(part, 0.0)
         value = getattr(value, part)
     return value if value is None or isinstance(value, bool | int | float | str) else str(value)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from deepgps.terminal.signals import describe_signal, is_interrupt
 from sim.errors import InputError, WorkError, one_line
+from sim.plugins import locate_failure
 
 FULL = (errno.ENOSPC, errno.EDQUOT, None)  # None: numpy says how many bytes were written, but not why
 FAULT = "deepgps-fault-"
@@ -88,6 +89,8 @@ def write_fault(error: BaseException, words: Sequence[str], folder: Path | None)
 def _describe(error: BaseException, words: Sequence[str], folder: Path | None) -> str:
     if isinstance(error, WorkError):
         return one_line(error)
+    if plugin := locate_failure(error):
+        return f"{plugin}: {type(error).__name__}: {one_line(error)}"
     if isinstance(error, OSError):
         return _explain_file(error, folder)
     if isinstance(error, MemoryError):

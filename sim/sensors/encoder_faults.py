@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sim.errors import WorkError
-from sim.plugins import ENCODER_FAULTS, EncoderFault, calling, find_fault
+from sim.errors import InputError, WorkError
+from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.rng import split
 from sim.settings import EncoderSettings
 
@@ -59,25 +59,25 @@ def disturb(
             angle = fault.apply(angle, settings, wheel_radius_m, stream)
         if fault.drops is not None:
             arrived &= ~fault.drops(len(angle), settings, stream)
-    for name, setting in settings.plugins.items():
-        angle, dropped = _disturb_by(
-            find_fault(name), name, angle, setting.value, wheel_radius_m, split(rng, "plugins", name)
-        )
+    for name, strength in settings.plugins.items():
+        angle, dropped = _disturb_by_plugin(name, angle, strength, wheel_radius_m, split(rng, "plugins", name))
         arrived &= ~dropped
     return angle, arrived
 
 
-def _disturb_by(
-    fault: EncoderFault, name: str, angle: np.ndarray, value: float, wheel_radius_m: float, rng: np.random.Generator
+def _disturb_by_plugin(
+    name: str, angle: np.ndarray, strength: float, wheel_radius_m: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Angles with a plugin's fault, and which readings it drops; raises WorkError if it returns something else."""
+    if name not in ENCODER_FAULTS:
+        raise InputError(f"encoder.plugins.{name} {strength}: no plugin that is loaded defines it; {HOW_TO_LOAD}")
+    fault = ENCODER_FAULTS[name]
     dropped = np.zeros(len(angle), bool)
     shape = angle.shape
-    with calling(fault.source):
-        if fault.apply is not None:
-            angle = np.asarray(fault.apply(angle.copy(), value, wheel_radius_m, rng), float)
-        if fault.drops is not None:
-            dropped = np.asarray(fault.drops(len(dropped), value, rng))
+    if fault.apply is not None:
+        angle = np.asarray(fault.apply(angle.copy(), strength, wheel_radius_m, rng), float)
+    if fault.drops is not None:
+        dropped = np.asarray(fault.drops(len(dropped), strength, rng))
     if angle.shape != shape or not np.isfinite(angle).all():
         raise WorkError(f"encoder fault {name}: apply must return finite angles {shape}, not {angle.shape}")
     if dropped.shape != shape[:1] or dropped.dtype != bool:
@@ -190,8 +190,7 @@ def expect_variance(odometry: Mapping[str, float], gap: Any, made_of: Any) -> An
 def expect_bias(encoder: EncoderSettings, distance: Any) -> Any:
     """Mean squared error [m^2] of complete segments of these lengths [m] from faults that are in no data sheet."""
     own = sum(fault.bias(encoder, distance) for fault in FAULTS if fault.bias)
-    for name, setting in encoder.plugins.items():
+    for name, strength in encoder.plugins.items():
         if name in ENCODER_FAULTS and (bias := ENCODER_FAULTS[name].bias):
-            with calling(ENCODER_FAULTS[name].source):
-                own = own + bias(setting.value, distance)
+            own = own + bias(strength, distance)
     return own

@@ -58,17 +58,3 @@ class WithLater(Group):
     def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
         usual = {name: type(self).model_fields[name].default for name in self.later}
         return {name: value for name, value in write(self).items() if name not in usual or value != usual[name]}
-
-
-class WithPlugins(Group):
-    """A group with a dictionary ``plugins``: an empty one is not written, so a run without plugins keeps its hash."""
-
-    def __hash__(self) -> int:
-        return hash(self.model_dump_json())  # a dictionary has no hash
-
-    @model_serializer(mode="wrap")
-    def _write_plugins_only_if_there_are_some(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        values = write(self)
-        if not values.get("plugins"):
-            values.pop("plugins", None)
-        return values

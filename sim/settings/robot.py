@@ -1,12 +1,11 @@
 """Settings of the robot's body and its wheel encoders."""
 
-from collections.abc import Mapping
 from typing import Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
-from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
-from sim.settings.group import Group, WithPlugins
+from sim.plugins import ENCODER_FAULTS
+from sim.settings.group import Group
 from sim.user_input import shorten
 
 NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")
@@ -46,14 +45,7 @@ class RobotSettings(Group):
         return self
 
 
-class FaultSetting(Group):
-    """Strength of a fault that a plugin defines, and the checksum of the plugin's source."""
-
-    value: float
-    sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-
-
-class EncoderSettings(WithPlugins):
+class EncoderSettings(Group):
     """The wheel encoders and their faults; all but the first are faults of measurement."""
 
     ticks_per_rev: int = Field(default=4096, ge=4, le=65536)
@@ -72,34 +64,18 @@ class EncoderSettings(WithPlugins):
     """Fraction of readings that never arrive."""
     stuck_fraction: float = Field(default=0.0, ge=0.0, le=0.9)
     """Fraction of the readings, in one stretch, during which one random encoder, left or right, counts nothing."""
-    plugins: dict[str, FaultSetting] = Field(default_factory=dict)
-    """Faults that plugins define: their strengths by name."""
+    plugins: dict[str, float] = Field(default_factory=dict, exclude_if=lambda faults: not faults)
+    """Strengths of the faults that plugins define, by name; a fault of strength 0 is left out."""
 
-    @field_validator("plugins", mode="before")
-    @classmethod
-    def _add_the_checksums(cls, given: Any) -> Any:
-        return {name: _add_checksum(name, value) for name, value in given.items()} if _is_mapping(given) else given
+    def __hash__(self) -> int:
+        return hash(self.model_dump_json())  # a dictionary has no hash
 
     @field_validator("plugins")
     @classmethod
-    def _leave_out_what_is_off(cls, plugins: dict[str, FaultSetting]) -> dict[str, FaultSetting]:
-        for name, setting in plugins.items():
+    def _leave_out_what_is_off(cls, plugins: dict[str, float]) -> dict[str, float]:
+        """A fault whose plugin is not loaded passes, since recordings with it can be read; driving refuses it."""
+        for name, strength in plugins.items():
             low, high = ENCODER_FAULTS[name].limits if name in ENCODER_FAULTS else (-float("inf"), float("inf"))
-            if setting.value and not low <= setting.value <= high:
-                raise ValueError(f"{shorten(name)} {setting.value}: must be from {low:g} to {high:g}, or 0")
-        return {name: plugins[name] for name in sorted(plugins) if plugins[name].value}
-
-
-def _add_checksum(name: str, value: Any) -> Any:
-    """A fault's setting with the checksum of the loaded plugin's source, unless it holds one."""
-    if isinstance(value, FaultSetting) or (_is_mapping(value) and "sha256" in value):
-        return value  # of a run or a recording, which can be opened without the plugin
-    if name not in ENCODER_FAULTS:
-        raise ValueError(f"no plugin that is loaded defines {shorten(str(name))}; {HOW_TO_LOAD}")
-    source = ENCODER_FAULTS[name].source
-    given = dict(value) if _is_mapping(value) else {"value": value}
-    return {**given, "sha256": source.sha256 if source else ""}
-
-
-def _is_mapping(value: Any) -> bool:
-    return isinstance(value, Mapping)
+            if strength and not low <= strength <= high:
+                raise ValueError(f"{shorten(name)} {strength}: must be from {low:g} to {high:g}, or 0")
+        return {name: plugins[name] for name in sorted(plugins) if plugins[name]}

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from deepgps.config.plugins import list_files
+from deepgps.config.plugins import list_plugins
 from deepgps.config.scenario import Scenario
 from deepgps.studies.engine.pool import Tell, do_all
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
@@ -55,7 +55,7 @@ def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
 
 
 def _make_run(plan: Plan, folder: Path) -> RunTask:
-    return RunTask(plan.scenario, folder, plan.recording, count_steps(plan.scenario, folder), list_files())
+    return RunTask(plan.scenario, folder, plan.recording, count_steps(plan.scenario, folder), list_plugins())
 
 
 def count_workers(plans: Sequence[Plan]) -> int:

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from deepgps.config.plugins import list_files
+from deepgps.config.plugins import list_plugins
 from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
 from deepgps.studies.plan import Plan
 from deepgps.terminal.progress import Report, ignore
@@ -92,7 +92,7 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
     for plan in plans:
         needs = {"num_cpus": 1, "num_gpus": gpus * wants_gpu(plan.scenario), "max_retries": RETRIES}
         home = folder.resolve() / "runs" / plan.run
-        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore, list_files())
+        task = ray.remote(**needs)(do_run).remote(plan.scenario, home, plan.recording, ignore, list_plugins())
         running[task] = plan
     progress(f"steps of {len(plans)} runs", 0, total)
     while running:

@@ -50,8 +50,7 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
     """Eight hexadecimal digits of everything that determines a training without ticks: settings, seed, images,
     positions, and the order of images along segments, by which features are chosen."""
     sums = {name: value for name, value in recording.manifest.sha256.items() if not name.startswith(NOT_LEARNED)}
-    source = scenario.plugins[method].sha256 if method in scenario.plugins else ""
-    read = f"{method}{source} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
+    read = f"{method} {training_seed(scenario)} {scenario.learn.model_dump_json()} {sorted(sums.items())}"
     return hashlib.sha256(read.encode() + recording.reading[:, :2].tobytes()).hexdigest()[:8]
 
 

@@ -15,6 +15,7 @@ from deepgps.runs.run_folder import claim, list_trained
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, WorkError, one_line
 from sim.files.atomic import write_text
+from sim.plugins import locate_failure
 
 FAILURE = "failure.txt"
 Failures = dict[str, str]  # reasons by the hash of the run
@@ -56,7 +57,8 @@ def do_run(
     except Exception as error:  # a bug must not stop the other runs
         with suppress(OSError):
             write_text(folder / FAILURE, traceback.format_exc())
-        return f"{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
+        where = f"{plugin}: " if (plugin := locate_failure(error)) else ""
+        return f"{where}{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
     return None
 
 
