@@ -10,11 +10,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from tests.faults import bits, bombs, cores, disk, endings, fresh, kills, readings, users, web
-from tests.faults.attack import Result, Test, carry_out
+from tests.faults import bits, bombs, disk, fresh, kills, users
+from tests.faults.attack import Result, Test, carry_out, write_page
 from tests.faults.command import end_all
 from tests.faults.material import Material, make_material
-from tests.faults.page import write_page
 
 SCALES = {"quick": 0.2, "full": 5.0}
 ON_RUNS: dict[str, Callable[[Material], Sequence[Test | Result]]] = {
@@ -23,13 +22,9 @@ ON_RUNS: dict[str, Callable[[Material], Sequence[Test | Result]]] = {
     "bits": bits.list_tests,
     "disk": disk.list_tests,
     "kills": kills.list_tests,
-    "cores": cores.list_tests,
-    "endings": endings.list_tests,
-    "web": web.list_tests,
 }
 """Families that break runs which are made first."""
-ALONE: dict[str, Callable[[], Sequence[Test | Result]]] = {"bombs": bombs.list_tests, "readings": readings.list_tests}
-FAMILIES = (*ON_RUNS, *ALONE)
+FAMILIES = (*ON_RUNS, "bombs")
 
 
 def main() -> int:
@@ -66,17 +61,13 @@ def attack(arguments: argparse.Namespace, seed: int, place: Path) -> Iterator[Re
     material = make_material(place / "material", say) if set(ON_RUNS) & set(arguments.only) else None
     scale = SCALES["quick"] if arguments.quick else SCALES["full"] if arguments.full else 1.0
     for family in arguments.only:
-        start, listed = time.monotonic(), list_tests(family, material)
+        start = time.monotonic()
+        listed = ON_RUNS[family](material) if material and family in ON_RUNS else bombs.list_tests()
         skipped = [one for one in listed if isinstance(one, Result)]
         tests = [one for one in listed if isinstance(one, Test) and arguments.test in one.name]
         yield from carry_out(tests, seed, scale, place / family, arguments.number, say)
         yield from skipped
         say(f"{family} took {time.monotonic() - start:.0f} s")
-
-
-def list_tests(family: str, material: Material | None) -> Sequence[Test | Result]:
-    """The tests of a family, and results for those that cannot be made here."""
-    return ON_RUNS[family](material) if material and family in ON_RUNS else ALONE[family]()
 
 
 def parse(words: Sequence[str]) -> argparse.Namespace:

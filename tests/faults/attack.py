@@ -1,18 +1,30 @@
 """What an attack is: tests of many tries each, every try drawn from its own random numbers, and what became of them."""
 
+import os
+import platform
 import random
 import shutil
+import subprocess
 import traceback
 import uuid
 from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
+REPOSITORY = Path(__file__).resolve().parents[2]
 LANES = 2
 EXAMPLES = 3
 """Failures of a test that are kept with all their details."""
+HEAD = """# Attempts to break it
+
+`make faults` attacks the testbed from outside, through its commands alone: it plants files of a user's, flips bits,
+fills disks, kills processes, feeds hostile files, and counts how often what should hold did hold. Every draw follows
+from a seed; without `--seed` each run draws new cases. `.venv/bin/python -m tests.faults --help` shows how to run a
+part of it, how to make it longer, and how to see one failure again.
+"""
 
 
 @dataclass(frozen=True)
@@ -55,7 +67,6 @@ class Test:
         tries: How often, at the default size.
         attempt: Makes one try.
         of: How many kinds of try there are, by their number; none: each is drawn alike.
-        alone: Whether nothing else may run beside a try, because it takes times.
     """
 
     family: str
@@ -63,7 +74,6 @@ class Test:
     tries: int
     attempt: Callable[[Case], Verdict]
     of: int = 0
-    alone: bool = False
 
 
 @dataclass
@@ -95,7 +105,7 @@ def skip(family: str, test: str, why: str) -> Result:
 def carry_out(
     tests: Sequence[Test], seed: int, scale: float, place: Path, only: int | None, say: Callable[[str], None]
 ) -> list[Result]:
-    """Make all tries of some tests, two at once but for those that want to be alone.
+    """Make all tries of some tests, two at once.
 
     Args:
         tests: What to try.
@@ -106,19 +116,17 @@ def carry_out(
         say: Told each failure, and each test that is done.
     """
     results = {test: Result(test.family, test.name) for test in tests}
-    for lanes in (LANES, 1):
-        jobs = [(test, n) for test in tests if test.alone == (lanes == 1) for n in _choose(test, seed, scale, only)]
-        waiting = Counter(test for test, _ in jobs)
-        with ThreadPoolExecutor(lanes) as pool:
-            for (test, number), verdict in zip(
-                jobs, pool.map(lambda job: _try(job[0], job[1], seed, place), jobs), strict=True
-            ):
-                results[test].add(number, verdict)
-                waiting[test] -= 1
-                if not verdict.held:
-                    say(f"  {test.family}, {test.name}, try {number}: {verdict.kind}: {verdict.detail}")
-                if not waiting[test]:
-                    say(f"{test.family}, {test.name}: {describe(results[test])}")
+    jobs = [(test, number) for test in tests for number in _choose(test, seed, scale, only)]
+    waiting = Counter(test for test, _ in jobs)
+    with ThreadPoolExecutor(LANES) as pool:
+        verdicts = pool.map(lambda job: _try(job[0], job[1], seed, place), jobs)
+        for (test, number), verdict in zip(jobs, verdicts, strict=True):
+            results[test].add(number, verdict)
+            waiting[test] -= 1
+            if not verdict.held:
+                say(f"  {test.family}, {test.name}, try {number}: {verdict.kind}: {verdict.detail}")
+            if not waiting[test]:
+                say(f"{test.family}, {test.name}: {describe(results[test])}")
     return list(results.values())
 
 
@@ -145,17 +153,31 @@ def _try(test: Test, number: int, seed: int, place: Path) -> Verdict:
 
 def describe(result: Result) -> str:
     """One result in a few words."""
-    if result.skipped:
-        return result.skipped
     kinds = ", ".join(f"{count} {kind}" for kind, count in result.kinds.most_common())
-    return f"{result.held} of {result.tries} held: {kinds}"
+    return result.skipped or f"{result.held} of {result.tries} held: {kinds}"
 
 
-def tabulate(results: Sequence[Result]) -> str:
-    """The table in Markdown."""
+def write_page(results: Sequence[Result], seed: int, seconds: float) -> str:
+    """The page of the documentation, in Markdown.
+
+    Args:
+        results: Of all tests.
+        seed: Of all draws.
+        seconds: How long it took.
+    """
+    commit = subprocess.run(
+        ["git", "-C", str(REPOSITORY), "describe", "--always", "--dirty"], capture_output=True, text=True, check=False
+    ).stdout.strip()
+    machine = f"{len(os.sched_getaffinity(0))} cores of {platform.machine()}, {platform.system()}"
+    made = f"Made on {datetime.now(UTC):%Y-%m-%d}, commit {commit or 'unknown'}, seed {seed}"
+    made += f", in {seconds / 60:.0f} minutes on {machine}, Python {platform.python_version()}."
     lines = ["| family | what was tried | tries | held | what happened |", "|---|---|--:|--:|---|"]
     for one in results:
         what = one.skipped or ", ".join(f"{count} {kind}" for kind, count in one.kinds.most_common())
         lines.append(f"| {one.family} | {one.test} | {one.tries} | {one.held} | {what} |")
-    tries, held = sum(one.tries for one in results), sum(one.held for one in results)
-    return "\n".join([*lines, f"| | in all | {tries} | {held} | |"])
+    lines.append(f"| | in all | {sum(one.tries for one in results)} | {sum(one.held for one in results)} | |")
+    fallen = [f"- {one.family}, {one.test}: {example[:700]}" for one in results for example in one.examples]
+    return (
+        "\n\n".join([HEAD.strip(), made, "\n".join(lines), *(["## What failed", "\n".join(fallen)] if fallen else [])])
+        + "\n"
+    )

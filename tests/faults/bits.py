@@ -10,33 +10,27 @@ from tests.faults.fingerprint import Print, differences, figures_printed, take
 from tests.faults.material import STAGES, Material, Run, Study, copy
 
 TRIES = {"collecting": 5, "collected": 5, "training": 5, "trained": 9, "evaluated": 4, "finished": 8}
-VIEW = """
-import hashlib, sys
-from pathlib import Path
-from deepgps.runs.run_folder import open_run
-from deepgps.viewer.read import read_error_table
-from deepgps.viewer.window.show import find_shown
+READ = """
+import sys
+import deepgps
 from sim.errors import InputError, WorkError
 try:
-    open_run(Path(sys.argv[1]))
-    rows = read_error_table(find_shown([Path(sys.argv[1])])).to_pydict()
+    run = deepgps.load(sys.argv[1])
+    print([run.errors(method).to_pydict() for method in run.methods], run.report())
 except (InputError, WorkError, OSError) as error:
-    print(f"failed: {error}", file=sys.stderr)
-    sys.exit(1)
-print(hashlib.sha256(repr(rows).encode()).hexdigest())
+    sys.exit(f"failed: {error}")
 """
-"""What ``deepgps view`` does before it opens a window, and the error fields that it would show."""
+"""What a script reads of a run, its error fields among them."""
 
 
 def list_tests(material: Material) -> list[Test]:
-    """Every kind of run at every stage, what a viewer shows of it, and a finished study."""
+    """Every kind of run at every stage, what a script reads of it, and a finished study."""
     tests = []
     for kind, run in material.runs.items():
-        shown = _view(run.stages["finished"], run.stages["finished"].parent).out
         for stage in run.stages:
             tests.append(Test("bits", f"{kind}, {stage}, then {STAGES[stage]}", TRIES[stage], _attack_run(run, stage)))
-        for stage in ("evaluated", "finished"):
-            tests.append(Test("bits", f"{kind}, {stage}, then view", 3, _attack_view(run, stage, shown)))
+        read = _read(run.stages["finished"]).out
+        tests.append(Test("bits", f"{kind}, finished, then read by a script", 4, _attack_reader(run, read)))
     return [*tests, Test("bits", "study, finished, then study", 6, _attack_study(material.study))]
 
 
@@ -109,14 +103,13 @@ def _attack_run(run: Run, stage: str):
     return attempt
 
 
-def _attack_view(run: Run, stage: str, shown: str):
+def _attack_reader(run: Run, read: str):
     def attempt(case: Case) -> Verdict:
-        folder = copy(run.stages[stage], case.folder / "run")
+        folder = copy(run.stages["finished"], case.folder / "run")
         name, how, damaged = damage(folder, case.rng)
-        ended = _view(folder, case.folder)
-        expected = run.clean if stage == "finished" else run.after("evaluate")
-        wrong = _compare(folder, expected, name, damaged)
-        return judge(ended, name, how, wrong if ended.out == shown else [*wrong, "what is shown"])
+        ended = _read(folder)
+        wrong = _compare(folder, run.clean, name, damaged)
+        return judge(ended, name, how, wrong if ended.out == read else [*wrong, "what is read"])
 
     return attempt
 
@@ -135,5 +128,5 @@ def _compare(folder: Path, expected: Print, name: str, damaged: bytes) -> list[s
     return differences(expected, take(folder), left_out(folder, name, damaged))
 
 
-def _view(folder: Path, cwd: Path) -> Ended:
-    return deepgps("-c", VIEW, str(folder), cwd=cwd)
+def _read(folder: Path) -> Ended:
+    return deepgps("-c", READ, str(folder), cwd=folder.parent)

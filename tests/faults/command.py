@@ -9,13 +9,14 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
 
-REPOSITORY = Path(__file__).resolve().parents[2]
+from tests.faults.attack import REPOSITORY
+
 MARK = "DEEPGPS_FAULTS"
 """In the environment of each command and so of all that it starts: by it they are found again."""
 TIME_S = 120.0
@@ -37,9 +38,6 @@ class Ended:
         out: What it said, at most LONGEST characters.
         err: What it complained about, at most as many.
         said: Characters of both, all of them.
-        wall_s: Seconds it took.
-        cpu_s: Seconds of processor it took, with its children's.
-        peak_mb: The most memory that it or one of its children had.
         over: The limit that it broke and was ended for; empty: none.
         left: Processes that were still there some seconds after it.
     """
@@ -49,16 +47,8 @@ class Ended:
     out: str
     err: str
     said: int
-    wall_s: float
-    cpu_s: float
-    peak_mb: float
     over: str
     left: int
-
-    @property
-    def text(self) -> str:
-        """All it said."""
-        return f"{self.out}\n{self.err}"
 
     @property
     def problems(self) -> list[str]:
@@ -66,13 +56,8 @@ class Ended:
         return [line for line in self.err.splitlines() if line.startswith(("error:", "failed:"))]
 
     @property
-    def progress(self) -> list[str]:
-        """The lines that say how far it is."""
-        return [line for line in self.err.splitlines() if PROGRESS.match(line)]
-
-    @property
     def complaints(self) -> list[str]:
-        """All else that it complained about, without warnings."""
+        """All that it complained about, without progress and warnings."""
         lines = [line for line in self.err.splitlines() if line.strip() and not PROGRESS.match(line)]
         return [line for line in lines if not line.startswith("warning:")]
 
@@ -81,7 +66,7 @@ class Ended:
         """What no command may do, whatever is wrong: empty, or one of traceback, signal, too long, too large."""
         if self.over:
             return self.over
-        if "Traceback (most recent call last)" in self.text:
+        if "Traceback (most recent call last)" in self.out + self.err:
             return "traceback"
         if self.code < 0 or self.code > 2:
             return f"ended with {self.code}"
@@ -90,7 +75,7 @@ class Ended:
     def show(self) -> str:
         """The command and how it ended."""
         last = " / ".join((self.err or self.out).strip().splitlines()[-3:])
-        return f"`{self.line}` -> {self.code} in {self.wall_s:.1f} s: {last[:500]}"
+        return f"`{self.line}` -> {self.code}: {last[:500]}"
 
 
 @dataclass(frozen=True)
@@ -105,87 +90,63 @@ class Running:
     err: Path
 
 
-def start(
-    words: Sequence[str],
-    cwd: Path,
-    env: Mapping[str, str] | None = None,
-    before: Sequence[str] = (),
-) -> Running:
-    """Start ``deepgps`` with these words, or ``before`` and then it.
-
-    Args:
-        words: After ``deepgps``; those that start with ``-c`` are given to Python itself.
-        cwd: Where it runs.
-        env: Changes of the environment; an empty value takes a name away.
-        before: A command in front, as ``taskset -c 0``.
-    """
+def start(words: Sequence[str], cwd: Path) -> Running:
+    """Start ``deepgps`` with these words in a folder; those that start with ``-c`` are given to Python itself."""
     own = words[0] != "-c"
     program = [sys.executable, *(["-m", "deepgps.commands.main"] if own else [])]
     mark = f"{os.getpid()}-{uuid.uuid4().hex}"
+    path = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]))
+    environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", MARK: mark}
     out, err = (Path(gettempdir()) / f"{mark}.{name}" for name in ("out", "err"))
     with out.open("wb") as to_out, err.open("wb") as to_err:
         process = subprocess.Popen(
-            [*before, *program, *words],
+            [*program, *words],
             cwd=cwd,
-            env=make_environment(mark, env or {}),
+            env={name: value for name, value in environment.items() if name not in {"DISPLAY", "WAYLAND_DISPLAY"}},
             stdin=subprocess.DEVNULL,
             stdout=to_out,
             stderr=to_err,
             start_new_session=True,
         )
-    line = shlex.join([*before, "deepgps", *words] if own else ["view-without-a-window", *words[2:]])
+    line = shlex.join(["deepgps", *words]) if own else shlex.join(["read-it-in-python", *words[2:]])
     return Running(process, mark, line, time.monotonic(), out, err)
 
 
 def finish(running: Running, time_s: float = TIME_S, memory_mb: float = MEMORY_MB) -> Ended:
     """Wait for a command; end it, and all that it started, where it breaks a limit."""
     process, over = running.process, ""
-    while (found := os.wait4(process.pid, os.WNOHANG))[0] == 0:
+    while process.poll() is None:
         if time.monotonic() - running.started > time_s:
             over = f"longer than {time_s:.0f} s"
         elif memory_of(process.pid) > memory_mb:
             over = f"more than {memory_mb:.0f} MB"
         if over:
-            kill(running)
             kill_all(running)
         time.sleep(TICK_S)
-    wall = time.monotonic() - running.started
-    process.returncode = os.waitstatus_to_exitcode(found[1])
-    usage: resource.struct_rusage = found[2]
     left = [] if over else wait_gone(running.mark, LEAVE_S)
     kill_all(running)
-    out, err = (path.read_bytes() if path.exists() else b"" for path in (running.out, running.err))
+    out, err = running.out.read_bytes(), running.err.read_bytes()
     for path in (running.out, running.err):
-        path.unlink(missing_ok=True)
+        path.unlink()
     return Ended(
         line=running.line,
         code=process.returncode,
         out=out[:LONGEST].decode(errors="replace"),
         err=err[:LONGEST].decode(errors="replace"),
         said=len(out) + len(err),
-        wall_s=wall,
-        cpu_s=usage.ru_utime + usage.ru_stime,
-        peak_mb=usage.ru_maxrss / 1024,
         over=over,
         left=len(left),
     )
 
 
-def deepgps(
-    *words: str,
-    cwd: Path,
-    env: Mapping[str, str] | None = None,
-    before: Sequence[str] = (),
-    time_s: float = TIME_S,
-    memory_mb: float = MEMORY_MB,
-) -> Ended:
+def deepgps(*words: str, cwd: Path, time_s: float = TIME_S, memory_mb: float = MEMORY_MB) -> Ended:
     """Run a command from start to end; arguments are those of ``start`` and ``finish``."""
-    return finish(start(words, cwd, env, before), time_s, memory_mb)
+    return finish(start(words, cwd), time_s, memory_mb)
 
 
 def has_ended(running: Running) -> bool:
     """Whether a command has ended by itself; ``finish`` tells how."""
-    return os.waitid(os.P_PID, running.process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    return running.process.poll() is not None
 
 
 def kill(running: Running) -> None:
@@ -238,10 +199,3 @@ def memory_of(pid: int) -> float:
             total += int(Path(f"/proc/{one}/statm").read_text().split()[1])
             waiting += map(int, Path(f"/proc/{one}/task/{one}/children").read_text().split())
     return total * resource.getpagesize() / 2**20
-
-
-def make_environment(mark: str, changes: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a command: this process's own, without a display, so that no window opens."""
-    path = os.pathsep.join(filter(None, [str(REPOSITORY), os.environ.get("PYTHONPATH", "")]))
-    own = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200", **changes, MARK: mark}
-    return {name: value for name, value in own.items() if value and name not in {"DISPLAY", "WAYLAND_DISPLAY"}}

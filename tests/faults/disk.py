@@ -1,4 +1,4 @@
-"""Disk: it fills up, is read-only, or takes no longer files, in every stage; with room again come the same bytes."""
+"""Disk: it fills up or is read-only, in every stage; with room again come the same bytes."""
 
 import os
 import re
@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import mkdtemp
 
 from tests.faults.attack import Case, Result, Test, Verdict, skip
 from tests.faults.command import Ended, deepgps
@@ -21,23 +22,14 @@ SIZES = re.compile(r"\d[\d.,]*\s*([kKMG]i?B|bytes?)\b")
 
 
 def list_tests(material: Material) -> list[Test | Result]:
-    """Each stage on a disk that is too small; file lengths, file counts and a read-only folder."""
+    """Each stage on a disk that is too small, and on one that is read-only."""
     run = material.runs["room"]
-    limited = [
-        Test("disk", f"no longer files than a limit, {stage}, then {command}", 1, _attack_length(run, stage))
-        for stage, command in STAGES.items()
-    ]
     if os.geteuid() != 0 or not _can_mount():
-        return [skip("disk", "a full disk, a read-only one", "needs root, to mount a file system of its own"), *limited]
-    full = [
-        Test("disk", f"full, {stage}, then {command}", 3, _attack_full(run, stage)) for stage, command in STAGES.items()
-    ]
+        return [skip("disk", "a full disk, a read-only one", "needs root, to mount a file system of its own")]
     return [
-        *full,
-        Test("disk", "no more files than a limit, run", 1, _attack_count(run)),
+        *(Test("disk", f"full, {stage}, then {word}", 3, _attack_full(run, stage)) for stage, word in STAGES.items()),
         Test("disk", "full, --fresh over a finished run", 2, _attack_fresh(run)),
         Test("disk", "read-only", 2, _attack_read_only(run), of=len(STAGES)),
-        *limited,
     ]
 
 
@@ -73,20 +65,6 @@ def _attack_fresh(run: Run) -> Callable[[Case], Verdict]:
     return attempt
 
 
-def _attack_count(run: Run) -> Callable[[Case], Verdict]:
-    def attempt(case: Case) -> Verdict:
-        files = case.rng.randint(3, 40)
-        with mounted(case.folder / "disk", f"nr_inodes={files}") as disk:
-            (disk / "run").mkdir()
-            ended = _give(run, "run", case.folder)
-            if fault := judge_line(ended, case.folder, sizes=False):
-                return Verdict(fault, False, f"{files} files at most: {ended.show()}")
-            disk.remount("nr_inodes=100000")
-            return _go_on(_give(run, "run", case.folder), run, "run", disk / "run")
-
-    return attempt
-
-
 def _attack_read_only(run: Run) -> Callable[[Case], Verdict]:
     def attempt(case: Case) -> Verdict:
         stage = list(STAGES)[case.number % len(STAGES)]
@@ -99,20 +77,6 @@ def _attack_read_only(run: Run) -> Callable[[Case], Verdict]:
                 return Verdict(fault or "done on a read-only disk", False, ended.show())
             disk.remount("rw")
             return _go_on(_give(run, STAGES[stage], case.folder), run, STAGES[stage], folder)
-
-    return attempt
-
-
-def _attack_length(run: Run, stage: str) -> Callable[[Case], Verdict]:
-    """As by ``ulimit -f``; what the command prints goes to a file too, which has room for it."""
-
-    def attempt(case: Case) -> Verdict:
-        (case.folder / "disk").mkdir()
-        folder, most = _put(run, stage, case.folder / "disk" / "run"), round(10 ** case.rng.uniform(3.5, 6.0))
-        ended = _give(run, STAGES[stage], case.folder, before=["prlimit", f"--fsize={most}"])
-        if fault := judge_line(ended, case.folder, sizes=False):
-            return Verdict(fault, False, f"files of {most} bytes at most: {ended.show()}")
-        return _go_on(_give(run, STAGES[stage], case.folder), run, STAGES[stage], folder)
 
     return attempt
 
@@ -167,8 +131,8 @@ def _expect(run: Run, command: str) -> Print:
     return {name: value for name, value in run.clean.items() if name.startswith(parts)}
 
 
-def _give(run: Run, command: str, folder: Path, *more: str, before: list[str] | None = None) -> Ended:
-    return deepgps(command, run.source, "--out", "disk/run", *more, cwd=folder, before=before or [])
+def _give(run: Run, command: str, folder: Path, *more: str) -> Ended:
+    return deepgps(command, run.source, "--out", "disk/run", *more, cwd=folder)
 
 
 def _put(run: Run, stage: str, folder: Path) -> Path:
@@ -218,8 +182,6 @@ def mounted(path: Path, options: str = "nr_inodes=100000") -> Iterator[Disk]:
 
 
 def _can_mount() -> bool:
-    from tempfile import mkdtemp
-
     try:
         with mounted(Path(mkdtemp()) / "try"):
             return True

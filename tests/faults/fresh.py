@@ -11,14 +11,6 @@ from tests.faults.material import Material, Run, copy
 from tests.faults.moments import wait_for_moment
 from tests.faults.tree import Looks, find_lost, look
 
-FAULTS = (
-    ("--drive.samples", "many"),
-    ("--drive.sample", "3"),
-    ("--world", "room", "--room.mjcf", "typo.xml"),
-    ("--world", "room", "--room.mjcf", "wrong.xml"),
-    ("--grid.spacing_m", "50"),
-    ("--methods", "explicit", "deepgps", "dead_reckoned_labels", "pca_knn"),
-)
 MINE = (
     *("thesis.txt", "recording/mine.npy", "deepgps/notes.md", "figures/mine.png", "notes.123.part", "movie.part"),
     *("own/deeper/data.bin", "recording/truth/remark.txt", "leer zeichen 空.txt", "metrics.json.bak"),
@@ -30,9 +22,7 @@ def list_tests(material: Material) -> list[Test]:
     old, new = material.runs["landmarks"], material.other
     return [
         Test("fresh", "with user files in the old run, done", 2, _attack_done(old, new)),
-        Test("fresh", "with wrong input", 10, _attack_wrong(old)),
         Test("fresh", "killed at any moment, looked at, given again", 7, _attack_killed(old, new)),
-        Test("fresh", "over a finished study, killed, given again", 1, _attack_study(material)),
     ]
 
 
@@ -58,23 +48,6 @@ def _attack_done(old: Run, new: Run):
     return attempt
 
 
-def _attack_wrong(old: Run):
-    def attempt(case: Case) -> Verdict:
-        folder = copy(old.stages["finished"], case.folder / "run")
-        plant_in_run(folder, case.rng)
-        (case.folder / "wrong.xml").write_text("<mujoco><worldbody><geom type='box' size='1 1'/></worldbody></mujoco>")
-        before = look(folder)
-        command, fault = case.rng.choice(["run", "collect", "train", "evaluate"]), case.rng.choice(FAULTS)
-        ended = deepgps(command, old.source, "--out", "run", "--fresh", *fault, cwd=case.folder)
-        if lost := find_lost(before, folder):
-            return Verdict("lost a file", False, f"{len(lost)}: {'; '.join(lost[:5])}: {ended.show()}")
-        if ended.fell or ended.code == 0 or len(ended.complaints) != 1:
-            return Verdict(ended.fell or f"{len(ended.complaints)} lines", False, ended.show())
-        return Verdict("refused, all there", True)
-
-    return attempt
-
-
 def _attack_killed(old: Run, new: Run):
     def attempt(case: Case) -> Verdict:
         folder = copy(old.stages["finished"], case.folder / "run")
@@ -95,28 +68,6 @@ def _attack_killed(old: Run, new: Run):
         ended = deepgps("run", new.source, "--out", "run", "--fresh", cwd=case.folder)
         verdict = _judge_done(ended, folder, mine, new.clean)
         return Verdict(f"{state} run whole, then {verdict.kind}", verdict.held, f"killed {moment}; {verdict.detail}")
-
-    return attempt
-
-
-def _attack_study(material: Material):
-    def attempt(case: Case) -> Verdict:
-        study = material.study
-        folder = copy(study.folder, case.folder / "study")
-        path = folder / case.rng.choice(["thesis.txt", "recordings/mine.npy", "figures/mine.png"])
-        path.write_bytes(b"mine")
-        words = ["study", str(study.source), "--out", "study", "--fresh"]
-        running = start(words, cwd=case.folder)
-        moment = wait_for_moment(running, case.folder, study.clean, case.rng)
-        _end(running)
-        if not path.is_file():
-            return Verdict("lost a file", False, f"{path.relative_to(folder)} after a kill {moment}")
-        if wrong := differences(study.clean, take(folder)):
-            return Verdict(
-                "old study lost before the new one was whole", False, f"{len(wrong)}, as {', '.join(wrong[:4])}"
-            )
-        mine = {name: how for name, how in look(folder).items() if folder / name == path}
-        return _judge_done(deepgps(*words, cwd=case.folder), folder, mine, study.clean)
 
     return attempt
 

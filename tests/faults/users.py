@@ -2,12 +2,11 @@
 
 import os
 import random
-import shutil
 from pathlib import Path
 
 from tests.faults.attack import Case, Test, Verdict
 from tests.faults.command import Ended, deepgps
-from tests.faults.material import Material, Run, copy
+from tests.faults.material import Material, Run
 from tests.faults.tree import find_lost, look, plant
 
 SCENARIOS = ("run", "collect", "train", "evaluate")
@@ -29,14 +28,11 @@ TIME_S = 60.0
 
 
 def list_tests(material: Material) -> list[Test]:
-    """Any command line at any tree, and output files where the user has a file."""
+    """Any command line at any tree."""
     run = material.runs["landmarks"]
     return [
         Test("users", "any command at a tree of a user's files", 60, _attack(material)),
         Test("users", "--fresh at a folder with the user's own scenario.yaml", 6, _attack_own_scenario(run)),
-        Test("users", "--fresh at a run made before there were marks", 4, _attack_unmarked(run)),
-        Test("users", "rooms and bench write to a file of the user's", 2, _attack_output(material)),
-        Test("users", "study --publish where the user has files", 2, _attack_publish(material)),
     ]
 
 
@@ -74,16 +70,14 @@ def judge(before: dict[str, str], home: Path, ended: Ended) -> Verdict:
 def _draw_words(material: Material, home: Path, cwd: Path, rng: random.Random) -> list[str]:
     """A command line, right or wrong, that ends within seconds and has to do with the folder ``home``."""
     out = _draw_place(home, cwd, rng)
-    command = rng.choice([*SCENARIOS, "collect", "collect", "study", "rooms", "bench", "view"])
+    command = rng.choice([*SCENARIOS, "collect", "collect", "study", "rooms", "view"])
     fresh = ["--fresh"] if rng.random() < 0.6 else []
     if command == "study":
-        fault = rng.choice([[], ["--tiny"], ["--full"], ["--address", "auto"], ["--engine", "slurm"]])
+        fault = rng.choice([[], ["--tiny"], ["--full"], ["--engine", "slurm"]])
         source = rng.choice(["nosuch.yaml", "scenario.yaml", str(home / "project" / "study.yaml")])
         return ["study", source, "--out", out, *fresh, *fault, "--publish", _draw_place(home, cwd, rng)]
     if command == "rooms":
         return ["rooms", "--kinds", rng.choice(["cellar", "office"]), "--seeds", "x", "--out", out]
-    if command == "bench":
-        return ["bench", "--tiny", "--against", "nosuch.json", "--out", out]
     if command == "view":
         return ["view", out, *rng.choice([[], ["--web", "--port", "0"], [_draw_place(home, cwd, rng)]])]
     right = material.runs["landmarks"].source
@@ -116,50 +110,5 @@ def _attack_own_scenario(run: Run):
         before, fault = look(home), case.rng.choice(FAULTS)
         words = [case.rng.choice(SCENARIOS), "scenario.yaml", "--out", ".", "--fresh", *fault]
         return judge(before, home, deepgps(*words, cwd=home, time_s=TIME_S))
-
-    return attempt
-
-
-def _attack_unmarked(run: Run):
-    """A run as it was made before: no mark, no hidden file that says anything."""
-
-    def attempt(case: Case) -> Verdict:
-        home = copy(run.stages["finished"], case.folder / "run")
-        for path in home.glob(".*"):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        (home / ".lock").write_bytes(b"")
-        plant(home, case.rng)
-        before = look(home)
-        words = [case.rng.choice(["collect", "evaluate"]), run.source, "--out", "run", "--fresh"]
-        return judge(before, home, deepgps(*words, *case.rng.choice(FAULTS), cwd=case.folder))
-
-    return attempt
-
-
-def _attack_output(material: Material):
-    def attempt(case: Case) -> Verdict:
-        home = case.folder / "home"
-        plant(home, case.rng)
-        (home / "mine.png").write_bytes(b"mine")
-        before = look(home)
-        return judge(
-            before, home, deepgps("rooms", "--kinds", "bedroom", "--seeds", "0", "--out", "mine.png", cwd=home)
-        )
-
-    return attempt
-
-
-def _attack_publish(material: Material):
-    def attempt(case: Case) -> Verdict:
-        home, study = case.folder / "home", material.study
-        copy(study.folder, case.folder / "study")
-        plant(home / study.source.stem, case.rng)
-        for name in ("table.md", "figures/errors.png"):
-            path = home / study.source.stem / name
-            if not os.path.lexists(path) and path.parent.is_dir():
-                path.write_bytes(b"mine")
-        before = look(home)
-        words = ["study", str(study.source), "--out", "study", "--publish", "home"]
-        return judge(before, home, deepgps(*words, cwd=case.folder))
 
     return attempt
