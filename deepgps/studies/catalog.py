@@ -40,7 +40,7 @@ class StudyReport:
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
 REPORTS: dict[str, StudyReport] = {
-    "plain": StudyReport("plain:report"),
+    "plain": StudyReport("compare:report_runs"),
     "rooms": StudyReport(
         "rooms:report",
         {"rooms": "rooms:draw"},
@@ -60,12 +60,12 @@ REPORTS: dict[str, StudyReport] = {
         ),
     ),
     "seeds": StudyReport(
-        "seeds:report", {"seeds": "seeds:draw"}, "seeds:measure", ("unfolded", "found", "false_alarms")
+        "maps:report_seeds", {"seeds": "maps:draw_seeds"}, "maps:measure_seeds", ("unfolded", "found", "false_alarms")
     ),
     "landmarks": StudyReport(
-        "landmarks:report",
-        {"landmarks": "landmarks:draw"},
-        "landmarks:measure",
+        "paper:report_landmarks",
+        {"landmarks": "paper:draw_landmarks"},
+        "paper:measure_landmarks",
         (
             *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
             *(
@@ -79,20 +79,20 @@ REPORTS: dict[str, StudyReport] = {
     ),
     "compare": StudyReport("compare:report", _COMPARED),
     "networks": StudyReport(
-        "networks:report",
+        "compare:report_networks",
         _COMPARED,
-        "networks:measure",
+        "compare:measure_networks",
         (
             *("spectral", "invariant", "resnet", "resnet_paper", "resnet_plain"),
             *("spectral_turned", "invariant_turned", "plain_ratio", "plain_turned"),
         ),
-        "networks:add_turn_spread",
+        "compare:add_turn_spread",
         varies=("learn.network.architecture",),
     ),
     "strategies": StudyReport(
         "compare:report",
         _COMPARED,
-        "strategies:measure",
+        "compare:measure_strategies",
         ("travel_ratio", "samples_ratio", "way_ratio"),
         varies=("drive.strategy", "drive.samples"),
     ),
@@ -105,11 +105,11 @@ REPORTS: dict[str, StudyReport] = {
         networks=True,
     ),
     "concave": StudyReport(
-        "concave:report",
-        {"concave": "concave:draw", "rooms": "concave:draw_rooms"},
-        "concave:measure",
+        "maps:report_concave",
+        {"concave": "maps:draw_concave", "rooms": "maps:draw_shapes"},
+        "maps:measure_concave",
         ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
-        "concave:add_reach",
+        "maps:add_reach",
         varies=("room.shape",),
     ),
     "curves": StudyReport(
@@ -120,8 +120,8 @@ REPORTS: dict[str, StudyReport] = {
     ),
     "encoder": StudyReport(
         "encoder:report",
-        {"encoder": "encoder_plots:draw", "near": "encoder_plots:draw_near"},
-        "encoder_targets:measure",
+        {"encoder": "encoder:draw", "near": "encoder:draw_near"},
+        "encoder_sweeps:measure",
         (
             *(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
             *("compass_w", "compass_radius", "compass_slip", "compass_stuck_rms_m", "compass_stuck_folded"),
@@ -130,18 +130,18 @@ REPORTS: dict[str, StudyReport] = {
         "encoder:add_errors",
     ),
     "camera": StudyReport(
-        "camera:report",
-        {"camera": "camera:draw"},
-        "camera:measure",
+        "changes:report",
+        {"camera": "changes:draw"},
+        "changes:measure",
         (
             *("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
             *(f"compass_{name}_{lean}_ratio" for name in ("tilted", "knocked") for lean in (2, 8)),
         ),
     ),
     "change": StudyReport(
-        "change:report",
-        {"change": "change:draw"},
-        "change:measure",
+        "changes:report_changes",
+        {"change": "changes:draw_changes"},
+        "changes:measure_changes",
         ("light_0.5_ratio", "light_0.2_ratio", "lamps_0_ratio", "mixed_ratio", "person_ratio"),
         varies=("drive.mixed_light",),
     ),
@@ -157,15 +157,15 @@ REPORTS: dict[str, StudyReport] = {
         sets=("deployment.drive_samples",),
     ),
     "corridors": StudyReport(
-        "corridors:report",
-        {"corridors": "corridors:draw"},
-        "corridors:measure",
+        "rooms:report_corridors",
+        {"corridors": "rooms:draw_corridors"},
+        "rooms:measure_corridors",
         ("compass_rms_ratio", "compass_median_ratio", "compass_unsaid", "deepgps_unsaid", "aliased_rms_m"),
     ),
     "maps": StudyReport("maps:report", {"maps": "maps:draw"}, "maps:measure", ("mirrored",)),
     "diagnose": StudyReport(
         "diagnose:report",
-        {"diagnose": "diagnose_plots:draw"},
+        {"diagnose": "diagnose:draw"},
         "diagnose:measure",
         (
             *("recall", "recall_all", "precision", "false_alarms", "false_alarms_alike"),
@@ -176,23 +176,23 @@ REPORTS: dict[str, StudyReport] = {
         fixes=("drive.samples",),
     ),
     "lidar": StudyReport(
-        "lidar:report",
-        {"lidar": "lidar:draw"},
-        "lidar:measure",
+        "paper:report_lidar",
+        {"lidar": "paper:draw_lidar"},
+        "paper:measure_lidar",
         ("rms_m", "median_m", "rms_ratio", "median_ratio", "stored_ratio", "train_s"),
-        "lidar:add",
+        "paper:add_scans",
     ),
     "lab": StudyReport(
-        "lab:report",
-        {"lab": "lab:draw_errors", "lab_places": "lab:draw_places"},
-        "lab:measure",
+        "paper:report_lab",
+        {"lab": "paper:draw_lab_errors", "lab_places": "paper:draw_lab_places"},
+        "paper:measure_lab",
         (
             *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
             *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
             *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
             *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
         ),
-        "lab:add",
+        "paper:add_labels",
         labels=True,
     ),
 }

@@ -1,7 +1,8 @@
 """A study's table: one row for each run and method, read from the runs' own files."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from io import BytesIO
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
 from deepgps.reports.run_report import read_metrics
 from deepgps.studies.plan import Plan
@@ -27,22 +29,8 @@ FIGURES = (
 )
 # figures of a map by compass
 MAP_FIGURES = ("rms_m", "expected_rms_m", "nees", "flipped_m2")
-# the errors in the paper's tables
-PAPERS_ERRORS = {"rms_m": "RMS", "median_m": "median", "max_m": "max"}
-# the errors that every report shows, with their headings
-ERRORS = {"rms_m": "RMS [cm]", "median_m": "median [cm]", "p95_m": "p95 [cm]", "max_m": "max [cm]"}
-# the errors of what a method accepts, and the share of images that it accepts; older tables have none
-ACCEPTED = {
-    "rms_accepted_m": "RMS of accepted [cm]",
-    "max_accepted_m": "max of accepted [cm]",
-    "accepted": "accepted",
-}
 LEVELS = (68, 95)
 """Probabilities with which the radii of images hold the true position [%]."""
-ACCEPTED_NOTE = (
-    "Accepted: share of the images. A position is among the accepted where any of its headings is, with the error of "
-    "the worst of these."
-)
 
 
 def gather(plans: Sequence[Plan], failures: Mapping[str, str], folder: Path) -> list[Row]:
@@ -87,9 +75,48 @@ def read_rows(path: Path) -> list[Row]:
     return [translate_row(row) for row in pq.read_table(path).to_pylist()]
 
 
-def split_by(rows: Sequence[Row], name: str) -> dict[Any, list[Row]]:
+def split_by(rows: Iterable[Row], name: str) -> dict[Any, list[Row]]:
     """Rows by the values of one column, in the order of their first occurrence."""
-    return {value: [row for row in rows if row[name] == value] for value in dict.fromkeys(row[name] for row in rows)}
+    return split_by_label(rows, itemgetter(name))
+
+
+def split_by_label(rows: Iterable[Row], label: Callable[[Row], Any]) -> dict[Any, list[Row]]:
+    """Rows by what a function says of them, in the order of their first occurrence."""
+    groups: dict[Any, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(label(row), []).append(row)
+    return groups
+
+
+def choices(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """Names that vary by choice, without seeds, which only repeat runs, and names that follow from earlier names."""
+    chosen: list[str] = []
+    for name in varied:
+        before, after = (len({tuple(row[one] for one in names) for row in rows}) for names in (chosen, [*chosen, name]))
+        if not is_seed(name) and after > before:
+            chosen.append(name)
+    return chosen
+
+
+def group_rows(rows: Iterable[Row], names: Sequence[str]) -> dict[tuple[str, ...], list[Row]]:
+    """Rows by the values of these names followed by the method."""
+    return split_by_label(rows, lambda row: (*(str(row[name]) for name in names), row["method"]))
+
+
+def describe_group(key: tuple[str, ...], names: Sequence[str]) -> str:
+    """Describe a key of ``group_rows`` in words; numbers and flags appear with their names."""
+    pairs = zip(shorten(names), key, strict=False)
+    words = [value if value[:1].islower() else f"{name} {value}" for name, value in pairs]
+    return ", ".join([*words, title_of(key[-1])])
+
+
+def shorten(names: Sequence[str]) -> list[str]:
+    """Dotted names without their groups, except for the last group where two names would otherwise be equal."""
+    last = [name.rpartition(".")[2] for name in names]
+    return [
+        short if last.count(short) == 1 else ".".join(name.split(".")[-2:])
+        for name, short in zip(names, last, strict=True)
+    ]
 
 
 def find_methods(rows: Iterable[Row]) -> list[str]:
@@ -105,32 +132,6 @@ def is_seed(name: str) -> bool:
 def mean(rows: Sequence[Row], name: str) -> float:
     """Mean of one column."""
     return float(np.mean([row[name] for row in rows]))
-
-
-def write_errors(row: Mapping[str, Any]) -> list[str]:
-    """The figures of ``ERRORS`` in centimetres."""
-    return [f"{100 * row[name]:.1f}" for name in ERRORS]
-
-
-def write_ratio(name: str, rows: Sequence[Row], usual: Sequence[Row]) -> str:
-    """The mean of an error in centimetres and, in brackets, over that of the usual rows, if there are any."""
-    value = f"{100 * mean(rows, name):.1f}"
-    return f"{value} ({mean(rows, name) / mean(usual, name):.2f})" if usual else value
-
-
-def choose_accepted(rows: Sequence[Row]) -> dict[str, str]:
-    """The headings of ``ACCEPTED``; none if no method in these rows refuses images."""
-    return ACCEPTED if any(row.get("accepted") is not None for row in rows) else {}
-
-
-def write_accepted(rows: Sequence[Mapping[str, Any]], columns: Iterable[str]) -> list[str]:
-    """The means over rows of some columns of ``ACCEPTED``: shares in per cent, errors in centimetres; a dash: none."""
-    known = ([row[name] for row in rows if row.get(name) is not None] for name in columns)
-    means = (100 * float(np.mean(values)) if values else None for values in known)
-    return [
-        "-" if value is None else f"{value:.1f} %" if name == "accepted" else f"{value:.1f}"
-        for name, value in zip(columns, means, strict=True)
-    ]
 
 
 def read_setting(scenario: Scenario, dotted: str) -> Any:

@@ -8,7 +8,8 @@ from pathlib import Path
 import yaml
 
 from deepgps.studies.engine.engine import RunAll, carry_out, claim_study
-from deepgps.studies.engine.worker import Failures, do_run
+from deepgps.studies.engine.pool import Failures
+from deepgps.studies.engine.runs import do_run
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import load_study

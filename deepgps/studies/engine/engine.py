@@ -19,11 +19,10 @@ from deepgps.evaluation.measure import read_measured
 from deepgps.runs.owned_folder import Kind, choose_place, discard, hold, replace
 from deepgps.runs.run_folder import FEATURE_FILES, RUN, TRAINED_FILES
 from deepgps.studies.catalog import PICTURES, REPORTS
-from deepgps.studies.engine import local as engine_local
 from deepgps.studies.engine import ray_cluster
-from deepgps.studies.engine.diagnosing import diagnose_all
-from deepgps.studies.engine.shared_recordings import find_undriven, record_all
-from deepgps.studies.engine.worker import Failures
+from deepgps.studies.engine.pool import Failures
+from deepgps.studies.engine.recordings import find_undriven, record_all
+from deepgps.studies.engine.runs import diagnose_all, run_all
 from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study, write_out
 from deepgps.terminal.progress import Report
@@ -72,12 +71,12 @@ def open_engine(name: EngineName, address: str | None) -> Iterator[RunAll]:
         InputError: Ray is missing, no cluster answers at the address, or another engine is given an address.
     """
     if name == "ray":
-        with ray_cluster.open_cluster(address) as run_all:
-            yield run_all
+        with ray_cluster.open_cluster(address) as run_on_cluster:
+            yield run_on_cluster
     elif address is not None:
         raise InputError(f"--address {address} names a Ray cluster and needs --engine ray")
     else:
-        yield engine_local.run_all
+        yield run_all
 
 
 @contextmanager

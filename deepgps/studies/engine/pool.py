@@ -1,24 +1,31 @@
-"""Worker processes of this machine, each of which does task after task, without a server."""
+"""Worker processes of this machine, each of which does task after task."""
 
 import logging
+import multiprocessing
 import traceback
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, MutableSequence, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import partial
-from multiprocessing import Pipe
-from multiprocessing.connection import Connection, wait
-from subprocess import Popen
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
-from deepgps.studies.engine.worker import Failures
 from deepgps.terminal.console import warn_plainly
 from deepgps.terminal.streams import open_streams
 from sim.errors import InputError, WorkError, one_line
-from sim.processes import start_process
+from sim.processes import WORKERS
 
 log = logging.getLogger(__name__)
+Failures = dict[str, str]
+"""Reasons why runs failed, by the hash of the run."""
 Tell = Callable[[int], None]
 """Called with how much of a task is done."""
+PERIOD_S = 0.2
+"""Time between two looks at the progress of the workers [s]."""
+NOT_BEGUN = -1
+KILLED = "its process was killed, perhaps for lack of memory"
+_SHARED: list[MutableSequence[int]] = []
+"""In a worker process, which an initializer can reach in no other way: how much of each task is done."""
 
 
 class Task(Protocol):
@@ -34,16 +41,8 @@ class Task(Protocol):
         ...
 
 
-class Update(NamedTuple):
-    """Message of a worker process: how much of its task is done, whether the task has ended, and why it failed."""
-
-    done: int
-    ended: bool = False
-    failure: str | None = None
-
-
 def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
-    """Do tasks, each in one of at most ``most`` worker processes.
+    """Do tasks, each in one of at most ``most`` worker processes; a task whose process dies fails alone.
 
     Args:
         tasks: The tasks, by a name.
@@ -52,38 +51,36 @@ def do_all(tasks: Mapping[str, Task], most: int, progress: Tell) -> Failures:
 
     Returns:
         Reasons why tasks failed, by their names.
+
+    Raises:
+        WorkError: No worker process can be started.
     """
-    failed, done, waiting = {}, dict.fromkeys(tasks, 0), list(tasks)
-    active: dict[Connection, tuple[str, Popen[bytes]]] = {}
-    try:
-        while waiting or active:
-            while waiting and len(active) < most:
-                pipe, process = _start()
-                active[pipe] = _give(pipe, tasks, waiting), process
-            for pipe in wait(list(active)):
-                assert isinstance(pipe, Connection)
-                name, process = active[pipe]
+    names, results = list(tasks), dict[str, str | None]()
+    done = WORKERS.RawArray("q", [NOT_BEGUN] * len(names))
+
+    def do_some(some: Sequence[str], most: int) -> None:
+        """Do these tasks; ends early if a process dies."""
+        with _open_pool(most, done) as pool:
+            running = {pool.submit(_do, tasks[name], names.index(name)): name for name in some}
+            while running:
+                for future in wait(running, PERIOD_S, FIRST_COMPLETED).done:
+                    results[running.pop(future)] = future.result()
+                shares = (task.size if name in results else done[names.index(name)] for name, task in tasks.items())
+                progress(sum(min(max(share, 0), task.size) for share, task in zip(shares, tasks.values(), strict=True)))
+
+    while left := [name for name in names if name not in results]:
+        try:
+            do_some(left, most)
+        except BrokenProcessPool:
+            begun = [name for name in left if name not in results and done[names.index(name)] != NOT_BEGUN]
+            if not begun:
+                raise WorkError("no worker process can be started here") from None
+            for name in begun:  # alone, it shows whose process it was
                 try:
-                    update = pipe.recv()
-                except (EOFError, OSError):  # the process has died, perhaps before it had read what it was given
-                    failed[name] = f"its process ended with {process.wait()}"
-                    update = Update(0, ended=True)
-                if update.failure:
-                    failed[name] = update.failure
-                done[name] = tasks[name].size if update.ended else min(update.done, tasks[name].size)
-                progress(sum(done.values()))
-                if update.ended and waiting and process.poll() is None:
-                    active[pipe] = _give(pipe, tasks, waiting), process
-                elif update.ended:
-                    pipe.close()  # which ends the process
-                    process.wait()
-                    del active[pipe]
-    finally:
-        for _, process in active.values():
-            process.kill()  # safe: files are written atomically
-        for _, process in active.values():
-            process.wait()
-    return failed
+                    do_some([name], 1)
+                except BrokenProcessPool:
+                    results[name] = KILLED
+    return {name: reason for name, reason in results.items() if reason}
 
 
 def attempt(do: Callable[[], str | None]) -> str | None:
@@ -97,37 +94,26 @@ def attempt(do: Callable[[], str | None]) -> str | None:
         return f"{type(error).__name__}: {one_line(error)}"
 
 
-def work(handle: int) -> None:
-    """Do the tasks that arrive through a pipe until it is closed; this is the main function of a worker process.
+@contextmanager
+def _open_pool(most: int, done: MutableSequence[int]) -> Iterator[ProcessPoolExecutor]:
+    """A pool whose processes end at once if the context is left by an exception, such as Ctrl-C."""
+    before = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(most, WORKERS, _begin, (done,)) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for child in set(multiprocessing.active_children()) - before:
+                child.kill()  # safe: files are written atomically
+            raise
 
-    Args:
-        handle: File descriptor of the pipe.
-    """
+
+def _begin(done: MutableSequence[int]) -> None:
+    _SHARED.append(done)
     open_streams()
     warn_plainly()
-    pipe = Connection(handle)
-    while True:
-        try:
-            task: Task = pipe.recv()
-        except EOFError:  # the parent needs no more, or is gone
-            return
-        try:
-            failure = attempt(partial(task, lambda done: pipe.send(Update(done))))
-            pipe.send(Update(task.size, ended=True, failure=failure))
-        except BrokenPipeError:  # the parent is gone
-            return
 
 
-def _start() -> tuple[Connection, Popen[bytes]]:
-    pipe, end = Pipe()
-    code = "from deepgps.studies.engine.pool import work; work(int(sys.argv[1]))"
-    process = start_process(code, [str(end.fileno())], [end.fileno()])
-    end.close()
-    return pipe, process
-
-
-def _give(pipe: Connection, tasks: Mapping[str, Task], waiting: list[str]) -> str:
-    name = waiting.pop(0)
-    with suppress(BrokenPipeError):  # the process has died, as reading from it will show
-        pipe.send(tasks[name])
-    return name
+def _do(task: Task, number: int) -> str | None:
+    (done,) = _SHARED
+    done[number] = 0
+    return attempt(partial(task, partial(done.__setitem__, number)))

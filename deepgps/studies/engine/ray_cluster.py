@@ -18,7 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.config.plugins import list_plugins
-from deepgps.studies.engine.worker import Failures, count_steps, do_run, wants_gpu
+from deepgps.studies.engine.pool import Failures
+from deepgps.studies.engine.runs import count_steps, do_run, wants_gpu
 from deepgps.studies.plan import Plan
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, one_line
@@ -83,7 +84,7 @@ def _keep_handlers() -> Iterator[None]:
 
 
 def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
-    """Train and measure these runs like ``engine_local.run_all``; progress counts only the steps of ended runs."""
+    """Train and measure these runs like ``runs.run_all``; progress counts only the steps of ended runs."""
     failed, done = Failures(), 0
     steps = {plan.run: count_steps(plan.scenario, folder / "runs" / plan.run) for plan in plans}
     total = sum(steps.values())

@@ -1,26 +1,34 @@
-"""The report "compare": means over seeds of runs and rooms, for each combination of other settings and each method."""
+"""The reports "plain", "compare", "networks" and "strategies": runs side by side, or means over their seeds."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.config.methods import colour_of, title_of
+from deepgps.config.methods import folder_of, title_of
+from deepgps.evaluation.evaluate import measure_heading_spread
+from deepgps.positioner.positioner import Positioner
+from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.style import count_by_decades
-from deepgps.reports.table import tabulate
-from deepgps.studies.grouping import choices, describe, group_rows, shorten
-from deepgps.studies.reports.seeds import count_folded
-from deepgps.studies.table import (
-    ACCEPTED_NOTE,
-    ERRORS,
-    Row,
-    choose_accepted,
-    is_seed,
-    mean,
-    write_accepted,
-    write_errors,
+from deepgps.reports.targets import Figure, compare_means, mean_of
+from deepgps.studies.reports.columns import (
+    FOLDED,
+    IN_CM,
+    OF_ACCEPTED,
+    RUNS,
+    TRAIN,
+    Column,
+    Line,
+    explain_accepted,
+    form,
+    lines_of_rows,
+    tabulate_lines,
+    write_worst,
 )
+from deepgps.studies.reports.pictures import draw_dots
+from deepgps.studies.table import Row, choices, describe_group, group_rows, is_seed, shorten, split_by
+from sim.recording.format import open_recording
 
 NOTE = (
     "Means over runs that differ only in their seeds. Errors on the test grid, for the worst heading of each position; "
@@ -28,63 +36,47 @@ NOTE = (
     "mean. Folded: maps that flip more than a tenth of the neighbourhoods; said: maps that the detector, which does "
     "not use the truth, reports as folded."
 )
+DRIVEN = (Column("images", form("samples", ".0f")), Column("travel [m]", form("distance_m", ".0f")))
+HEADINGS = Column("headings [cm]", form("heading_spread_m", ".3g", 100))
+TURNED = Column("turned [cm]", form("turn_spread_m", ".3g", 100))
+TURNED_NOTE = (
+    "Turned: RMS distance from their mean of the predictions for one test image turned by every whole number of "
+    "sectors; unlike the spread over headings, it excludes the effects of rendering."
+)
+NETWORK, SHIFT = "learn.network.architecture", "learn.train.shift"
+STRATEGY, SAMPLES = "drive.strategy", "drive.samples"
+TURNED_IMAGES = 30
 
 
-def report(rows: Sequence[Row], varied: Sequence[str], also: Mapping[str, str] | None = None) -> list[str]:
-    """A table with a line for each group, and a note on how to read it.
+def report_runs(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """A table with one line for each run and method."""
+    table = tabulate_lines([*varied, "method"], lines_of_rows(rows, *varied), (*IN_CM, *OF_ACCEPTED))
+    return [table, *explain_accepted(rows)]
 
-    Args:
-        rows: Measured rows.
-        varied: Names that vary.
-        also: Headings of additional columns [m], which are written in centimetres.
-    """
-    more = {"heading_spread_m": "headings [cm]", **(also or {})}
+
+def report(rows: Sequence[Row], varied: Sequence[str], also: Sequence[Column] = ()) -> list[str]:
+    """A table with a line for each combination of choices and each method, and a note on how to read it."""
     names = choices(rows, varied)
-    kinds, accepted = shorten(names), choose_accepted(rows)
-    ours = [
-        "runs",
-        "images",
-        "travel [m]",
-        *ERRORS.values(),
-        "worst RMS",
-        *accepted.values(),
-        *more.values(),
-        "folded",
-        "said",
-        "train [s]",
-    ]
-    cells = []
-    for key, group in group_rows(rows, names).items():
-        *kind, method = key
-        means = {name: mean(group, name) for name in ("samples", "distance_m", *ERRORS, "train_s")}
-        worst = f"{100 * max(row['rms_m'] for row in group):.1f}"
-        spreads = ["-" if group[0][name] is None else f"{100 * mean(group, name):.3g}" for name in more]
-        finder = group[0]["fold_found"] is not None
-        folded = [count_folded(group), str(sum(row["fold_found"] for row in group) if finder else "-")]
-        driven = [f"{means['samples']:.0f}", f"{means['distance_m']:.0f}"]
-        errors = [*write_errors(means), worst, *write_accepted(group, accepted)]
-        figures = [*driven, *errors, *spreads, *folded, f"{means['train_s']:.0f}"]
-        cells.append([*kind, title_of(method), str(len(group)), *figures])
+    lines = [Line((*key[:-1], title_of(key[-1])), group) for key, group in group_rows(rows, names).items()]
+    errors = (*IN_CM, Column("worst RMS", write_worst()), *OF_ACCEPTED)
+    columns = (RUNS, *DRIVEN, *errors, HEADINGS, *also, *FOLDED, TRAIN)
     follow = [name for name in varied if names and name not in names and not is_seed(name)]
     dependent = [f"Dependent settings: {'; '.join(_tell(rows, names, name) for name in follow)}."] if follow else []
-    return [tabulate([*kinds, "method", *ours], cells), *dependent, NOTE, *([ACCEPTED_NOTE] if accepted else [])]
+    table = tabulate_lines([*shorten(names), "method"], lines, columns)
+    return [table, *dependent, NOTE, *explain_accepted(rows)]
+
+
+def report_networks(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
+    """The same, with how much the answer changes when an image is turned."""
+    return [*report(rows, varied, (TURNED,)), TURNED_NOTE]
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw RMS (filled) and median (open) of every run, with a line for each group."""
     names = choices(rows, varied)
-    groups = group_rows(rows, names)
-    picture = Picture(figsize=(7.6, 1.2 + 0.32 * len(groups)), layout="constrained")
-    axes = picture.add_subplot()
-    for place, (key, group) in enumerate(groups.items()):
-        colour = colour_of(key[-1])
-        for name, inside in (("rms_m", colour), ("median_m", "none")):
-            axes.plot([100 * row[name] for row in group], [place] * len(group), "o", color=colour, mfc=inside)
-    axes.set_yticks(range(len(groups)), [describe(key, names) for key in groups])
-    axes.set(xscale="log", ylim=(len(groups) - 0.5, -0.5))
-    axes.set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
-    count_by_decades(axes.xaxis)
-    axes.grid(alpha=0.25, which="both")
+    groups = {describe_group(key, names): group for key, group in group_rows(rows, names).items()}
+    picture = draw_dots(groups, (7.6, 1.2 + 0.32 * len(groups)))
+    picture.axes[0].set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
     return picture
 
 
@@ -99,11 +91,62 @@ def draw_fields(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pic
     for axes, (key, group) in zip(panels, groups.items(), strict=False):
         row = sorted(group, key=lambda row: row["rms_m"])[(len(group) - 1) // 2]
         print_error_field(axes, folder / "runs" / row["run"], row["method"])
-        axes.set_title(f"{describe(key, names)}\nRMS {100 * row['rms_m']:.1f} cm", fontsize=9)
+        axes.set_title(f"{describe_group(key, names)}\nRMS {100 * row['rms_m']:.1f} cm", fontsize=9)
     for axes in panels[len(groups) :]:
         axes.set_axis_off()
     add_scale(picture, panels)
     return picture
+
+
+def measure_networks(rows: Sequence[Row]) -> dict[str, Figure]:
+    """RMS of each network trained with shifted images, as in the paper; and the effect of the padding."""
+    groups = split_by(rows, NETWORK)
+    shifted = {name: [row for row in group if row.get(SHIFT, True)] for name, group in groups.items()}
+    figures = {
+        name: mean_of(f"RMS, {name}", [row["rms_m"] for row in group], "cm") for name, group in shifted.items() if group
+    }
+    for name in ("spectral", "invariant"):
+        if group := groups.get(name):
+            figures[f"{name}_turned"] = mean_of(f"turned, {name}", [row["turn_spread_m"] for row in group], "mm")
+    plain, paper = shifted.get("resnet_plain"), shifted.get("resnet_paper")
+    if plain and paper:
+        for name, column, word in (("plain_ratio", "rms_m", "RMS"), ("plain_turned", "turn_spread_m", "turned")):
+            title = f"{word}, resnet_plain / resnet_paper"
+            figures[name] = compare_means(title, plain, paper, column, at_least=True)
+    return figures
+
+
+def measure_strategies(rows: Sequence[Row]) -> dict[str, Figure]:
+    """Ratios of the end-point strategy to the dense one: RMS of DeepGPS, and distance travelled."""
+    rows = [row for row in rows if row["method"] == "deepgps"]
+    dense = [row for row in rows if row[STRATEGY] == "dense"]
+    counts = {row[SAMPLES] for row in dense}
+    ends = [row for row in rows if row[STRATEGY] == "endpoint"]
+    same = [row for row in ends if row[SAMPLES] in counts]
+    fewer = [row for row in ends if row[SAMPLES] not in counts]
+    pairs = {
+        "travel_ratio": ("RMS, end-point / dense, equal travel", fewer, "rms_m"),
+        "samples_ratio": ("RMS, end-point / dense, equal images", same, "rms_m"),
+        "way_ratio": ("travel, end-point / dense, equal images", same, "distance_m"),
+    }
+    return {
+        name: compare_means(title, group, dense, column, at_least=True)
+        for name, (title, group, column) in pairs.items()
+        if dense and group
+    }
+
+
+def add_turn_spread(run: Path, row: Row) -> Row:
+    """A column for how much a trained network's prediction changes when an image is turned."""
+    images = open_recording(run / "recording").test_observation
+    some = np.linspace(0, len(images) - 1, min(TURNED_IMAGES, len(images))).round().astype(int)
+    return {"turn_spread_m": measure_turn_spread(load_positioner(folder_of(run, row["method"])), images[some, 0])}
+
+
+def measure_turn_spread(positioner: Positioner, images: np.ndarray) -> float:
+    """RMS distance [m] of predictions from their mean over all turns of each image (n, rings, sectors, 3)."""
+    turned = np.stack([np.roll(images, turn, axis=2) for turn in range(images.shape[2])], axis=1)
+    return measure_heading_spread(positioner(turned.reshape(-1, *images.shape[1:])).reshape(*turned.shape[:2], 2))
 
 
 def _tell(rows: Sequence[Row], names: Sequence[str], follows: str) -> str:

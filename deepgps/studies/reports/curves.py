@@ -1,6 +1,6 @@
 """The report "curves": errors of every method along a numeric axis, with a panel for each case and a band of seeds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +10,19 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.reports.style import count_by_decades, draw_band
-from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure
-from deepgps.studies.table import (
-    ACCEPTED_NOTE,
+from deepgps.studies.reports.columns import (
     ERRORS,
-    Row,
-    choose_accepted,
-    mean,
-    split_by,
-    tell_apart,
-    varied_in,
-    write_accepted,
+    OF_ACCEPTED,
+    TRAIN,
+    Column,
+    Line,
+    explain_accepted,
+    form,
+    tabulate_lines,
+    write_worst,
 )
+from deepgps.studies.table import Row, mean, split_by, split_by_label, tell_apart, varied_in
 
 TITLES = {"encoder.step_noise": "noise w per gap between readings", "drive.samples": "training images"}
 # The paper on DeepGPS: its RMS is below this share of the room's side (Sec. V-A); its RMS at a value [m] (V-B).
@@ -34,32 +34,35 @@ NOTE = (
     "Errors in centimetres on the test grid for the worst heading of each position: means over seeds, and the RMS of "
     "the worst seed; aligned on training samples, never scaled."
 )
+COLUMNS = (
+    Column("seeds", lambda line: str(len(line.rows))),
+    *(Column(title, form(name, ".3g", 100)) for name, title in ERRORS.items()),
+    Column("worst RMS", write_worst(spec=".3g")),
+    *OF_ACCEPTED,
+    Column("RMS / side", form("relative_rms", ".2f", 100, " %")),
+    TRAIN,
+)
 
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table with a line for each case, method and value of the axis; where the knees are; and a note on the table."""
-    axis, names = find_axis(rows), _name_panels(rows)
-    paper = ["paper's RMS [cm]"] if axis in PAPER_SHARE or axis in PAPER_RMS else []
-    accepted = choose_accepted(rows)
-    ours = [*ERRORS.values(), "worst RMS", *accepted.values(), "RMS / side", "train [s]"]
-    headings = [*names, "method", axis, "seeds", *ours, *paper]
-    cells = []
-    for title, panel in _panels(rows).items():
-        for method, line in split_by(panel, "method").items():
-            for value, group in sorted(split_by(line, axis).items()):
-                errors = [_centimetres(mean(group, name)) for name in ERRORS]
-                worst = _centimetres(max(row["rms_m"] for row in group))
-                errors += [worst, *write_accepted(group, accepted)]
-                tail = [f"{100 * mean(group, 'relative_rms'):.2f} %", f"{mean(group, 'train_s'):.0f}"]
-                theirs = [_write_paper(axis, value, group[0])] if paper else []
-                cells.append([*title, title_of(method), f"{value:g}", str(len(group)), *errors, *tail, *theirs])
+    axis = find_axis(rows)
+    lines = [
+        Line((*title, title_of(method), f"{value:g}"), group)
+        for title, panel in _split_panels(rows).items()
+        for method, curve in split_by(panel, "method").items()
+        for value, group in sorted(split_by(curve, axis).items())
+    ]
+    has_paper = axis in PAPER_SHARE or axis in PAPER_RMS
+    paper = [Column("paper's RMS [cm]", lambda line: _write_paper(axis, line.rows[0]))] if has_paper else []
     knees = [
         f"The knee{''.join(f' of {name}' for name in title)}: {axis} {knee:g}, the smallest value from which "
-        f"the RMS of DeepGPS (mean over seeds) stays within {KNEE} times that at {max(row[axis] for row in line):g}."
-        for title, line in _our_lines(rows).items()
-        if (knee := find_knee(line, axis)) is not None
+        f"the RMS of DeepGPS (mean over seeds) stays within {KNEE} times that at {max(row[axis] for row in curve):g}."
+        for title, curve in _list_ours(rows).items()
+        if (knee := find_knee(curve, axis)) is not None
     ]
-    return [tabulate(headings, cells), *knees, NOTE, *([ACCEPTED_NOTE] if accepted else [])]
+    table = tabulate_lines([*_name_panels(rows), "method", axis], lines, (*COLUMNS, *paper))
+    return [table, *knees, NOTE, *explain_accepted(rows)]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
@@ -69,8 +72,7 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         return {}
     axis = find_axis(rows)
     last = max(row[axis] for row in rows)
-    ends = [[row for row in panel if row[axis] == last] for panel in _panels(rows).values()]
-    ends = [end for end in ends if end]
+    ends = list(_split_panels([row for row in rows if row[axis] == last]).values())
     where = f"at {axis} {last:g}"
     measures: dict[str, tuple[str, str, Callable[[Row], float]]] = {
         "rms_m": (f"RMS {where}", "cm", lambda row: row["rms_m"]),
@@ -81,21 +83,19 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
     for name, (title, unit, take) in measures.items():
         value = max(float(np.mean([take(row) for row in end])) for end in ends)
         figures[name] = Figure(title, value, unit, worst=max(take(row) for end in ends for row in end))
-    knees = [knee for line in _our_lines(rows).values() if (knee := find_knee(line, axis)) is not None]
-    if knees:
-        figures["knee"] = Figure(f"knee of {axis}", max(knees), "count")
-    return figures
+    knees = [knee for curve in _list_ours(rows).values() if (knee := find_knee(curve, axis)) is not None]
+    return {**figures, "knee": Figure(f"knee of {axis}", max(knees), "count")} if knees else figures
 
 
 def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     """Draw every method's RMS (a line, and a band from best to worst seed) and median (dashed) along the axis."""
-    axis, panels = find_axis(rows), _panels(rows)
+    axis, panels = find_axis(rows), _split_panels(rows)
     picture = Picture(figsize=(5.4 * len(panels) + 0.4, 4.2), layout="constrained")
     for place, ((title, panel), axes) in enumerate(
         zip(panels.items(), picture.subplots(1, len(panels), squeeze=False)[0], strict=True)
     ):
-        for method, line in split_by(panel, "method").items():
-            _draw_method(axes, axis, method, line)
+        for method, curve in split_by(panel, "method").items():
+            _draw_method(axes, axis, method, curve)
         _draw_paper(axes, axis, panel)
         _scale(axes, axis, panel)
         axes.set(xlabel=TITLES.get(axis, axis), ylabel="error [cm]" if place == 0 else "", title=", ".join(title))
@@ -110,26 +110,27 @@ def find_axis(rows: Sequence[Row]) -> str:
     return varied_in(rows[0])[-1]
 
 
-def find_knee(line: Sequence[Row], axis: str) -> float | None:
+def find_knee(curve: Sequence[Row], axis: str) -> float | None:
     """The least value of the axis from which on the RMS (mean over seeds) is at most KNEE times the RMS at the end.
 
     None if no value exceeds that bound or only the last is within it: a line without a drop, or one that still falls,
     has no knee.
     """
-    means = {value: mean(group, "rms_m") for value, group in sorted(split_by(line, axis).items())}
+    means = {value: mean(group, "rms_m") for value, group in sorted(split_by(curve, axis).items())}
     end = max(means)
     beyond = [value for value, rms in means.items() if rms > KNEE * means[end]]
     knee = min(value for value in means if value > max(beyond)) if beyond else end
     return knee if knee < end else None
 
 
-def _our_lines(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
-    lines = {title: [row for row in panel if row["method"] == "deepgps"] for title, panel in _panels(rows).items()}
-    return {title: line for title, line in lines.items() if line}
+def _list_ours(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
+    names = _name_panels(rows)
+    ours = [row for row in rows if row["method"] == "deepgps"]
+    return split_by_label(ours, lambda row: tuple(str(row[name]) for name in names))
 
 
-def _draw_method(axes: Axes, axis: str, method: str, line: Sequence[Row]) -> None:
-    groups = dict(sorted(split_by(line, axis).items()))
+def _draw_method(axes: Axes, axis: str, method: str, curve: Sequence[Row]) -> None:
+    groups = dict(sorted(split_by(curve, axis).items()))
     values, colour, title = list(groups), colour_of(method), title_of(method)
     seeds = [[100 * row["rms_m"] for row in group] for group in groups.values()]
     draw_band(axes, values, seeds, colour, f"{title}, RMS", marker=4)
@@ -164,11 +165,9 @@ def _span(values: Sequence[float]) -> float:
     return max(values) / min(values) if min(values) > 0 else 1.0
 
 
-def _panels(rows: Sequence[Row]) -> dict[tuple[str, ...], list[Row]]:
-    names, panels = _name_panels(rows), {}
-    for row in rows:
-        panels.setdefault(tuple(str(row[name]) for name in names), []).append(row)
-    return panels
+def _split_panels(rows: Sequence[Row]) -> Mapping[tuple[str, ...], list[Row]]:
+    names = _name_panels(rows)
+    return split_by_label(rows, lambda row: tuple(str(row[name]) for name in names))
 
 
 def _name_panels(rows: Sequence[Row]) -> list[str]:
@@ -176,14 +175,10 @@ def _name_panels(rows: Sequence[Row]) -> list[str]:
     return tell_apart(rows, varied_in(rows[0])[:-1])
 
 
-def _write_paper(axis: str, value: float, row: Row) -> str:
+def _write_paper(axis: str, row: Row) -> str:
     if row["method"] != "deepgps":
         return "-"
     if axis in PAPER_SHARE:
-        return f"< {_centimetres(PAPER_SHARE[axis] * row['shorter_side_m'])}"
-    rms_m = PAPER_RMS[axis].get(value)
-    return "-" if rms_m is None else _centimetres(rms_m)
-
-
-def _centimetres(value: float) -> str:
-    return f"{100 * value:.3g}"
+        return f"< {100 * PAPER_SHARE[axis] * row['shorter_side_m']:.3g}"
+    rms_m = PAPER_RMS[axis].get(row[axis])
+    return "-" if rms_m is None else f"{100 * rms_m:.3g}"

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure as Picture
 
 from deepgps.config.scenario import Scenario
 from deepgps.diagnosis.store import FILE
@@ -26,6 +27,9 @@ QUANTITIES = {
     "stuck_fraction": "gaps with a stuck wheel",
 }
 """Quantities with an interval; ticks are counted."""
+UNITS = {"track_m": " [m]", "slip_per_m": " [m]"}
+"""Units of the quantities that have one."""
+HELD, MISSED = "#2a6f97", "#d1495b"
 NOTE = (
     "Faults of one recording, alone: rows are what was set, columns what was diagnosed; a recording with two findings "
     "counts in two columns. A fault below the smallest size that its diagnosis states (ticks shorter than 2 mm) is not "
@@ -182,6 +186,28 @@ def measure(rows: Sequence[Row]) -> dict[str, Figure]:
         "track_error": median_of("track width, median error", track, "%"),
         "ratio_error": median_of("ratios of the wheels, median error", ratio, "%"),
     }
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Draw found over true for each quantity; intervals that do not hold are red."""
+    picture = Picture(figsize=(12, 6), layout="constrained")
+    for number, (name, title) in enumerate(QUANTITIES.items()):
+        axes = picture.add_subplot(2, 4, number + 1)
+        true = [row[f"{name}_true"] for row in rows]
+        low, high = min(true), max(true)
+        axes.plot([low, high], [low, high], color="#999999", linewidth=0.8)
+        for held, colour in ((True, HELD), (False, MISSED)):
+            some = [row for row in rows if holds(row, name) == held]
+            x, y = [row[f"{name}_true"] for row in some], [row[name] for row in some]
+            bars = [[row[name] - row[f"{name}_low"] for row in some], [row[f"{name}_high"] - row[name] for row in some]]
+            if some:
+                label = "interval holds" if held else "does not"
+                axes.errorbar(x, y, bars, fmt="o", color=colour, markersize=3, linewidth=0.8, alpha=0.7, label=label)
+        axes.set(title=title + UNITS.get(name, ""), xlabel="set", ylabel="found")
+        axes.grid(alpha=0.25)
+        if number == 0:
+            axes.legend(frameon=False, fontsize=8)
+    return picture
 
 
 def holds(row: Row, name: str) -> bool:

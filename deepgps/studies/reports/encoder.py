@@ -1,14 +1,18 @@
-"""The report of encoders: what each fault costs, what theory predicts for it, and which encoder is good enough."""
+"""The report "encoder": what each fault costs, what theory predicts for it, and which encoder is good enough."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Picture
 
-from deepgps.config.methods import title_of
+from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import read_fields
 from deepgps.reports.run_report import read_metrics
+from deepgps.reports.style import count_by_decades, draw_band
 from deepgps.reports.table import tabulate
+from deepgps.studies.reports.columns import Column, Line, form, tabulate_lines
 from deepgps.studies.reports.encoder_sweeps import (
     FEWER_IS_WORSE,
     TITLES,
@@ -61,13 +65,13 @@ def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     methods, sweeps, blocks = find_methods(rows), find_sweeps(rows), []
     for near in NEAR_M:
         title = f"## Which encoder keeps most of the room within {100 * near:g} cm"
-        blocks += [title, tabulate(*choose_encoders(sweeps, methods, near))]
+        blocks += [title, choose_encoders(sweeps, methods, near)]
     blocks.append(CHOICE)
     for sweep in sweeps:
-        blocks += [f"## {_capital(sweep.title)}", tabulate(*tabulate_sweep(sweep, methods))]
+        blocks += [f"## {_capital(sweep.title)}", tabulate_sweep(sweep, methods)]
     for pair in find_pairs(rows):
         title = " with ".join(TITLES.get((name,), name) for name in pair)
-        blocks += [f"## {_capital(title)}", tabulate(*_tabulate_pair(rows, pair))]
+        blocks += [f"## {_capital(title)}", _tabulate_pair(rows, pair)]
     return [*blocks, "## What theory says", NOTE, "\n".join(f"- {sentence}" for sentence in EXPLAIN)]
 
 
@@ -83,28 +87,43 @@ def name_part(near_m: float) -> str:
     return f"within_{100 * near_m:g}_cm"
 
 
-def choose_encoders(
-    sweeps: Sequence[Sweep], methods: Sequence[str], near_m: float
-) -> tuple[list[str], list[list[str]]]:
+def choose_encoders(sweeps: Sequence[Sweep], methods: Sequence[str], near_m: float) -> str:
     """For each fault, the greatest measured strength up to which ``PART`` of the positions stay within ``near_m``."""
-    lines = []
-    for sweep in sweeps:
-        found = [_strongest(sweep.by_value(method), sweep.names[0], name_part(near_m)) for method in methods]
-        lines.append([sweep.title, *found])
-    return ["fault", *(title_of(method) for method in methods)], lines
+    cells = [
+        [sweep.title, *(_strongest(sweep.by_value(method), sweep.names[0], name_part(near_m)) for method in methods)]
+        for sweep in sweeps
+    ]
+    return tabulate(["fault", *map(title_of, methods)], cells)
 
 
-def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+def tabulate_sweep(sweep: Sweep, methods: Sequence[str]) -> str:
     """A line for each value: errors of segments and of every method, the map's scale, and segments doubted."""
-    lines = []
-    for value, group in sweep.by_value(methods[0]).items():
-        segment = [f"{100 * mean(group, name):.2f}" for name in ("segment_rms_m", "segment_expected_m")]
-        errors = [_write_errors(sweep.by_value(method)[value]) for method in methods]
-        doubted = " / ".join(f"{mean(group, name):.0f}" for name in ("wrong_doubted", "segments_wrong"))
-        lines.append([f"{value:g}", *segment, *errors, f"{mean(group, 'scale'):.4f}", doubted])
-    heads = [f"{title_of(method)} (of seeds), near" for method in methods]
-    scale = f"scale of {title_of(methods[0])}"
-    return [_last(sweep.names[0]), "segment [cm]", "expected [cm]", *heads, scale, "found / wrong"], lines
+    groups = {method: sweep.by_value(method) for method in methods}
+    lines = [Line((f"{value:g}",), rows) for value, rows in groups[methods[0]].items()]
+    columns = [
+        Column("segment [cm]", form("segment_rms_m", ".2f", 100)),
+        Column("expected [cm]", form("segment_expected_m", ".2f", 100)),
+        *(
+            Column(_head(method), lambda line, by=groups[method]: _write_errors(by[line.rows[0][sweep.names[0]]]))
+            for method in methods
+        ),
+        Column(f"scale of {title_of(methods[0])}", form("scale", ".4f")),
+        Column(
+            "found / wrong",
+            lambda line: " / ".join(f"{mean(line.rows, name):.0f}" for name in ("wrong_doubted", "segments_wrong")),
+        ),
+    ]
+    return tabulate_lines([_last(sweep.names[0])], lines, columns)
+
+
+def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Draw a panel for each fault: every method's RMS with a band of seeds, and segment errors next to theory's."""
+    return _draw_panels(rows, _draw_errors, "error [cm]")
+
+
+def draw_near(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
+    """Draw a panel for each fault: the part of the test positions with small errors, with a band of seeds."""
+    return _draw_panels(rows, _draw_near, f"positions within {100 * NEAR_M[0]:g} cm [%]")
 
 
 def _write_errors(rows: Sequence[Row]) -> str:
@@ -113,13 +132,13 @@ def _write_errors(rows: Sequence[Row]) -> str:
     return f"{100 * mean(rows, 'rms_m'):.1f} ({low} to {high}), {100 * mean(rows, name_part(NEAR_M[0])):.0f} %"
 
 
-def _tabulate_pair(rows: Sequence[Row], pair: Names) -> tuple[list[str], list[list[str]]]:
+def _tabulate_pair(rows: Sequence[Row], pair: Names) -> str:
     """Errors of every method with both faults, with each alone, and with none."""
-    methods, lines = find_methods(rows), []
+    methods, cells = find_methods(rows), []
     for values, group in split_by_values(rows, pair).items():
-        found = split_by(group, "method")
-        lines.append([*(f"{value:g}" for value in values), *(_write_errors(found[method]) for method in methods)])
-    return [*map(_last, pair), *(f"{title_of(method)} (of seeds), near" for method in methods)], lines
+        ours = split_by(group, "method")
+        cells.append([*(f"{value:g}" for value in values), *(_write_errors(ours[method]) for method in methods)])
+    return tabulate([*map(_last, pair), *map(_head, methods)], cells)
 
 
 def _strongest(groups: Mapping[float, Sequence[Row]], name: str, part: str) -> str:
@@ -139,6 +158,65 @@ def _capital(title: str) -> str:
     return title[0].upper() + title[1:]
 
 
+def _head(method: str) -> str:
+    return f"{title_of(method)} (of seeds), near"
+
+
 def _last(setting: str) -> str:
     """A setting's own name, which heads its column."""
     return setting.rpartition(".")[2]
+
+
+def _draw_panels(rows: Sequence[Row], draw_one: Callable[[Axes, Sweep], None], ylabel: str) -> Picture:
+    sweeps = find_sweeps(rows)
+    columns = min(4, max(1, len(sweeps)))
+    lines = max(1, -(-len(sweeps) // columns))
+    picture = Picture(figsize=(3.3 * columns + 0.3, 2.9 * lines + 0.8), layout="constrained")
+    panels = list(picture.subplots(lines, columns, squeeze=False, sharey=True).flat)
+    for axes, sweep in zip(panels, sweeps, strict=False):
+        draw_one(axes, sweep)
+        axes.set_xlabel(sweep.title)
+        axes.grid(alpha=0.25)
+    for axes in panels[len(sweeps) :]:
+        axes.set_axis_off()
+    for axes in panels[::columns]:
+        axes.set_ylabel(ylabel)
+    named = {line.get_label(): line for axes in panels for line in axes.lines}
+    picture.legend(list(named.values()), list(named), loc="outside upper center", frameon=False, fontsize=8, ncols=4)
+    return picture
+
+
+def _draw_errors(axes: Axes, sweep: Sweep) -> None:
+    _draw_methods(axes, sweep, "rms_m")
+    groups = sweep.by_value(find_methods(sweep.rows)[0])
+    for name, style, label in (
+        ("segment_expected_m", "k:", "one segment, theory"),
+        ("segment_rms_m", "kx", "one segment, measured"),
+    ):
+        values = [100 * mean(group, name) for group in groups.values()]
+        axes.plot(range(len(groups)), values, style, markersize=5, label=label)
+    for method in find_methods(sweep.rows):
+        groups = sweep.by_value(method)
+        if all(row.get(EXPECTED) is not None for group in groups.values() for row in group):
+            values = [100 * mean(group, EXPECTED) for group in groups.values()]
+            label = f"{title_of(method)}: expected by its map"
+            axes.plot(range(len(groups)), values, ":", color=colour_of(method), label=label)
+    axes.set_yscale("log")
+    count_by_decades(axes.yaxis)
+
+
+def _draw_near(axes: Axes, sweep: Sweep) -> None:
+    _draw_methods(axes, sweep, name_part(NEAR_M[0]))
+    axes.axhline(100 * PART, color="k", linestyle=":", label="good enough")
+    axes.set_ylim(0, 100)
+
+
+def _draw_methods(axes: Axes, sweep: Sweep, name: str) -> None:
+    """Draw each method's mean over seeds, times 100, and a band from the least to the greatest."""
+    for method in find_methods(sweep.rows):
+        groups, colour = sweep.by_value(method), colour_of(method)
+        seeds = [[100 * row[name] for row in group] for group in groups.values()]
+        place = range(len(groups))
+        draw_band(axes, place, seeds, colour, title_of(method), marker=3)
+        # evenly spaced: some faults grow by factors and others by steps
+        axes.set_xticks(place, [f"{value:g}" for value in groups], fontsize=8)

@@ -21,7 +21,7 @@ from deepgps.positioner.pose import locate_camera
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.run_report import read_metrics
 from deepgps.runs.run_folder import open_run
-from deepgps.studies.reports.change import group_changes
+from deepgps.studies.reports.changes import group_changes
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.table import LEVELS, Row
 from deepgps.tracking.causes import Causes, make_monitor

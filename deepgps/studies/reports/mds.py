@@ -22,11 +22,9 @@ from deepgps.config.methods import folder_of
 from deepgps.initial_map.distances.isomap import find_axes
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of
-from deepgps.studies.grouping import choices, describe, group_rows
-from deepgps.studies.reports.seeds import count_folded
-from deepgps.studies.table import Row, mean
+from deepgps.studies.reports.columns import RUNS, Column, Line, count_folded, tabulate_lines, write_known
+from deepgps.studies.table import Row, choices, describe_group, group_rows, mean
 from sim.alignment import fit_alignment
 from sim.errors import InputError
 from sim.occupancy import FreeSpace
@@ -39,9 +37,23 @@ PAIRED = 250
 LARGEST = 10
 """Number of eigenvalues that are kept."""
 COLOURS = ("#0b62d6", "#1a936f", "#e07b00", "#c2255c", "#7a4fbf", "#4b5563")
-# columns in metres, with their headings in centimetres
-MAPS = {"own_m": "own RMS [cm]", "mds_m": "MDS RMS [cm]"}
-PAIRS = {"joined_m": "joined [cm]", "unjoined_m": "not joined [cm]"}
+COLUMNS = (
+    RUNS,
+    Column("outputs", lambda line: f"{line.rows[0]['outputs']}"),
+    Column("planar", write_known("planar", ".2f", 100, " %")),
+    # in a convex room no two positions are not joined
+    *(
+        Column(heading, write_known(name, ".3g", 100))
+        for name, heading in {
+            "own_m": "own RMS [cm]",
+            "mds_m": "MDS RMS [cm]",
+            "mds_own_m": "apart [cm]",
+            "joined_m": "joined [cm]",
+            "unjoined_m": "not joined [cm]",
+        }.items()
+    ),
+    Column("folded", count_folded),
+)
 NOTE = (
     "At one heading, aligned on the grid itself. Own: the network's positions; MDS: the map by classical scaling of "
     "its distances; apart: RMS distance between the two. Planar: share of the two largest eigenvalues in the sum of "
@@ -80,13 +92,9 @@ class Distances:
 
 def report(rows: Sequence[Row], varied: Sequence[str]) -> list[str]:
     """A table with a line for each way of learning, and a note on how to read it."""
-    headings = ["learned", "runs", "outputs", "planar", *MAPS.values(), "apart [cm]", *PAIRS.values(), "folded"]
-    names, cells = choices(rows, varied), []
-    for key, group in group_rows(rows, names).items():
-        figures = [_write_mean(group, name) for name in (*MAPS, "mds_own_m", *PAIRS)]
-        outputs, planar = f"{group[0]['outputs']}", f"{100 * mean(group, 'planar'):.2f} %"
-        cells.append([describe(key, names), str(len(group)), outputs, planar, *figures, count_folded(group)])
-    return [tabulate(headings, cells), NOTE]
+    names = choices(rows, varied)
+    lines = [Line((describe_group(key, names),), group) for key, group in group_rows(rows, names).items()]
+    return [tabulate_lines(["learned"], lines, COLUMNS), NOTE]
 
 
 def measure(rows: Sequence[Row]) -> dict[str, Figure]:
@@ -178,7 +186,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     names = choices(rows, varied)
     groups = group_rows(rows, names)
     found = {
-        describe(key, names): find_distances(folder / "runs" / group[0]["run"], key[-1])
+        describe_group(key, names): find_distances(folder / "runs" / group[0]["run"], key[-1])
         for key, group in groups.items()
     }
     picture = Picture(figsize=(max(9.6, 3.4 * len(found)), 7.2), layout="constrained")
@@ -238,12 +246,6 @@ def _spread(count: int, most: int) -> np.ndarray:
 
 def _rms(away: np.ndarray) -> float:
     return float(np.sqrt((away**2).sum(axis=-1).mean()))
-
-
-def _write_mean(rows: Sequence[Row], name: str) -> str:
-    """Mean of a column [cm] over the runs that have it; in a convex room no two positions are not joined."""
-    known = [row for row in rows if row[name] is not None]
-    return f"{100 * mean(known, name):.3g}" if known else "-"
 
 
 def _median(values: np.ndarray) -> float | None:

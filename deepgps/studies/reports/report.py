@@ -2,9 +2,12 @@
 
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
+
+from matplotlib.figure import Figure as Picture
 
 from deepgps.learning.trainer import use_threads
 from deepgps.reports.run_report import read_metrics
@@ -55,9 +58,15 @@ def report_study(study: Study, plans: Sequence[Plan], failures: Mapping[str, str
     text = f"{write_report(study, plans, failures, rows)}\n{describe_origin(_read_environments(plans, folder))}\n"
     write_text(folder / "table.md", text)
     measured = [row for row in rows if row["failure"] is None]
-    for name, draw in report.pictures.items() if measured else ():
-        write_bytes(folder / "figures" / f"{name}.png", to_png(load(draw)(measured, varied_names(study), folder)))
+    for name, draw in list_pictures(study, measured, folder).items() if measured else ():
+        write_bytes(folder / "figures" / f"{name}.png", to_png(draw()))
     return text
+
+
+def list_pictures(study: Study, rows: Sequence[Row], folder: Path) -> dict[str, Callable[[], Picture]]:
+    """Functions that draw the report's pictures of these measured rows, by the names of their files."""
+    pictures = REPORTS[study.report].pictures
+    return {name: partial(load(draw), rows, varied_names(study), folder) for name, draw in pictures.items()}
 
 
 def add_columns(rows: Sequence[Row], add: Callable[[Path, Row], Row], folder: Path) -> list[Row]:

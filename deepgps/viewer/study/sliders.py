@@ -4,8 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from deepgps.studies.grouping import shorten
-from deepgps.studies.table import Row, split_by, tell_apart, varied_in
+from deepgps.studies.table import Row, shorten, split_by, tell_apart, varied_in
 
 CASE, SEED, RUN = "case", "seed", "run"
 MOST_DIGITS = 6

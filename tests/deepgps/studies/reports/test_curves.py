@@ -1,22 +1,18 @@
-"""The report of curves from made-up rows; the studies noise_w and samples, one of them run small and drawn."""
+"""The report of curves from made-up rows: knees, targets, and what is drawn."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.curves import KNEE, draw, find_axis, find_knee, measure, report
+from deepgps.studies.reports.curves import KNEE, draw, find_knee, measure, report
 from deepgps.studies.reports.report import write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
-from tests.helpers.command import drop_progress
 
 SAMPLES = (500.0, 1000.0, 4000.0, 16000.0)
 
@@ -94,14 +90,6 @@ def test_a_line_that_still_falls_at_its_end_has_no_knee():
     assert "knee" not in "\n".join(report(rows, []))
 
 
-def test_each_case_has_the_knee_of_its_own_line():
-    lines: dict = {("tiny", "deepgps"): {500.0: (0.2,), 1000.0: (0.1,), 4000.0: (0.1,)}}
-    lines["quick", "deepgps"] = {500.0: (0.2,), 4000.0: (0.04,), 16000.0: (0.04,)}
-    text = "\n".join(report(make_rows(lines, "drive.samples"), []))
-    assert "The knee of tiny: drive.samples 1000," in text and "times that at 4000." in text
-    assert "The knee of quick: drive.samples 4000," in text and "times that at 16000." in text
-
-
 @given(rms=st.tuples(*[st.floats(0.001, 1.0)] * 4))
 def test_from_the_knee_on_all_are_within_and_the_one_before_is_not(rms: tuple[float, ...]):
     knee, within = find_knee(make_line(*rms), "drive.samples"), [one <= KNEE * rms[-1] for one in rms]
@@ -125,47 +113,3 @@ def test_curves_run_through_the_means_and_bands_from_best_to_worst():
     assert (panel.get_xscale(), panel.get_yscale()) == ("log", "log")
     (paper,) = [line for line in panel.lines if line.get_label() == "paper's RMS"]
     assert np.asarray(paper.get_xydata()).tolist() == [[1000.0, 4.0]]
-
-
-def test_noise_w_is_the_papers_experiment_on_both_worlds():
-    plans = plan_runs(load_study("noise_w", tiny=False))
-    assert {plan.scenario.encoder.step_noise for plan in plans} == {0.0, 0.02, 0.04, 0.08, 0.10}
-    assert {plan.scenario.world for plan in plans} == {"landmarks", "room"}
-    assert {plan.scenario.seed for plan in plans} == {0, 1, 2}
-    full = plan_runs(load_study("noise_w", tiny=False, full=True))
-    assert {plan.scenario.learn.train.steps for plan in full} == {20000}
-
-
-def test_samples_is_the_papers_experiment_in_the_papers_room():
-    plans = plan_runs(load_study("samples", tiny=False))
-    assert [plan.scenario.drive.samples for plan in plans[::3]] == [500, 1000, 2000, 4000, 5000, 8000, 16000]
-    room = plans[0].scenario.room
-    assert (room.kind, room.shape, room.seed, room.width_m, room.depth_m) == ("living_room", "rectangle", 0, None, None)
-
-
-@pytest.mark.slow
-def test_noise_w_runs_small_in_both_worlds_and_is_published(tmp_path: Path):
-    command = [
-        sys.executable,
-        "-m",
-        "deepgps.commands.main",
-        "study",
-        "noise_w",
-        "--tiny",
-        "--out",
-        "out",
-        "--publish",
-        "results",
-    ]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert (done.returncode, drop_progress(done.stderr)) == (0, [])
-    published = tmp_path / "results" / "noise_w-tiny"
-    names = {path.relative_to(published).as_posix() for path in published.rglob("*") if path.is_file()}
-    assert names == {"table.md", "table.parquet", "figures/curves.png", "SHA256SUMS"}
-    for name in names - {"SHA256SUMS"}:
-        assert (published / name).read_bytes() == (tmp_path / "out" / name).read_bytes()
-    rows = pq.read_table(published / "table.parquet").to_pylist()
-    assert find_axis(rows) == "encoder.step_noise"
-    assert {row["scenario"] for row in rows} == {"landmarks", "tiny"}
-    posenet = {(row["scenario"], row["rms_m"]) for row in rows if row["method"] == "posenet"}
-    assert len(posenet) == 2  # noise of the encoders does not reach it

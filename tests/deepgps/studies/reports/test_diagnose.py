@@ -8,7 +8,6 @@ import pytest
 from deepgps.studies.diagnose_runs import LIMITS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.diagnose import confuse, list_set, measure
-from deepgps.studies.reports.diagnose_plots import draw
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from tests.helpers.command import deepgps_here
@@ -52,7 +51,6 @@ def test_what_counts_as_right():
     lines = {line[0]: line[1:] for line in confuse(rows)[1]}
     assert lines["none"][0] == "2"
     assert lines["both radii alike"][3] == "2", "the scale of turns"
-    assert len(draw(rows, [], Path()).axes) == 7
 
 
 @pytest.mark.slow

@@ -1,26 +1,18 @@
-"""The report of encoders from made-up rows, and the study run small."""
+"""The report of encoders from made-up rows, and what the study asks."""
 
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from deepgps.reports.style import to_png
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.engine.engine import carry_out
-from deepgps.studies.engine.shared_recordings import find_drives
+from deepgps.studies.engine.recordings import find_drives
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.encoder import add_errors, choose_encoders, report
-from deepgps.studies.reports.encoder_plots import draw, draw_near
-from deepgps.studies.reports.encoder_sweeps import PERFECT, find_pairs, find_sweeps
-from deepgps.studies.reports.encoder_targets import measure
-from deepgps.studies.reports.report import report_study
+from deepgps.studies.reports.encoder import add_errors, choose_encoders, draw, draw_near
+from deepgps.studies.reports.encoder_sweeps import PERFECT, find_pairs, find_sweeps, measure
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
-from deepgps.terminal.progress import ignore
 from sim.settings import EncoderSettings
-from tests.helpers.small_study import run_all_here
 
 NAMES = (
     *("encoder.ticks_per_rev", "encoder.step_noise", "encoder.radius_error_left", "encoder.radius_error_right"),
@@ -79,17 +71,18 @@ def test_faults_of_either_sign_grow_from_none():
 
 def test_the_page_says_which_encoder_is_enough():
     methods = ["deepgps", "deepgps_noise_aware"]
-    heads, lines = choose_encoders(find_sweeps(ROWS), methods, 0.02)
-    assert heads == ["fault", "DeepGPS", "DeepGPS, noise-aware"]
-    enough = {line[0]: line[1:] for line in lines}
+
+    def choose(rows: list[Row], near_m: float) -> dict[str, list[str]]:
+        return read_cells(choose_encoders(find_sweeps(rows), methods, near_m))
+
+    enough = choose(ROWS, 0.02)
     assert enough["ticks per revolution"] == ["16", "all, to 4"]
     assert enough["noise w of each gap"] == ["none tolerated", "all, to 0.1"]
-    enough = {line[0]: line[1:] for line in choose_encoders(find_sweeps(ROWS), methods, 0.05)[1]}
-    assert enough["noise w of each gap"] == ["all, to 0.1", "all, to 0.1"]
+    assert choose(ROWS, 0.05)["noise w of each gap"] == ["all, to 0.1", "all, to 0.1"]
     one_bad_place = [{**row, "seed": 2, "rms_m": 1.0} for row in ROWS if row["seed"] == 0]
-    assert choose_encoders(find_sweeps([*ROWS, *one_bad_place]), methods, 0.02)[1] == lines
-    worse = find_sweeps([{**row, "within_2_cm": row["within_2_cm"] - 0.2} for row in ROWS])
-    assert {cell for line in choose_encoders(worse, methods, 0.02)[1] for cell in line[1:]} == {"none is enough"}
+    assert choose([*ROWS, *one_bad_place], 0.02) == enough
+    worse = [{**row, "within_2_cm": row["within_2_cm"] - 0.2} for row in ROWS]
+    assert {cell for line in choose(worse, 0.02).values() for cell in line} == {"none is enough"}
 
 
 def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path):
@@ -99,21 +92,6 @@ def test_places_near_the_truth_are_counted_at_their_worst_heading(tmp_path: Path
     (tmp_path / "metrics.json").write_text('{"methods": {}, "distances": {"segment_rms_m": 0.1}}')
     columns = add_errors(tmp_path, {"method": "deepgps"})
     assert columns == {"within_2_cm": 0.25, "within_5_cm": 0.75, "segment_rms_m": 0.1}
-
-
-def test_every_fault_and_pair_has_a_table():
-    text = "\n".join(report(ROWS, []))
-    for title in (
-        "## Ticks per revolution",
-        "## Error of both wheels' radius",
-        "## Noise w of each gap with ticks per",
-    ):
-        assert title in text
-    ticks = read_cells(text.split("## Ticks per revolution")[1].split("##")[0])
-    assert ticks["4"] == ["3.00", "3.00", "3.1 (3.0 to 3.3), 70 %", "1.6 (1.5 to 1.7), 85 %", "1.0000", "3 / 4"]
-    pair = read_cells(text.split("## Noise w of each gap with ticks per")[1].split("##")[0], 2)
-    assert list(pair) == ["0 4", "0 4096", "0.1 4", "0.1 4096"]
-    assert pair["0.1 4"] == ["5.3 (5.0 to 5.5), 50 %", "2.6 (2.5 to 2.8), 75 %"]
 
 
 def read_cells(table: str, names: int = 1) -> dict[str, list[str]]:
@@ -150,15 +128,6 @@ def test_the_compass_is_judged_beside_distances_alone_when_stuck_and_on_curves()
     assert found["stuck_rms_m"].worst == pytest.approx(0.15 * 1.1)
 
 
-def test_each_fault_is_a_panel_with_a_band_and_theory():
-    picture = draw(ROWS, [], Path())
-    assert [axes.get_xlabel() for axes in picture.axes] == [sweep.title for sweep in find_sweeps(ROWS)]
-    labels = {str(line.get_label()) for line in picture.axes[0].lines}
-    assert {"DeepGPS", "DeepGPS, noise-aware", "one segment, theory", "one segment, measured"} == labels
-    assert len(picture.axes[0].collections) == 2
-    assert to_png(picture).startswith(b"\x89PNG")
-
-
 def test_what_its_map_expects_is_drawn_for_a_method_that_knows_it():
     rows = [{**row, "map_expected_rms_m": row["rms_m"] / 2 if row["method"] == "deepgps" else None} for row in ROWS]
     lines = {str(line.get_label()): line for line in draw(rows, [], Path()).axes[0].lines}
@@ -189,20 +158,3 @@ def test_the_study_asks_of_every_fault_with_five_seeds_and_shares_five_drives_of
             *("deepgps_with_turns", "dead_reckoned_labels", "posenet"),
         )
     }
-
-
-@pytest.mark.slow
-def test_the_study_runs_small(tmp_path: Path):
-    study = load_study("encoder", tiny=True)
-    plans = plan_runs(study)
-    assert carry_out(study, plans, tmp_path / "study", run_all=run_all_here, progress=ignore) == {}
-    report_study(study, plans, {}, tmp_path / "study")
-    rows = pq.read_table(tmp_path / "study" / "table.parquet").to_pylist()
-    assert len(rows) == 5 * 4 and not any(row["failure"] for row in rows)
-    noisy = [row for row in rows if row["encoder.step_noise"] == 0.1]
-    assert all(row["segment_rms_m"] > 10 * rows[0]["segment_rms_m"] for row in noisy)
-    recordings = {row["recording"] for row in rows}
-    manifests = [(tmp_path / "study" / "recordings" / name / "manifest.json").read_text() for name in recordings]
-    assert sum("derived_from" in text for text in manifests) == len(manifests) - 1  # driven once
-    assert (tmp_path / "study" / "figures" / "encoder.png").stat().st_size > 10_000
-    assert "Which encoder keeps most of the room within 2 cm" in (tmp_path / "study" / "table.md").read_text()

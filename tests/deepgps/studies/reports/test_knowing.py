@@ -1,4 +1,4 @@
-"""The study of what a method knows of itself: its report from made-up drives, and a small one for real."""
+"""The study of what a method knows of itself: its report from made-up drives, and the drives that it derives."""
 
 import json
 from pathlib import Path
@@ -8,21 +8,17 @@ import pytest
 
 from deepgps.data.segments import find_runs
 from deepgps.studies.catalog import REPORTS
-from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import knowing
 from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, JudgedDrive, add_drives, find_expected
-from deepgps.studies.reports.report import report_study
 from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
-from deepgps.terminal.progress import ignore
 from deepgps.tracking.rules import TITLES
 from sim.errors import InputError
 from sim.files.json_files import write_json
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, check_turns
-from tests.helpers.small_study import run_all_here
 
 LIGHT = "deployment.light"
 
@@ -118,14 +114,3 @@ def test_what_is_left_of_a_recording_is_one_itself(recording: Recording):
     assert every is not None
     assert recording.turns is not None
     assert (every.array == recording.turns.array).all()
-
-
-def test_a_small_one_runs(tmp_path: Path):
-    study = load_study("knowing", tiny=True)
-    plans = plan_runs(study)
-    failures = carry_out(study, plans, tmp_path, run_all_here, ignore)
-    assert not failures
-    text = report_study(study, plans, failures, tmp_path)
-    for fault in ("lens covered", "frozen image", "another room", "a part not driven", "all light x 0.2"):
-        assert f"| {fault}" in text
-    assert (tmp_path / "figures" / "knowing.png").stat().st_size > 10_000

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from scipy.spatial.distance import pdist, squareform
 
 from deepgps.config.learning import LearnSettings
@@ -13,7 +12,6 @@ from deepgps.reports.style import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import (
-    _draw_spectrum,
     add_distances,
     are_joined,
     draw,
@@ -104,21 +102,6 @@ def test_the_report_says_how_far_the_map_is_from_the_network_and_draws_it(folder
     text = report(rows, VARIED)[0]
     assert "paths, DeepGPS" in text
     assert to_png(draw(rows, VARIED, folder)).startswith(b"\x89PNG")
-
-
-def test_where_all_positions_are_joined_there_is_no_figure_of_those_that_are_not():
-    maps = {name: 0.01 for name in ("own_m", "mds_m", "mds_own_m", "joined_m")} | {"unjoined_m": None}
-    row = {"run": "one", "learn.start": "paths", "method": "deepgps", "flipped": 0.0, "fold_found": False}
-    rows = [{**row, **maps, "outputs": 2, "planar": 1.0}]
-    assert report(rows, VARIED)[0].splitlines()[2].split("|")[9].strip() == "-"
-    assert "not_joined_ratio" not in measure(rows)
-
-
-def test_more_than_six_ways_of_learning_are_drawn(folder: Path):
-    found = find_distances(folder / "runs" / "paths", "deepgps")
-    axes = Figure().add_subplot()
-    _draw_spectrum(axes, {str(number): found for number in range(8)})
-    assert len(axes.lines) == 8
 
 
 def test_a_method_without_a_network_has_no_distances(folder: Path):

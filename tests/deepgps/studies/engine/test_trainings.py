@@ -9,7 +9,7 @@ from deepgps.learning.training_data import FEATURES
 from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
 from deepgps.runs.run_folder import open_run
-from deepgps.studies.engine.shared_trainings import _link_folder
+from deepgps.studies.engine.trainings import _link_folder
 from deepgps.terminal.progress import ignore
 from sim.recording.format import open_recording
 from tests.helpers.small_study import do_here, write_study

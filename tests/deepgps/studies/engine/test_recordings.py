@@ -5,13 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.studies.engine import collecting
-from deepgps.studies.engine.collecting import collect_all, count_drives
-from deepgps.studies.engine.shared_recordings import record_all
+from deepgps.studies.engine import recordings
+from deepgps.studies.engine.recordings import collect_all, count_drives, record_all
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
-from sim.processes import start_process
 from sim.recording.format import is_whole, read_manifest
 from tests.helpers.small_study import write_study
 
@@ -25,8 +23,8 @@ def plan(folder: Path, cases: Sequence[Mapping[str, object]], scenario: str = "m
 
 
 def at_once(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
-    monkeypatch.setattr(collecting, "PER_PROCESS", 10)
-    monkeypatch.setattr(collecting, "usable_cores", lambda: cores)
+    monkeypatch.setattr(recordings, "PER_PROCESS", 10)
+    monkeypatch.setattr(recordings, "usable_cores", lambda: cores)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +34,7 @@ def at_once(monkeypatch: pytest.MonkeyPatch, cores: int) -> None:
 def test_as_many_drives_at_once_as_pay(
     cores: int, drives: int, samples: int, most: int, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(collecting, "usable_cores", lambda: cores)
+    monkeypatch.setattr(recordings, "usable_cores", lambda: cores)
     assert count_drives(drives, samples) == most
 
 
@@ -48,11 +46,11 @@ def test_drives_at_once_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.
         told.clear()
         assert record_all(plans, plans, home, lambda *what: told.append(what[:3])) == {}
         assert ("recordings", 240, 240) in told
-        recordings = [home / "recordings" / one.recording for one in plans]
-        _, base, *others = recordings
+        made = [home / "recordings" / one.recording for one in plans]
+        _, base, *others = made
         shared = [path.relative_to(base) for path in base.glob("observations/*.npy")]
         assert shared and all((one / path).samefile(base / path) for one in others for path in shared)
-        found.append([read_manifest(one).sha256 for one in recordings])
+        found.append([read_manifest(one).sha256 for one in made])
     assert found[0] == found[1]
 
 
@@ -86,14 +84,3 @@ def test_a_bug_in_a_drive_fails_it_alone(cores: int, tmp_path: Path, monkeypatch
     scenarios = {bad.recording: broken, good.recording: good.scenario}
     failures = collect_all(scenarios, {key: tmp_path / key for key in scenarios}, tmp_path, ignore)
     assert failures == {bad.recording: "recording: KeyError: 'nowhere'"} and is_whole(tmp_path / good.recording)
-
-
-def test_a_process_that_dies_fails_its_drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    at_once(monkeypatch, 2)
-    monkeypatch.setattr(
-        "deepgps.studies.engine.pool.start_process",
-        lambda code, words, handles: start_process("raise SystemExit(3)", words, handles),
-    )
-    plans = plan(tmp_path / "study", [{"landmarks.count": 20}, {"landmarks.count": 21}], "plane.yaml")
-    failures = record_all(plans, plans, tmp_path, ignore)
-    assert failures == {one.recording: "recording: its process ended with 3" for one in plans}

@@ -1,0 +1,206 @@
+"""The runs of a study, whose recordings are finished: train and measure each, or diagnose each recording."""
+
+import os
+import traceback
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepgps.config.methods import METHODS
+from deepgps.config.plugins import list_plugins, load_plugins
+from deepgps.config.scenario import Scenario
+from deepgps.evaluation.measure import evaluate
+from deepgps.methods.train import train
+from deepgps.runs.run_folder import claim, list_trained
+from deepgps.studies.engine.pool import Failures, Tell, attempt, do_all
+from deepgps.studies.plan import Plan
+from deepgps.terminal.progress import Look, Report
+from sim.errors import InputError, WorkError, one_line
+from sim.files.atomic import write_text
+from sim.plugins import locate_failure
+from sim.processes import usable_cores
+from sim.recording.format import open_recording, read_manifest
+
+if TYPE_CHECKING:
+    from deepgps.diagnosis.turning import Sight
+
+FAILURE = "failure.txt"
+GPU_BYTES = 3 * 2**30
+"""Memory of a GPU that is kept for each run; those of ``samples`` took about 1.5 GB each on an H100."""
+
+
+@dataclass(frozen=True)
+class RunTask:
+    """A run to do in a worker process; see ``do_run``. Its size is the number of training steps that it lacks."""
+
+    scenario: Scenario
+    folder: Path
+    recording: str
+    size: int
+    plugins: Sequence[Path]
+
+    def __call__(self, tell: Tell) -> str | None:
+        """Do the run."""
+        steps: dict[str, int] = {}
+
+        def report(label: str, done: int, total: int, look: Look | None = None) -> None:
+            if look is not None:  # a training
+                steps[label] = done
+                tell(sum(steps.values()))
+
+        return do_run(self.scenario, self.folder, self.recording, report, self.plugins)
+
+
+@dataclass(frozen=True)
+class DiagnoseTask:
+    """Recordings of the same images to diagnose: the angles that the camera sees are found once.
+
+    Attributes:
+        runs: Folder of each run, which gets a ``diagnosis.json``.
+        recordings: Folder of each run's recording.
+    """
+
+    runs: Sequence[Path]
+    recordings: Sequence[Path]
+
+    @property
+    def size(self) -> int:
+        """Number of runs."""
+        return len(self.runs)
+
+    def __call__(self, tell: Tell) -> str | None:
+        """Diagnose them in order; returns a line for each run that failed, with its name and the reason, or None."""
+        from deepgps.diagnosis.turning import Sight  # needs torch
+
+        sight, lines = Sight(), []
+        for done, (run, folder) in enumerate(zip(self.runs, self.recordings, strict=True), start=1):
+            if reason := attempt(partial(_diagnose, run, folder, sight)):
+                lines.append(f"{run.name} {reason}")
+            tell(done)
+        return "\n".join(lines) or None
+
+
+def run_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
+    """Train and measure these runs in local processes: one per core, as far as they fit on a GPU.
+
+    Args:
+        plans: The runs, whose recordings are finished.
+        folder: The study's folder.
+        progress: Called with the training steps done and their number, summed over all runs.
+
+    Returns:
+        Reasons why runs failed, by the hash of the run.
+    """
+    tasks = {}
+    for plan in plans:
+        run = folder / "runs" / plan.run
+        tasks[plan.run] = RunTask(plan.scenario, run, plan.recording, count_steps(plan.scenario, run), list_plugins())
+    total = sum(task.size for task in tasks.values())
+    return do_all(tasks, count_workers(plans), lambda done: progress(f"steps of {len(plans)} runs", done, total))
+
+
+def do_run(
+    scenario: Scenario, folder: Path, recording: str, progress: Report, plugins: Sequence[Path] = ()
+) -> str | None:
+    """Do the missing stages of one run on a finished recording.
+
+    Args:
+        scenario: The scenario to run.
+        folder: The run's folder, in ``runs`` of the study's folder.
+        recording: Name of the recording's folder, in ``recordings`` of the study's folder.
+        progress: Called with the progress of each stage.
+        plugins: Files of plugins, which this process loads unless it has.
+
+    Returns:
+        The reason why the run failed; None: the run is done.
+    """
+    # Torch reads these when it is imported, at the first run. One thread, since each worker has one core to itself.
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+    os.environ["OMP_NUM_THREADS"] = "1"
+    try:
+        from deepgps.studies.engine.trainings import leave_trainings, take_trainings
+
+        load_plugins(plugins)
+        with claim(scenario, folder, fresh=False):
+            link = folder / "recording"
+            if not link.is_symlink():
+                link.symlink_to(Path("..") / ".." / "recordings" / recording)
+            take_trainings(scenario, folder)
+            train(scenario, folder, progress)
+            leave_trainings(scenario, folder)
+            evaluate(scenario, folder, progress)
+            (folder / FAILURE).unlink(missing_ok=True)
+    except (InputError, WorkError, OSError) as error:
+        return one_line(error)
+    except Exception as error:  # a bug must not stop the other runs
+        with suppress(OSError):
+            write_text(folder / FAILURE, traceback.format_exc())
+        where = f"{plugin}: " if (plugin := locate_failure(error)) else ""
+        return f"{where}{type(error).__name__}: {one_line(error)} (runs/{folder.name}/{FAILURE})"
+    return None
+
+
+def diagnose_all(plans: Sequence[Plan], folder: Path, progress: Report) -> Failures:
+    """Diagnose the recordings of runs and write ``runs/<run>/diagnosis.json``; takes the arguments of ``run_all``."""
+    from deepgps.diagnosis.store import read_diagnosis
+
+    recordings, groups = folder / "recordings", dict[str, list[Plan]]()
+    for plan in plans:
+        groups.setdefault(_name_images(recordings / plan.recording), []).append(plan)
+    tasks = {
+        images: DiagnoseTask(
+            [folder / "runs" / plan.run for plan in group], [recordings / plan.recording for plan in group]
+        )
+        for images, group in groups.items()
+    }
+    failed = do_all(tasks, usable_cores(), lambda done: progress("diagnose", done, len(plans)))
+    failures = Failures()
+    for images, text in failed.items():
+        reasons = dict(line.split(" ", 1) for line in text.splitlines())
+        for plan in groups[images]:
+            if read_diagnosis(folder / "runs" / plan.run) is None:
+                failures[plan.run] = reasons.get(plan.run, text)  # if its process died, that is the reason of all
+    return failures
+
+
+def count_workers(plans: Sequence[Plan]) -> int:
+    """Number of runs at once: one for each core, as most of a run needs no GPU, unless a GPU has too little memory."""
+    if any(wants_gpu(plan.scenario) for plan in plans):
+        import torch
+
+        if torch.cuda.is_available():
+            fitting = torch.cuda.get_device_properties(0).total_memory // GPU_BYTES
+            return max(1, min(usable_cores(), fitting))
+    return usable_cores()
+
+
+def wants_gpu(scenario: Scenario) -> bool:
+    """Whether a run trains on a GPU where there is one."""
+    return scenario.learn.train.device != "cpu"
+
+
+def count_steps(scenario: Scenario, folder: Path) -> int:
+    """Number of training steps that a run lacks, without restarts; at least one, so that every run counts."""
+    missing = set(scenario.methods) - set(list_trained(folder))
+    return max(1, scenario.learn.train.steps * sum(METHODS[method].in_steps for method in missing))
+
+
+def _diagnose(run: Path, folder: Path, sight: "Sight") -> None:
+    from deepgps.diagnosis.diagnosis import diagnose
+    from deepgps.diagnosis.store import FILE, write_diagnosis
+
+    recording = open_recording(folder)
+    run.mkdir(parents=True, exist_ok=True)
+    write_diagnosis(run / FILE, diagnose(recording, sight), recording)
+
+
+def _name_images(folder: Path) -> str:
+    """Checksums of a recording's images; its folder, if it cannot be read."""
+    try:
+        files = read_manifest(folder).sha256
+    except (InputError, OSError):
+        return str(folder)
+    return " ".join(files[name] for name in sorted(files) if name.startswith("observations/"))

@@ -1,0 +1,87 @@
+"""The studies of assets/studies ask what they are meant to ask."""
+
+from deepgps.config.scenario import names_in
+from deepgps.studies.engine.recordings import find_drives
+from deepgps.studies.plan import Plan, plan_runs
+from deepgps.studies.reports import changes
+from deepgps.studies.study import load_study
+from sim.paths import STUDIES
+from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
+
+
+def plan(name: str, full: bool = False) -> list[Plan]:
+    return plan_runs(load_study(name, tiny=False, full=full))
+
+
+def test_every_study_can_be_planned() -> None:
+    for name in names_in(STUDIES):
+        for tiny in (False, True):
+            assert len(plan_runs(load_study(name, tiny))) >= (1 if tiny else 2), name
+
+
+def test_precision_and_rooms30_cover_every_kind_and_shape_and_no_room_that_was_developed_on() -> None:
+    rooms = [one.scenario.room for one in plan("precision")]
+    assert [room.seed for room in rooms] == list(range(20, 30))
+    assert {room.kind for room in rooms} == {"living_room", "bedroom", "office", "kitchen", "studio", "workshop"}
+    assert {room.shape for room in rooms} == {"rectangle", "l", "u", "pillar"}
+    rooms = [one.scenario.room for one in plan("rooms30")]
+    assert (len(rooms), len({(room.kind, room.shape) for room in rooms})) == (30, 24)
+    assert min(room.seed for room in rooms) >= 30
+
+
+def test_noise_w_and_samples_are_the_papers_experiments() -> None:
+    plans = plan("noise_w")
+    assert {one.scenario.encoder.step_noise for one in plans} == {0.0, 0.02, 0.04, 0.08, 0.10}
+    assert {one.scenario.world for one in plans} == {"landmarks", "room"}
+    assert {one.scenario.seed for one in plans} == {0, 1, 2}
+    assert {one.scenario.learn.train.steps for one in plan("noise_w", full=True)} == {20000}
+    plans = plan("samples")
+    assert [one.scenario.drive.samples for one in plans[::3]] == [500, 1000, 2000, 4000, 5000, 8000, 16000]
+    room = plans[0].scenario.room
+    assert (room.kind, room.shape, room.seed, room.width_m, room.depth_m) == ("living_room", "rectangle", 0, None, None)
+
+
+def test_strategies_differ_in_nothing_but_the_strategy_and_have_batches_of_one_size() -> None:
+    for one in plan("strategies"):
+        train = one.scenario.learn.train
+        assert (train.samples == 2) == (one.scenario.drive.strategy == "endpoint")
+        assert train.segments * train.samples == 256
+
+
+def test_every_fault_of_the_camera_has_words_and_is_in_a_study() -> None:
+    groups = {"image_faults": ImageFaultSettings, "camera_mount": CameraMountSettings, "deployment": DeploymentSettings}
+    known = {f"{group}.{name}" for group, kind in groups.items() for name in kind.model_fields}
+    assert known - set(changes.TITLES) == {"deployment.drive_samples", "deployment.camera_mount"}
+    camera, change = (load_study(name, tiny=False).cases for name in ("camera", "change"))
+    assert set(changes.TITLES) - {name for case in (*camera, *change) for name in case} == {"camera_mount.pitch_deg"}
+    assert all(len(case) <= 1 for case in camera)
+
+
+def test_the_camera_study_draws_nothing_again_for_faults_of_finished_images() -> None:
+    plans = plan("camera")
+    drives = find_drives(plans)
+    finished = [one for one in plans if not any(name.startswith(("camera_mount", "deployment")) for name in one.varied)]
+    assert len({one.recording for one in finished}) == len(finished)
+    assert len({drives[one.recording].model_dump_json() for one in finished}) == 2  # one a seed
+    assert len({drive.model_dump_json() for drive in drives.values()}) == 2 + len(plans) - len(finished)
+
+
+def test_each_change_is_trained_in_one_light_and_in_several_on_pixels_and_on_ranks() -> None:
+    plans = plan("change")
+    assert (len(plans), len({one.recording for one in plans})) == (11 * 2 * 2, 11 * 2)
+    titles = {title for titles in changes.WORST_OF.values() for title in titles}
+    names = sorted({name for one in plans for name in one.varied})
+    usual = {"deployment.daylight": None, "deployment.exposure": "fixed", "deployment.moved_m": 0.0}
+    usual |= {"deployment.person": False, "deployment.lamp_on": False}
+    rows = [{**{name: usual.get(name, 1.0) for name in names}, **one.varied} for one in plans]
+    assert titles < set(changes.group_changes(rows, names))
+
+
+def test_corridors_have_twenty_worlds_and_maps_sixty_drives() -> None:
+    study = load_study("corridors", tiny=False)
+    worlds = {tuple(sorted(case.items())) for case in study.cases}
+    assert len(worlds) == len(study.cases) == 20
+    assert {case["room.kind"] for case in study.cases} >= {"labyrinth", "corridor", "bedroom"}
+    assert len(plan_runs(study)) == 40
+    plans = plan("maps")
+    assert len({one.recording for one in plans}) == len(plans) == 4 * 60
