@@ -69,12 +69,12 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
-        "sim.sensors.compass.circular_peaks",
+        "sim.sensors.compass.compass",
         "sim.sensors.compass.compass",
         "sim.sensors.compass.lean",
         "sim.sensors.compass.fit",
         "sim.sensors.camera.lens",
-        "sim.sensors.camera.upright",
+        "sim.sensors.camera.mount",
         "sim.sensors.camera.unwrap",
         "sim.sensors.camera.raw_camera",
         "sim.sensors.encoder",
@@ -82,9 +82,9 @@ WITHOUT_MUJOCO = {
         "sim.sensors.camera.faults",
     ),
     *(f"sim.files.{name}" for name in ("arrays", "atomic", "checksums", "folders", "json_files")),
-    *(f"sim.settings.{name}" for name in ("deployment", "drive", "group", "robot", "sensors", "world")),
+    *(f"sim.settings.{name}" for name in ("group", "robot", "sensors", "world")),
     *(
-        "sim.robot_log.messages",
+        "sim.robot_log.mcap_file",
         "sim.robot_log.mcap_file",
     ),
 }

@@ -13,7 +13,7 @@ from deepgps.data.lean import compare_images
 from deepgps.data.segments import find_runs
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, Turns
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 from sim.sensors.compass.compass import disambiguate
 
 WHEELS_RAD, PUSHED_RAD = 0.3, 1.5

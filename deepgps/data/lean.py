@@ -14,7 +14,7 @@ from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.recording.turns import Turns, from_array
 from sim.sensors.camera.lens import make_lens
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 from sim.sensors.compass.compass import Hypotheses, find_turns
 from sim.sensors.compass.lean import compare_at_horizon, find_lean
 from sim.settings import SimSettings

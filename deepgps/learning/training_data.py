@@ -15,7 +15,7 @@ from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
 from sim.recording.format import Recording, observation_file
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 
 FEATURES = "features"
 """The run's folder of features, which all its methods share."""

@@ -16,8 +16,7 @@ from scipy import fft
 from scipy.spatial import KDTree
 
 from sim.geometry import wrap
-from sim.sensors.compass.circular_peaks import find_highest
-from sim.sensors.compass.compass import LEAST_CONTRAST, MATCH_FLOOR
+from sim.sensors.compass.compass import LEAST_CONTRAST, MATCH_FLOOR, find_highest
 from sim.sensors.compass.fit import CUTOFF, SMOOTH
 
 RINGS, FREQUENCIES = 8, 32

@@ -20,7 +20,7 @@ from deepgps.positioner.headings import HeadingTable, Yaws
 from deepgps.positioner.nearest_scan import ScanPositioner
 from deepgps.positioner.trilateration import LandmarkPositioner
 from sim.errors import WorkError
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 
 CHUNK = 500
 CPU = torch.device("cpu")

@@ -34,7 +34,7 @@ from sim.files.atomic import write_bytes
 from sim.files.checksums import check_sha256, damaged
 from sim.files.json_files import read_json, write_json
 from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 
 SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"

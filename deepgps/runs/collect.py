@@ -93,7 +93,7 @@ def make_recording(
 
 def check_log(path: Path, scenario: Scenario) -> None:
     """Raise InputError if the log of a scenario's drive cannot be written to a file; choose a renderer for it."""
-    from sim.robot_log.check import check_log as check
+    from sim.robot_log.log import check_log as check
 
     check(path, scenario.sim)
     choose_renderer()

@@ -28,7 +28,7 @@ from deepgps.tracking.rules import (
 )
 from sim.recording.format import Recording
 from sim.recording.turns import from_array
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""

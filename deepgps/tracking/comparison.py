@@ -22,7 +22,7 @@ from deepgps.positioner.headings import (
     take_phases,
 )
 from sim.recording.format import Recording
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 
 CELL_M = 0.05
 """Of the training images, one is known in each square of the map with sides of this length [m]."""

@@ -19,8 +19,7 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.gaps import Gaps
-from sim.robot.headings import SHORTEST_M, DriveMode, is_staler_aside, turn_to_clear
+from sim.robot.headings import SHORTEST_M, DriveMode, Gaps, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,

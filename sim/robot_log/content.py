@@ -13,12 +13,11 @@ import numpy as np
 from sim.rng import stream
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.robot.range_finder import ANGLE, REACH_M
-from sim.robot_log.clocks import RECORDER, Clock
-from sim.robot_log.mcap_file import Topic
-from sim.robot_log.messages import (
+from sim.robot_log.mcap_file import (
     BASE_FRAME,
     CAMERA_FRAME,
     MAP_FRAME,
+    Topic,
     make_camera_info,
     make_compressed_image,
     make_joint_state,
@@ -26,7 +25,7 @@ from sim.robot_log.messages import (
     make_range,
     make_transforms,
 )
-from sim.robot_log.observe import JOINT_S, Observed
+from sim.robot_log.observe import JOINT_S, RECORDER, Clock, Observed
 from sim.robot_log.pictures import COLUMNS, PER_PART, ROWS, read_pictures
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.encoder import read_encoders

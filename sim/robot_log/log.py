@@ -1,7 +1,8 @@
 """The log of a recording's drive: what the robot's computers would have recorded, as an MCAP file.
 
 The drive is repeated, since a recording holds only its samples. Worker processes draw the pictures into parts, which
-stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them.
+stay if the work is interrupted. At last all messages are written in the order in which the recorder gets them, beside a
+description of the robot.
 """
 
 import logging
@@ -14,24 +15,91 @@ from glob import escape
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from sim.errors import DamagedError, InputError
-from sim.files.atomic import PART, check_space
+from sim.files.atomic import PART, check_overwrite, check_space
+from sim.files.checksums import check_lines, write_lines
 from sim.files.folders import list_files, lock, remove_files
 from sim.files.json_files import read_json, write_json
 from sim.recording.assemble import read_part
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.rng import stream
-from sim.robot_log.clocks import make_base_clock
-from sim.robot_log.content import list_topics
-from sim.robot_log.mcap_file import holds, write_mcap
-from sim.robot_log.observe import Observed, join, observe
-from sim.robot_log.pictures import PER_PART, draw_part
-from sim.robot_log.robot_yaml import write_robot
-from sim.robot_log.trace import TracedWorld, trace_drive
+from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
+from sim.robot_log.content import JOINTS, list_topics
+from sim.robot_log.mcap_file import check_file, holds, write_mcap
+from sim.robot_log.observe import Observed, TracedWorld, join, make_base_clock, observe, trace_drive
+from sim.robot_log.pictures import PER_PART, ROWS, draw_part
 from sim.sensors.camera.mount import draw_leans
-from sim.settings import SimSettings
+from sim.sensors.encoder import describe_odometry
+from sim.settings import ImageFaultSettings, SimSettings
+
+ROBOT_HEAD = "# The robot of a simulated log, for deepgps import.\n"
+
+
+def robot_file(log: Path) -> Path:
+    """Path of the robot's description beside a log."""
+    return log.with_suffix(".robot.yaml")
+
+
+def _check_robot(path: Path) -> None:
+    """Raise InputError if a robot's description is not as deepgps wrote it."""
+    check_overwrite(path, lambda data: ROBOT_HEAD.encode() in data)
+    try:
+        if path.exists():
+            check_lines(path)
+    except DamagedError:
+        raise InputError(
+            f"{path} was edited, or is of an earlier version, and would be overwritten: move it away, or give the "
+            "log another name"
+        ) from None
+
+
+def check_log(path: Path, settings: SimSettings) -> None:
+    """Raise InputError if a log of these settings, and the robot's description, cannot be written to these files."""
+    check_file(path)
+    _check_robot(robot_file(path))
+    if settings.world != "room" or settings.sensor != "fisheye":
+        raise InputError(f"--log {path}: a log needs world room and sensor fisheye, for its pictures")
+    if settings.robot.mjcf is not None:
+        raise InputError(f"--log {path}: logs are of the testbed's own robot, and robot.mjcf is another")
+    faults = {
+        "image_faults": settings.image_faults != ImageFaultSettings(),
+        "camera_mount.driven_m": settings.camera_mount.driven_m,
+        "drive.mixed_light": settings.drive.mixed_light,
+    }
+    for name in (name for name, on in faults.items() if on):
+        raise InputError(f"--log {path}: {name} applies to polar images, and a log holds raw ones; leave it out")
+
+
+def write_robot(log: Path, settings: SimSettings) -> None:
+    """Write the description of the robot beside its log."""
+    camera, (left, right) = settings.camera, JOINTS
+    odometry = describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M)
+    values = {
+        "wheels": {
+            "topic": "/joint_states",
+            "left": left,
+            "right": right,
+            "radius_m": odometry["wheel_radius_m"],
+            "track_m": odometry["track_m"],
+            "ticks_per_rev": odometry["ticks_per_rev"],
+            "lag_s": "estimate",  # half of it is the period that messages are late; the rest, how clocks are aligned
+        },
+        "camera": {
+            "topic": "/camera/image_raw/compressed",
+            "info": "/camera/camera_info",
+            "field_of_view_deg": camera.field_of_view_deg,
+            "circle_px": ROWS / 2,
+            **{name: getattr(camera, name) for name in ("height_m", "rings", "sectors")},
+        },
+        "pose": {"topic": "/ground_truth/pose", "use": "truth"},
+        "drive": {"spacing_m": settings.drive.spacing_m},
+        "clocks": "align",
+    }
+    write_lines(robot_file(log), ROBOT_HEAD + yaml.safe_dump(values, sort_keys=False))
+
 
 PARTS = re.compile(r"log\.json|picture-\d+\.npz")
 """Names of the files in the folder of an unfinished log."""

@@ -1,14 +1,119 @@
-"""What the robot's sensors and the truth read during a drive, whenever a timer of their computer fires."""
+"""What the robot's two computers observe of a repeated drive, each stamped by its own clock; unsynchronised.
 
-from collections.abc import Sequence
+The computer with the camera records the log. The one with the wheels and the rays stamps its messages by a clock that
+differs from the recorder's by a few seconds and runs a little faster or slower.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
+import mujoco
 import numpy as np
 
 from sim.geometry import planar_pose
+from sim.recording.chunks import drive_chunk
+from sim.rng import stream
+from sim.robot.model import WHEELS
 from sim.robot.range_finder import ANGLE
-from sim.robot_log.clocks import RECORDER, Clock
-from sim.robot_log.trace import Stretch, TracedWorld
+from sim.robot.world import RoomWorld
+from sim.rooms.spec import PREFIX
+from sim.settings import DeploymentSettings, SimSettings
+
+EPOCH_NS = 1_767_225_600 * 10**9
+"""What the recorder's clock reads when the drive begins: 1 January 2026, 0:00 UTC [ns]."""
+OFFSET_S = (1.0, 5.0)
+"""Least and largest difference between the clocks when the drive begins [s]."""
+DRIFT = (20e-6, 50e-6)
+"""Least and largest relative difference of their rates (quartz oscillators have some 20 to 50 millionths)."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """A computer's clock.
+
+    Attributes:
+        offset_s: How far it is ahead of the recorder's when the drive begins [s].
+        drift: How much faster it runs than the simulation's time, as a fraction.
+    """
+
+    offset_s: float = 0.0
+    drift: float = 0.0
+
+    def read(self, time_s: np.ndarray) -> np.ndarray:
+        """What it reads (...) int64 [ns since 1970] at times of the simulation (...) [s]."""
+        return EPOCH_NS + np.rint((self.offset_s + np.asarray(time_s) * (1.0 + self.drift)) * 1e9).astype(np.int64)
+
+    def fire(self, period_s: float, first_s: float, last_s: float) -> np.ndarray:
+        """Times of the simulation [s], after ``first_s`` and up to ``last_s``, when a timer of this period fires."""
+        step_s = period_s / (1.0 + self.drift)
+        return np.arange(np.floor(first_s / step_s) + 1, np.floor(last_s / step_s) + 1) * step_s
+
+
+RECORDER = Clock()
+
+
+def make_base_clock(seed: int) -> Clock:
+    """The clock of the computer with the wheels, by the scenario's seed."""
+    rng = stream(seed, "log", "clock")
+    offset_s, drift = (rng.choice((-1.0, 1.0)) * rng.uniform(*limits) for limits in (OFFSET_S, DRIFT))
+    return Clock(float(offset_s), float(drift))
+
+
+class TracedWorld(RoomWorld):
+    """A room that keeps the state after each time step of its physics, which goes on bit for bit as without."""
+
+    def __init__(self, settings: SimSettings, room: mujoco.MjSpec | None = None) -> None:
+        super().__init__(settings.model_copy(update={"deployment": DeploymentSettings()}), room, drawn=False)
+        self.wheels = [self.model.joint(PREFIX + name).qposadr[0] for name in WHEELS]
+        self._kept: list[tuple[float, np.ndarray]] = []
+
+    def advance(self, steps: int) -> None:
+        """Let physics pass by so many of its time steps."""
+        for _ in range(steps):
+            super().advance(1)
+            self._kept.append((self.data.time, self.data.qpos.copy()))
+
+    def take(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) [s] and full positions (n, nq) of all steps since the last call."""
+        times, states = zip(*self._kept, strict=True)
+        self._kept = []
+        return np.array(times), np.array(states)
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A stretch of the drive, as long as a recording's chunk.
+
+    Attributes:
+        begun: Time at its beginning [s].
+        time: Time after each step of the physics (n,) [s].
+        state: Full positions then (n, nq).
+        observations: Number of the recording's observations up to its end.
+        wheel_angle: Wheel angles at the recording's readings in it (r, 2) [rad].
+    """
+
+    begun: float
+    time: np.ndarray
+    state: np.ndarray
+    observations: int
+    wheel_angle: np.ndarray
+
+    def find(self, clock: Clock, period_s: float) -> np.ndarray:
+        """Rows (m,) of the states when a timer of this period fires by a computer's clock."""
+        return np.searchsorted(self.time + 1e-6, clock.fire(period_s, self.begun, float(self.time[-1])))
+
+
+def trace_drive(world: TracedWorld, seed: int) -> Iterator[Stretch]:
+    """Repeat the drive of the recording with the world's settings and this seed."""
+    settings, rng = world.settings, stream(seed, "drive")
+    chunk, begun, driven = None, 0.0, 0
+    while driven < settings.drive.samples + settings.grid.held_out:
+        chunk = drive_chunk(world, settings, rng, chunk)
+        time, state = world.take()
+        driven = int(chunk["observations"])
+        yield Stretch(begun, time, state, driven, chunk["wheel_angle"])
+        begun = float(time[-1])
+
 
 JOINT_S, PICTURE_S, RAY_S, TRUTH_S = 0.05, 0.1, 0.2, 0.05
 """Periods of the wheels (TurtleBot3: 20 Hz), the pictures, the rays and the truth [s]."""

@@ -4,13 +4,13 @@ import math
 
 from pydantic import model_validator
 
-from sim.settings.deployment import DeploymentMountSettings, DeploymentSettings
-from sim.settings.drive import TURN_RATE_RPS, DriveSettings, GridSettings
 from sim.settings.group import Group
 from sim.settings.robot import EncoderSettings, RobotSettings
 from sim.settings.sensors import (
     CameraMountSettings,
     CameraSettings,
+    DeploymentMountSettings,
+    DeploymentSettings,
     ImageFaultSettings,
     LidarSettings,
     SensorName,
@@ -19,6 +19,9 @@ from sim.settings.sensors import (
 from sim.settings.world import (
     PLANE_CLEARANCE_M,
     PLANE_SIDE_M,
+    TURN_RATE_RPS,
+    DriveSettings,
+    GridSettings,
     LandmarksSettings,
     ObstaclesSettings,
     RoomKind,

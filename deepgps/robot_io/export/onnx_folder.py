@@ -22,8 +22,8 @@ from sim.errors import InputError, WorkError
 from sim.files.arrays import write_arrays
 from sim.files.atomic import write_atomic, write_size, write_text
 from sim.files.json_files import write_json
+from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
-from sim.sensors.camera.upright import map_pixels, pad
 
 MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
 MOST_BYTES = 20_000_000

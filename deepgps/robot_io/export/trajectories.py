@@ -24,12 +24,13 @@ from deepgps.tracking.tum import write_tum
 from sim.errors import InputError
 from sim.files.atomic import write_text
 from sim.recording.format import Recording, has_truth, open_truth
-from sim.robot_log.mcap_file import Topic, write_mcap
-from sim.robot_log.messages import (
+from sim.robot_log.mcap_file import (
+    Topic,
     make_compressed_image,
     make_joint_state,
     make_pose,
     make_uncertain_pose,
+    write_mcap,
 )
 
 Format = Literal["tum", "csv"]

@@ -11,11 +11,9 @@ from sim.occupancy import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
-from sim.rooms.light_sources import KINDS, Sources, find_sources, hang_lamp
-from sim.sensors.camera.exposure import expose
 from sim.sensors.camera.faults import decode, encode
 from sim.sensors.camera.fisheye import Dress, Fisheye
-from sim.sensors.camera.illumination import Illumination, mix
+from sim.sensors.camera.illumination import KINDS, Illumination, Sources, expose, find_sources, hang_lamp, mix
 from sim.sensors.camera.mount import drive_on
 from sim.sensors.camera.visitors import (
     PERSON_HEIGHT_M,

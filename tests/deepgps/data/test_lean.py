@@ -23,7 +23,7 @@ from sim.recording.collect import collect
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import Turns
 from sim.sensors.camera.lens import make_lens
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright
 from sim.settings import (
     CameraMountSettings,
     CameraSettings,

@@ -18,7 +18,7 @@ from sim.robot.own import describe_own
 from sim.robot.range_finder import clear_length
 from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
-from sim.robot_log.check import check_log
+from sim.robot_log.log import check_log
 from sim.rooms.spec import PREFIX, empty_room
 from sim.settings import RobotSettings, RoomSettings, SimSettings
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.robot_log.clocks import DRIFT, EPOCH_NS, OFFSET_S, RECORDER, Clock, make_base_clock
+from sim.robot_log.observe import DRIFT, EPOCH_NS, OFFSET_S, RECORDER, Clock, make_base_clock
 
 clocks = st.builds(Clock, st.floats(-5, 5), st.floats(-1e-3, 1e-3))
 

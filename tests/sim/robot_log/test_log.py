@@ -16,10 +16,8 @@ from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
 from sim.robot.model import WHEEL_RADIUS_M
 from sim.robot_log import log as writing
-from sim.robot_log.check import check_log, robot_file
-from sim.robot_log.clocks import EPOCH_NS, make_base_clock
-from sim.robot_log.log import write_log
-from sim.robot_log.robot_yaml import write_robot
+from sim.robot_log.log import check_log, robot_file, write_log, write_robot
+from sim.robot_log.observe import EPOCH_NS, make_base_clock
 from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
 SEED, SAMPLES = 3, 20

@@ -8,9 +8,7 @@ from sim.recording.turns import KINDS
 from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot.world import RoomWorld
-from sim.robot_log.clocks import make_base_clock
-from sim.robot_log.observe import Observed, join, observe
-from sim.robot_log.trace import TracedWorld, trace_drive
+from sim.robot_log.observe import Observed, TracedWorld, join, make_base_clock, observe, trace_drive
 from sim.settings import DriveSettings, SimSettings
 from tests.helpers.small_room import furnished
 

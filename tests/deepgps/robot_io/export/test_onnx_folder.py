@@ -26,8 +26,8 @@ from deepgps.robot_io.export.onnx_folder import OUTPUTS, write_onnx
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
 from sim.sensors.camera.lens import Lens
+from sim.sensors.camera.mount import Upright
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye
-from sim.sensors.camera.upright import Upright
 
 TURNED = Alignment(np.array([[0.6, 0.8], [0.8, -0.6]]), np.array([2.0, -1.0]), 1.0)
 """Into a mirrored frame."""

@@ -16,10 +16,8 @@ from sim.robot.model import RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
-from sim.rooms.light_sources import MOST, find_sources, hang_lamp
-from sim.sensors.camera.exposure import GREY, expose
 from sim.sensors.camera.faults import decode
-from sim.sensors.camera.illumination import _set_lights, mix
+from sim.sensors.camera.illumination import GREY, MOST, _set_lights, expose, find_sources, hang_lamp, mix
 from sim.sensors.camera.visitors import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
 from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 

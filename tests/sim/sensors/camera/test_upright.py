@@ -7,8 +7,7 @@ import pytest
 
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens, polar_rays
-from sim.sensors.camera.mount import tilt
-from sim.sensors.camera.upright import Upright
+from sim.sensors.camera.mount import Upright, tilt
 from sim.settings import CameraSettings
 from tests.sim.sensors.camera.test_fisheye import build_room, place
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sim.geometry import wrap
-from sim.sensors.compass.circular_peaks import find_highest
+from sim.sensors.compass.compass import find_highest
 
 SAMPLES = 64
 
