@@ -12,6 +12,7 @@ from sim.sensors.camera.gl import choose_backend
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 from tests.helpers.made_once import make_once
 from tests.helpers.processor_time import ProcessorTime
+from tests.helpers.time_limit import TimeLimit
 
 choose_backend()
 # Two workers of pytest share two cores: a library that starts threads of its own in each only makes both wait.
@@ -90,6 +91,7 @@ def finished_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(ProcessorTime())
+    config.pluginmanager.register(TimeLimit())
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -19,7 +19,7 @@ from tests.faults.attack import REPOSITORY
 
 MARK = "DEEPGPS_FAULTS"
 """In the environment of each command and so of all that it starts: by it they are found again."""
-TIME_S = 120.0
+TIME_S = 300.0
 MEMORY_MB = 6000.0
 LEAVE_S = 5.0
 """How long a command's processes may take to go after it has ended."""

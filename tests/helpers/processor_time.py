@@ -53,7 +53,8 @@ class ProcessorTime:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "teardown" and "slow" not in report.keywords:
-            self.slowest[report.nodeid] = sum(took for name, took in report.user_properties if name == "processor_s")
+            taken = (took for name, took in report.user_properties if name == "processor_s")
+            self.slowest[report.nodeid] = sum(took for took in taken if isinstance(took, float))
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         quick = session.config.option.markexpr == "not slow"
