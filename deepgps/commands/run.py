@@ -56,7 +56,7 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
         arguments, source = parse_scenario(stage, words, about)
         scenario, folder = source.scenario, source.folder
         _check_before_work(arguments, source)
-        place, left_out, done = find_place(folder, arguments.fresh), None, None
+        place, done = find_place(folder, arguments.fresh), None
         with (
             working_in(folder),
             show_progress(errors) as progress,
@@ -73,12 +73,6 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
                     write_log(scenario, place, arguments.log, report)
                 if name == stage:
                     break
-            if stage == "train":
-                from deepgps.reports.run_report import describe_left_out  # needs torch, which collecting does not
-
-                left_out = describe_left_out(place, scenario.methods)
-        if left_out:
-            say(left_out)
         if stage == "evaluate" and done is None:
             say(f"{folder}: {NO_TESTS}")
         else:

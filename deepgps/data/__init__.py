@@ -1,4 +1,4 @@
-"""Training data from a recording: plausible readings, segments with distances, features, encoder noise, labels.
+"""Training data from a recording: checked readings, segments with distances, features, encoder noise, labels.
 
 Only ``labels`` opens the ground truth, for the supervised baselines.
 """

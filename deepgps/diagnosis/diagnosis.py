@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
-from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.plausible_readings import check_recording
 from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
 from deepgps.diagnosis.turning import FEWEST, Sight, measure_curvature, measure_turn_scale
@@ -117,9 +117,9 @@ def diagnose(recording: Recording, sight: Sight | None = None) -> Diagnosis:
     """
     if recording.manifest.wheels_computed:
         raise InputError(f"{recording.folder}: its wheels were computed from an odometry, which cannot be diagnosed")
+    check_recording(recording)
     sight = sight or Sight()
     lost = measure_loss(recording) if recording.turn_observation is not None else (0.0, 0.0, 1.0)
-    recording = keep_plausible(recording)
     odometry = dict(check_odometry(recording.manifest.odometry))
     if len(recording.reading) < FEWEST_READINGS:
         raise InputError(f"{recording.folder}: {len(recording.reading)} readings are too few for a diagnosis")

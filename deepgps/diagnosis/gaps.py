@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from deepgps.data.dead_reckoning import travel
-from deepgps.data.plausible_readings import count_left_out
 from deepgps.data.runs import find_stretches
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
@@ -59,7 +58,7 @@ class Gaps:
 
 
 def read_gaps(recording: Recording) -> Gaps:
-    """Read the gaps of a recording whose readings are plausible."""
+    """Read the gaps of a recording."""
     reading, odometry = recording.reading, recording.manifest.odometry
     ticks = np.diff(reading[:, 2:], axis=0)
     step = max(int(np.gcd.reduce(np.abs(ticks), axis=None)), 1)
@@ -118,11 +117,10 @@ def measure_stuck(gaps: Gaps) -> tuple[float, float, float]:
 def measure_loss(recording: Recording) -> tuple[float, float, float]:
     """Part of the readings that never arrived, with its interval by Wilson's score (95 %).
 
-    Every observation has a reading, and the place of a turn in place, of which there is a turn image, has two. Readings
-    that were left out because they cannot be did arrive.
+    Every observation has a reading, and the place of a turn in place, of which there is a turn image, has two.
     """
     assert recording.turn_observation is not None
-    arrived = len(recording.reading) + count_left_out(recording.readings or {})
+    arrived = len(recording.reading)
     total = max(len(recording.observation) + len(recording.turn_observation), arrived)
     lost = 1.0 - arrived / total
     shrunk = 1.0 + Z95**2 / total

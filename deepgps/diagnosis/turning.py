@@ -192,7 +192,7 @@ def measure_curvature(recording: Recording, gaps: Gaps, sight: Sight, scale: flo
     is sought first, since angles are known but for whole turns.
 
     Args:
-        recording: The recording, of plausible readings.
+        recording: The recording.
         gaps: Its gaps.
         sight: Its angles.
         scale: Turns by the wheels over turns by the camera.

@@ -15,7 +15,6 @@ from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
-from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
 from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
@@ -91,7 +90,7 @@ def evaluate(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[s
 
 
 def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
-    recording = keep_plausible(open_recording(run / "recording"))
+    recording = open_recording(run / "recording")
     truth = open_truth(run / "recording")
     _check_tests(recording, truth)
     labels, side_m = _find_labels(run / "recording"), truth.free_space.shorter_side_m
@@ -137,7 +136,6 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         **({} if labels is None else {"labels": measure_labels(labels, truth)}),
         "shorter_side_m": side_m,
         **describe_drive(recording),
-        **count_readings(recording),
         "test": {"held_out": bool(scenario.grid.held_out), "headings": some.predicted.shape[1]},
         "coverage": measure_coverage(some.truth, truth.pose[:, :2]),
         "trajectory": measure_trajectory(recording, truth),
@@ -153,7 +151,7 @@ def align_methods(run: Path, scenario: Scenario) -> None:
     missing = {method: folder for method, folder in folders.items() if not has_alignment(folder)}
     if not missing:
         return
-    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     with use_threads(scenario.learn.train.threads):
         for method, folder in missing.items():
             _, alignment = measure_field(predict(folder, recording), method, truth)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from deepgps.data.lean import adapt_upright, describe_lean
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.acceptance import take_acceptance
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.yaw_errors import add_yaws
@@ -21,10 +20,10 @@ from sim.recording.in_use import FOLDER as IN_USE
 
 
 def open_drive_in_use(recording: Recording) -> Recording | None:
-    """The recording of the drive in use with its plausible readings; None if there is none."""
+    """The recording of the drive in use; None if there is none."""
     if OF_USE not in recording.manifest.sha256:
         return None
-    return keep_plausible(open_recording(recording.folder / IN_USE))
+    return open_recording(recording.folder / IN_USE)
 
 
 def adapt(positioner: Positioner, drive: Recording | None) -> tuple[Positioner, dict[str, float]]:

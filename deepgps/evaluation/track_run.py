@@ -9,7 +9,7 @@ import numpy as np
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.field_of_view import check_view, find_view
-from deepgps.data.plausible_readings import keep_plausible
+from deepgps.data.plausible_readings import check_recording
 from deepgps.diagnosis.store import digest_files
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
@@ -147,9 +147,10 @@ def _open_drive(run: Path, drive: Path | None, method: str) -> tuple[Recording, 
     """What the robot sensed, and where its track is written, without a suffix."""
     if drive is not None:
         recording = open_recording(drive)
+        check_recording(recording)
         if (view_deg := find_view(recording)) is not None:
             check_view(view_deg, find_view(open_recording(run / "recording")))
-        return keep_plausible(recording), run / FOLDER / f"{method}-{digest_files(recording)[:8]}"
+        return recording, run / FOLDER / f"{method}-{digest_files(recording)[:8]}"
     recording = open_drive_in_use(open_recording(run / "recording"))
     if recording is None:
         raise InputError(

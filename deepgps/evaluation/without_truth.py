@@ -14,7 +14,6 @@ from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.dead_reckoning import travel
 from deepgps.data.lean import compare_images
-from deepgps.data.plausible_readings import count_readings, keep_plausible
 from deepgps.data.runs import find_lasts, find_starts
 from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
 from deepgps.diagnosis.diagnosis import diagnose
@@ -51,8 +50,7 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     Returns:
         Contents of ``without_truth.json``: what was driven, and for each method what is known of it.
     """
-    opened = open_recording(run / "recording")
-    recording = keep_plausible(opened)
+    recording = open_recording(run / "recording")
     held_out = open_drive_in_use(recording)
     methods = {}
     device = find_device(scenario.learn.train.device)
@@ -63,9 +61,8 @@ def judge(run: Path, scenario: Scenario, progress: Report = ignore) -> dict[str,
     progress("evaluate", len(scenario.methods), len(scenario.methods))
     return {
         **describe_drive(recording),
-        **count_readings(recording),
         **({} if held_out is None else {"held_out": describe_drive(held_out)}),
-        "wheels": _diagnose_wheels(run, opened),
+        "wheels": _diagnose_wheels(run, recording),
         "methods": methods,
     }
 

@@ -1,4 +1,4 @@
-"""Training one method: only on plausible readings, and with the same result to the byte on any number of cores."""
+"""Training one method: on readings that can be, and with the same result to the byte on any number of cores."""
 
 import time
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ import torch
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
 from deepgps.data.features import check_observations
-from deepgps.data.plausible_readings import count_readings, keep_plausible
+from deepgps.data.plausible_readings import check_recording
 from deepgps.data.runs import fill_stretches
 from deepgps.data.segments import read_segments
 from deepgps.initial_map.stored_map import StoredMap, read_map
@@ -48,7 +48,7 @@ def fit_method(
     fit = resolve_name(method.fit) if isinstance(method.fit, str) else method.fit
     with use_threads(settings.train.threads):
         if not is_finished(folder):
-            recording = keep_plausible(recording)
+            check_recording(recording)
             check_observations(recording.observation, observation_file(recording.manifest.sensor))
             start = time.perf_counter()
             fitted = fit(recording, settings, seed, folder, progress)
@@ -65,7 +65,7 @@ def fit_method(
             positioner = learn_confidence(positioner, recording, mapped, undecided, method.reads_ticks)
             device = describe_device(settings.train.device, settings.train.bfloat16)
             made = {"trained_on": device} if method.in_steps else {}
-            save_positioner(folder, positioner, {**training, **made, **count_readings(recording)})
+            save_positioner(folder, positioner, {**training, **made})
         remove_leftovers(folder)
         return load_positioner(folder)
 

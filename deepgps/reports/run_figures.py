@@ -12,7 +12,6 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.config.methods import METHODS, colour_of, title_of
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.acceptance import REFUSED, find_risk
 from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
 from deepgps.reports.field_plot import add_scale, draw_field, draw_room, explain_refused
@@ -43,7 +42,7 @@ def draw_figures(run: Path) -> list[Path]:
 def make_figures(run: Path) -> dict[str, Figure]:
     """Every figure of a run by its name."""
     metrics, fields, histories = read_metrics(run), read_all_headings(run), read_histories(run)
-    truth, recording = open_truth(run / "recording"), keep_plausible(open_recording(run / "recording"))
+    truth, recording = open_truth(run / "recording"), open_recording(run / "recording")
     space = truth.free_space
     figures = {f"error_field_{name}": draw_error_field(space, field, name) for name, field in fields.items()}
     figures["error_fields"] = draw_comparison(space, fields, metrics)

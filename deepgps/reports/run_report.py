@@ -7,8 +7,7 @@ from typing import Any
 
 from rich.console import Console
 
-from deepgps.config.methods import folder_of, title_of
-from deepgps.data.plausible_readings import describe_readings
+from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.reports import table
 from deepgps.reports.without_truth import print_without_truth, write_hundredths
@@ -115,15 +114,7 @@ def describe(metrics: Mapping[str, Any], times: Mapping[str, float] | None = Non
         *_describe_leans(metrics["methods"]),
         *_describe_in_use(metrics),
     ]
-    if left_out := describe_readings(metrics.get("readings", {})):
-        sentences.insert(1, left_out)
     return sentences
-
-
-def describe_left_out(run: Path, methods: Sequence[str]) -> str | None:
-    """Describe in a sentence which readings training left out or repaired; None: nothing."""
-    counts = (read_json(folder_of(run, method) / "training.json").get("readings", {}) for method in methods)
-    return next(filter(None, map(describe_readings, counts)), None)
 
 
 def describe_errors(metrics: Mapping[str, Any]) -> str:

@@ -7,7 +7,6 @@ from typing import Any
 from rich.console import Console
 
 from deepgps.config.methods import title_of
-from deepgps.data.plausible_readings import describe_readings
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import table
 from deepgps.tracking.words import describe_causes
@@ -86,8 +85,6 @@ def describe(found: Mapping[str, Any]) -> list[str]:
     sentences += [describe_causes(one) for one in causes if one is not None][:1]
     if (wheels := found.get("wheels")) is not None:
         sentences.append("Wheels: " + (" ".join(wheels) or "nothing is wrong with them, as far as can be known."))
-    if left_out := describe_readings(found.get("readings", {})):
-        sentences.append(left_out)
     return [*sentences, *filter(None, (_describe_method(name, one) for name, one in found["methods"].items()))]
 
 

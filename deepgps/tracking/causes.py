@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.turn_images import find_in_place, turns_with_images
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.pose import locate_camera
@@ -102,7 +101,7 @@ class Monitor:
     limits: ImageLimits
 
     def name(self, drive: Recording) -> Causes:
-        """Name the causes in a drive with plausible readings."""
+        """Name the causes in a drive of a drive."""
         upright, change = self._find_lean(drive)
         corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner
@@ -177,7 +176,6 @@ def make_monitor(positioner: Positioner, recording: Recording) -> Monitor | None
         return None
     if recording.kind != "polar_image":
         return None
-    recording = keep_plausible(recording)
     upright = positioner.upright if isinstance(positioner, NetworkPositioner) else None
     upright = upright or measure_upright(recording)
     camera = locate_camera(positioner, recording.observation)
@@ -205,4 +203,4 @@ def name_causes(positioner: Positioner, recording: Recording, drive: Recording) 
         The causes; None where observations are no polar images, or the method accepts all.
     """
     monitor = make_monitor(positioner, recording)
-    return None if monitor is None else monitor.name(keep_plausible(drive))
+    return None if monitor is None else monitor.name(drive)

@@ -6,7 +6,6 @@ its own. The ground truth is not used.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
@@ -63,7 +62,7 @@ class _Node:
 
 
 def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
-    """The images of a recording with plausible readings, and the motions between them.
+    """The images of a recording of a drive, and the motions between them.
 
     Observations to which no reading belongs are left out, and segments of a single reading.
 
@@ -102,9 +101,6 @@ def measure_wheel_turns(recording: Recording) -> CompassTurns:
     if recording.turns is not None:
         carried = recording.turns.after[recording.turns.kind == KINDS.index("relocated")]
         unknown |= np.isin([run[0] for run in runs[1:]], carried)
-    if recording.breaks is not None:
-        passed = np.searchsorted(recording.breaks, [(one[-1], other[0]) for one, other in pairwise(runs)], side="right")
-        unknown |= np.diff(passed.reshape(-1, 2), axis=1)[:, 0] > 0
     angle_std = np.where(unknown, UNKNOWN_RAD, WHEELS_RAD)
     return CompassTurns(angle, angle_std, jump, np.where(unknown, UNKNOWN_M, jump_std))
 

@@ -74,7 +74,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
 
     Args:
         positioner: The trained method, as it is in use.
-        recording: What the robot sensed, with plausible readings.
+        recording: What the robot sensed, of a drive.
         progress: Called with the steps done.
 
     Raises:

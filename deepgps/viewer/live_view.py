@@ -14,7 +14,6 @@ import rerun as rr
 
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.error_field import read_all_headings
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
@@ -187,7 +186,7 @@ class LiveView:
         folder = self._folder / "recording"
         if not (folder / "manifest.json").is_file() or not has_truth(folder):
             return
-        recording, self._truth = keep_plausible(open_recording(folder)), open_truth(folder)
+        recording, self._truth = open_recording(folder), open_truth(folder)
         log_room(self._stream, folder / "scene.glb", self._truth.free_space)
         drive.log_robot(self._stream, drive.find_track_m(recording), drive.camera_of(recording).height_m)
         self._drive.send_rest(recording.observation, self._truth, spread)

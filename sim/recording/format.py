@@ -65,9 +65,6 @@ class Recording:
         turns: What the robot knows of its turns; None: nothing, as in old recordings and those of landmarks.
         turn_observation: Observations of the first sensor after turns in place (K, ...), memory-mapped; None like
             ``turns``.
-        readings: Numbers of readings that were kept and left out, by reason; None: not checked yet.
-        breaks: Rows of ``reading`` before which the ticks break, so that nothing is known of that gap (B,); None: not
-            checked yet.
         others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images.
     """
 
@@ -81,8 +78,6 @@ class Recording:
     others: Mapping[str, np.ndarray] = field(default_factory=dict)
     turns: Turns | None = None
     turn_observation: np.ndarray | None = None
-    readings: dict[str, int] | None = None
-    breaks: np.ndarray | None = None
 
     @property
     def kind(self) -> ObservationKind | None:

@@ -15,7 +15,6 @@ from pathlib import Path
 from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario
 from deepgps.data.features import check_features, has_features
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.learning.training_data import FEATURES, digest_features
 from deepgps.methods.train import training_seed
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training
@@ -55,7 +54,7 @@ def digest_training(scenario: Scenario, method: str, recording: Recording) -> st
 
 
 def _find(scenario: Scenario, run: Path) -> list[tuple[str, Path]]:
-    home, recording = run.parent.parent / "trainings", keep_plausible(open_recording(run / "recording"))
+    home, recording = run.parent.parent / "trainings", open_recording(run / "recording")
     features = digest_features(recording, scenario.learn, training_seed(scenario))[:8]
     shared = [method for method in scenario.methods if not METHODS[method].reads_ticks]
     return [

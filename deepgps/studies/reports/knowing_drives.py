@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepgps.config.methods import METHODS, folder_of, title_of
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.evaluation.in_use import open_drive_in_use
 from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
@@ -119,7 +118,7 @@ def measure_use(run: Path, row: Row) -> dict[str, float | None]:
 
 def derive_drives(run: Path, method: str) -> Iterator[JudgedDrive]:
     """Drives that are made from a run's own, or from those of other rooms, and what is said of them."""
-    recording = keep_plausible(open_recording(run / "recording"))
+    recording = open_recording(run / "recording")
     drive, monitor = open_drive_in_use(recording), make_monitor(load_positioner(folder_of(run, method)), recording)
     if drive is None or monitor is None:
         return

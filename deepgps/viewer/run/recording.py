@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
@@ -60,7 +59,7 @@ def write_run(run: Path) -> Path:
     if lacks_truth(run):
         return write_without_truth(run, path)
     metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)
-    recording, truth = keep_plausible(open_recording(run / "recording")), open_truth(run / "recording")
+    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     space, driven = truth.free_space, truth.pose[:, :2]
     pictures = read_pictures(run)
     mapped, stored = find_map(run, fields)

@@ -12,7 +12,6 @@ import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
 from deepgps.data.dead_reckoning import dead_reckon, travel
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import run_figures
@@ -38,7 +37,7 @@ def write_without_truth(run: Path, path: Path) -> Path:
     Raises:
         InputError: The folder holds no finished recording.
     """
-    recording = keep_plausible(open_recording(run / "recording"))
+    recording = open_recording(run / "recording")
     reckoned = dead_reckon(recording)[:, :2]
     histories = run_figures.read_histories(run)
 

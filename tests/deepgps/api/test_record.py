@@ -158,7 +158,7 @@ def test_wrong_data_are_refused_in_one_line_and_leave_nothing(drive: dict, tmp_p
         "pose: test_pose and free_space need": {"test_pose": truth["test_pose"]},
         "pose and test_pose: must be finite": {**truth, "pose": np.full((count, 3), np.nan)},
         "pose: covers .* x .* m, more than the 10000 m2 .*; give free_space": {**truth, "pose": truth["pose"] * 1000.0},
-        "more than half of .* impossible": {"time": arrays["time"][::-1]},
+        "time.npy": {"time": arrays["time"][::-1]},
         r"observations \(\d+, 2, .*\), test_.*: camera.rings 2: must be": {
             "observations": arrays["observations"][:, :2],
             "test_observations": arrays["test_observations"][:, :, :2],

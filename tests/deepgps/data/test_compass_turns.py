@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from deepgps.data.compass_turns import BACKED_OFF_M, MEETING_M, _join, measure_turns
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.data.segments import find_runs
 from deepgps.data.turn_images import find_next
 from deepgps.initial_map.compass.bars import turn
@@ -53,13 +52,13 @@ def test_wheels_that_err_in_each_turn_change_no_angle(recording: Recording):
     np.testing.assert_allclose(wrap(slipped.angle - right.angle), 0.0, atol=1e-9)
 
 
-def test_turns_of_readings_that_are_left_out_are_joined(recording: Recording, turned: np.ndarray):
+def test_turns_of_readings_that_are_lost_are_joined(recording: Recording, turned: np.ndarray):
     assert recording.turns is not None
-    times = recording.time.copy()
-    run = find_runs(recording)[5]
-    times[run] = np.nan  # a complete segment cannot be
-    left = keep_plausible(replace(recording, time=times))
-    assert left.turns is not None and len(left.turns.before) == len(recording.turns.before) - 1
+    kept = np.ones(len(recording.reading), bool)
+    kept[find_runs(recording)[5]] = False
+    turns = lose_turns(recording.turns, recording.reading[:, 0], kept)
+    left = replace(recording, reading=recording.reading[kept], time=recording.time[kept], turns=turns)
+    assert len(turns.before) == len(recording.turns.before) - 1
     turns = measure_turns(left)
     assert len(turns.angle) == len(turned) - 1
     assert turns.angle_std.max() > 1.0, "of the turns before and after it only one is known"

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.data.plausible_readings import keep_plausible
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate, apply_diagnosis, diagnose
 from deepgps.diagnosis.findings import correct, find_faults
 from deepgps.diagnosis.store import FILE, diagnose_once, read_diagnosis, take_diagnosed
@@ -149,13 +148,3 @@ def test_too_few_turns_leave_the_track_width_unknown(recording: Recording):
     assert "drive longer" in write_markdown(diagnosis)
     odometry = apply_diagnosis(short, diagnosis).manifest.odometry
     assert odometry["track_m"] == recording.manifest.odometry["track_m"]
-
-
-def test_readings_that_cannot_be_are_not_lost_whoever_leaves_them_out(recording: Recording, sight: Sight):
-    garbled = recording.reading.copy()
-    garbled[5::40, 1] = 10**6
-    spoilt = replace(recording, reading=garbled)
-    plausible = keep_plausible(spoilt)
-    assert len(plausible.reading) < len(spoilt.reading)
-    assert diagnose(spoilt, sight).dropout == diagnose(plausible, sight).dropout
-    assert diagnose(plausible, sight).dropout.value == 0.0
