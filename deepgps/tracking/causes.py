@@ -101,7 +101,7 @@ class Monitor:
     limits: ImageLimits
 
     def name(self, drive: Recording) -> Causes:
-        """Name the causes in a drive of a drive."""
+        """Name the causes in a drive."""
         upright, change = self._find_lean(drive)
         corrected = isinstance(self.positioner, NetworkPositioner) and self.positioner.upright is not None
         positioner = replace(self.positioner, upright=upright) if corrected else self.positioner

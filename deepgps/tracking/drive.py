@@ -62,7 +62,7 @@ class _Node:
 
 
 def read_drive(recording: Recording, curvature: float = 0.0) -> Drive:
-    """The images of a recording of a drive, and the motions between them.
+    """The images of a recording, and the motions between them.
 
     Observations to which no reading belongs are left out, and segments of a single reading.
 

@@ -74,7 +74,7 @@ def track_drive(positioner: Positioner, recording: Recording, progress: Report) 
 
     Args:
         positioner: The trained method, as it is in use.
-        recording: What the robot sensed, of a drive.
+        recording: What the robot sensed.
         progress: Called with the steps done.
 
     Raises:
