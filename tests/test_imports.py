@@ -64,7 +64,6 @@ WITHOUT_MUJOCO = {
         "sim.recording.training_drive",
         "sim.recording.in_use",
         "sim.recording.turns",
-        "sim.renamed",
         "sim.rooms.mjcf_files",
     ),
     *(

@@ -107,8 +107,7 @@ class Run:
             frame: As for ``position``.
 
         Returns:
-            Poses of N observations, or of one without the axis N. What a method does not tell, or did not when it was
-            trained by an earlier version, is None.
+            Poses of N observations, or of one without the axis N. What a method does not tell is None.
 
         Raises:
             InputError: As for ``position``.

@@ -31,7 +31,6 @@ from deepgps.config.spelling import (
 from deepgps.runs.source import Source, find_source
 from sim.errors import InputError
 from sim.paths import SCENARIOS
-from sim.renamed import explain_setting
 from sim.settings import Group
 from sim.user_input import shorten
 
@@ -94,8 +93,6 @@ def _split(words: Sequence[str], own_options: Sequence[str]) -> tuple[list[str],
 
 def _explain_unknown(name: str, own_options: Sequence[str]) -> str:
     """What to say of an option that is no setting."""
-    if renamed := explain_setting(name, as_option):
-        return renamed
     like = [find_like(as_option(name), own_options)] if "." not in name else []
     found = [*like, *map(as_option, find_settings_like(name, Scenario))]
     group = next((field for key, field in _list_groups() if key == name.rpartition(".")[0]), None)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from sim import renamed
 from sim.alignment import AlignmentKind
 from sim.errors import InputError
 from sim.plugins import HOW_TO_LOAD
@@ -102,6 +101,5 @@ def colour_of(name: str) -> str:
 
 
 def folder_of(run: Path, name: str) -> Path:
-    """Folder of a method in a run; in an older run, the folder may have the method's old name."""
-    before = next((old for old, now in renamed.METHODS.items() if now == name), name)
-    return run / before if (run / before).is_dir() and not (run / name).exists() else run / name
+    """Folder of a method in a run."""
+    return run / name

@@ -6,8 +6,7 @@ from os.path import isfile
 from pathlib import Path
 
 from deepgps.config.scenario import Scenario
-from sim.files.checksums import sha256
-from sim.recording.manifest import SCHEMA
+from sim.files.checksums import FORMAT, sha256
 from sim.rooms.mjcf_files import list_files
 
 
@@ -37,7 +36,7 @@ def read_room(path: str, field: str = "room.mjcf") -> bytes | None:
 
 
 def digest(scenario: Scenario, read: Callable[[str, str], bytes | None] = read_room) -> str:
-    """Eight hexadecimal digits of the resolved scenario, the schema and the files of an own room or robot.
+    """Eight hexadecimal digits of the resolved scenario, the format and the files of an own room or robot.
 
     Args:
         scenario: The scenario.
@@ -52,7 +51,7 @@ def digest_recording(scenario: Scenario, read: Callable[[str, str], bytes | None
 
 
 def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
-    state = hashlib.sha256(f"{SCHEMA} {settings}".encode())
+    state = hashlib.sha256(f"{FORMAT} {settings}".encode())
     for field, path in list_own_files(scenario).items():
         state.update(read(path, field) or b"")
     return state.hexdigest()[:8]

@@ -9,7 +9,6 @@ from pydantic import (
 from pydantic_core import ErrorDetails
 
 from deepgps.config.spelling import find_group, find_like, find_settings_like, find_type, suggest
-from sim.renamed import explain_setting, explain_value
 from sim.settings import Group
 from sim.user_input import quote, shorten
 
@@ -37,11 +36,6 @@ def join_problems(first: Sequence[str], count: int) -> str:
 
 def _describe(details: ErrorDetails, kind: type[Group], written: str | None = None) -> str:
     name = written or ".".join(shorten(str(part), 60) for part in details["loc"][:DEEPEST])
-    dotted = ".".join(map(str, details["loc"]))
-    if details["type"] == "extra_forbidden" and (renamed := explain_setting(dotted)):
-        return f"{name}: {renamed}"
-    if details["type"] == "literal_error" and (renamed := explain_value(dotted, details["input"])):
-        return f"{name} {quote(details['input'])}: {renamed}"
     if details["type"] == "extra_forbidden":
         return f"{name}: {_explain_unknown(details['loc'], kind)}"
     if details["type"] == "value_error":

@@ -17,17 +17,16 @@ from deepgps.diagnosis.diagnosis import (
 )
 from deepgps.diagnosis.findings import as_stored
 from deepgps.diagnosis.gaps import mend_stuck
-from deepgps.runs.owned_folder import hold, is_older
+from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, is_study
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError
-from sim.files.checksums import drop_sum
+from sim.files.checksums import FORMAT, drop_sum
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import Recording, open_recording
 from sim.user_input import shorten
 
 FILE = "diagnosis.json"
-SCHEMA = 1
 
 
 def diagnose_once(recording: Recording, folder: Path) -> Diagnosis | None:
@@ -62,7 +61,7 @@ def write_diagnosis(path: Path, diagnosis: Diagnosis, recording: Recording) -> N
     write_json(
         path,
         {
-            "schema": SCHEMA,
+            "format": FORMAT,
             "recording": digest_files(recording),
             "quantities": values,
             "stretches": [vars(one) for one in diagnosis.stretches],
@@ -119,8 +118,8 @@ def diagnose_folder(folder: Path, out: Path | None, progress: Report) -> tuple[D
             "recording"
         )
     run = home.parent if home.name == "recording" and isfile(home.parent / RUN.first) else None
-    if run is not None and (is_older(run, RUN) or is_study(run.resolve().parent.parent)):
-        run = None  # a study's runs, and those of an earlier version, are not changed
+    if run is not None and is_study(run.resolve().parent.parent):
+        run = None  # a study's runs are not changed
     progress("diagnose", 0, 1)
     recording = open_recording(home)
     diagnosis = diagnose(recording)

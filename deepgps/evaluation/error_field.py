@@ -10,7 +10,6 @@ from sim.errors import DamagedError, InputError
 from sim.files.arrays import read_arrays, write_arrays
 from sim.files.checksums import damaged
 from sim.geometry import wrap
-from sim.renamed import name_methods
 
 OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")
 """Arrays that some methods have, in the file as ``<array>/<method>``."""
@@ -137,7 +136,7 @@ def read_all_headings(run: Path) -> dict[str, ErrorField]:
         name: ErrorField(data["truth"], data["heading"], data[name], *(data.get(f"{part}/{name}") for part in OPTIONAL))
         for name in methods
     }
-    return name_methods(fields)
+    return fields
 
 
 def find_worst(field: ErrorField, among: np.ndarray | None = None) -> WorstField:

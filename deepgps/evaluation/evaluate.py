@@ -29,7 +29,7 @@ from deepgps.evaluation.map_errors import (
     read_known_map,
 )
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
-from deepgps.evaluation.stored_alignment import has_alignment, write_alignment
+from deepgps.evaluation.stored_alignment import write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import find_device, use_threads
@@ -143,19 +143,6 @@ def _measure(run: Path, scenario: Scenario, progress: Report) -> dict[str, Any]:
         **({} if in_use is None else {"in_use": {"samples": len(in_use.observation)}}),
         "methods": methods,
     }
-
-
-def align_methods(run: Path, scenario: Scenario) -> None:
-    """Write the alignments that a measured run lacks because an earlier version measured it."""
-    folders = {method: folder_of(run, method) for method in scenario.methods}
-    missing = {method: folder for method, folder in folders.items() if not has_alignment(folder)}
-    if not missing:
-        return
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
-    with use_threads(scenario.learn.train.threads):
-        for method, folder in missing.items():
-            _, alignment = measure_field(predict(folder, recording), method, truth)
-            write_alignment(folder, alignment, METHODS[method].alignment)
 
 
 def predict(

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from deepgps.config.scenario import Scenario
-from deepgps.runs.owned_folder import is_older
+from deepgps.evaluation.stored_alignment import has_alignment
 from deepgps.runs.provenance import describe_environment
-from deepgps.runs.run_folder import METRICS, RUN, WITHOUT_TRUTH
+from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
 from deepgps.runs.timing import stage_times, timed
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError
@@ -15,7 +15,6 @@ from sim.files.arrays import read_arrays
 from sim.files.checksums import drop_sum
 from sim.files.json_files import read_json, write_json
 from sim.recording.format import has_truth, open_recording
-from sim.renamed import name_methods
 
 log = logging.getLogger(__name__)
 NO_TESTS = "all methods are trained; errors cannot be measured, since the recording holds no test observations"
@@ -27,13 +26,10 @@ def evaluate(scenario: Scenario, folder: Path, progress: Report) -> dict[str, An
     On a recording without truth, ``without_truth.json`` is written in their place. Returns the file's contents; None if
     the recording holds the truth, but no test observations to measure errors at.
     """
-    from deepgps.evaluation.evaluate import align_methods
     from deepgps.evaluation.evaluate import evaluate as measure
 
     metrics = read_measured(folder)
-    if metrics and set(scenario.methods) <= set(name_methods(metrics["methods"])):
-        if not is_older(folder, RUN):
-            align_methods(folder, scenario)
+    if metrics and set(scenario.methods) <= {name for name in metrics["methods"] if has_alignment(folder / name)}:
         return metrics
     if not has_truth(folder / "recording"):
         return evaluate_without_truth(scenario, folder, progress)

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.positioner.stored_positioner import INDEX
-from deepgps.runs.owned_folder import is_older
-from deepgps.runs.run_folder import RUN
 from sim.alignment import Alignment, AlignmentKind
 from sim.errors import InputError
 from sim.files.checksums import damaged
@@ -48,16 +46,13 @@ def read_alignment(folder: Path) -> Alignment:
     """Read the alignment of a method's map with the world.
 
     Raises:
-        InputError: The method has not been evaluated, was evaluated by a version that stored no alignment, or has been
-            trained again since.
+        InputError: The method has not been evaluated, or has been trained again since.
     """
     path = folder / FILE
     words = (str(folder.parent / "scenario.yaml"), "--out", str(folder.parent))
     evaluate = f"deepgps evaluate {shlex.join(words)} writes it"
     if not path.is_file():
-        again = "the run is of an earlier version: make it again, or take positions in the frame of the map"
-        remedy = again if is_older(folder.parent, RUN) else evaluate
-        raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {remedy}")
+        raise InputError(f"{folder} has no {FILE}, so its map has no place in the world; {evaluate}")
     values = read_json(path)
     try:
         rotation, translation = np.array(values["rotation"], float), np.array(values["translation_m"], float)
@@ -72,5 +67,5 @@ def read_alignment(folder: Path) -> Alignment:
 
 
 def _fingerprint(folder: Path) -> str | None:
-    """The checksum of the weights, which distinguishes one training from another; None in an earlier version's."""
+    """The checksum of the weights, which distinguishes one training from another."""
     return read_json(folder / INDEX).get("sha256")

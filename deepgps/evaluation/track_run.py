@@ -16,7 +16,7 @@ from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
 from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.runs.owned_folder import hold, is_older
+from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
 from deepgps.tracking.track import Track, track_drive, write_track
@@ -86,8 +86,6 @@ def track_run(run: Path, method: str | None, drive: Path | None, progress: Repor
             is known but the run has not been evaluated.
     """
     scenario = open_run(run)
-    if is_older(run, RUN):
-        raise InputError(f"{run} is a run of an earlier version, which is read but not changed")
     with hold(run, RUN, "the run"):
         return _track_held(run, scenario, method, drive, progress)
 

@@ -96,7 +96,7 @@ def write_map(folder: Path, found: CompassMap, segments: Segments, turns: Compas
 
 
 def read_map(folder: Path) -> StoredMap | None:
-    """Read the map of a method's folder; None: it has none, as other methods and earlier versions.
+    """Read the map of a method's folder; None: it has none, as other methods.
 
     Raises:
         DamagedError: It is truncated or changed.

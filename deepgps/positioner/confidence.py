@@ -118,13 +118,13 @@ ARRAYS = ("features", "scale", "place", "metres", "map_std")
 
 
 def unpack(arrays: Mapping[str, np.ndarray], numbers: Mapping[str, Any]) -> Confidence:
-    """The table that was packed, by an older version too; raises KeyError where a part is missing."""
+    """The table that was packed; raises KeyError where a part is missing."""
     slope = np.full((2, 2), np.nan) if numbers["slope_m"] is None else np.array(numbers["slope_m"], float)
     return Confidence(
         **{name: np.asarray(arrays[name]) for name in ARRAYS},
         threshold_m=float(numbers["threshold_m"]),
-        usual_m=float(numbers.get("usual_m", numbers["threshold_m"])),
-        refused=float(numbers.get("refused", 0.0)),
+        usual_m=float(numbers["usual_m"]),
+        refused=float(numbers["refused"]),
         slope=slope,
         reach_m=float(numbers["reach_m"]),
     )

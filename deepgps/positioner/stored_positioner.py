@@ -31,12 +31,11 @@ from deepgps.positioner.positioner import (
 from deepgps.positioner.trilateration import LandmarkPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
-from sim.files.checksums import check_sha256, damaged
+from sim.files.checksums import FORMAT, check_sha256, damaged, refuse_format
 from sim.files.json_files import read_json, write_json
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 
-SCHEMA = 1
 INDEX, WEIGHTS = "positioner.json", "weights.safetensors"
 HEADINGS, CONFIDENCE = "headings.", "confidence."
 """Prefixes of the arrays of these tables among the weights."""
@@ -68,7 +67,7 @@ def save_positioner(folder: Path, positioner: Any, training: Mapping[str, Any]) 
     weights = save({name: t.contiguous() for name, t in tensors.items()})
     write_bytes(folder / WEIGHTS, weights)
     write_json(folder / "training.json", training)
-    write_json(folder / INDEX, {"schema": SCHEMA, **description, "sha256": hashlib.sha256(weights).hexdigest()})
+    write_json(folder / INDEX, {"format": FORMAT, **description, "sha256": hashlib.sha256(weights).hexdigest()})
 
 
 def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
@@ -78,11 +77,8 @@ def load_positioner(folder: Path, device: torch.device = CPU) -> Positioner:
         raise InputError(f"{folder} holds no trained method: it has no {INDEX}")
     try:
         description = check_positioner(folder)
-        if description["schema"] != SCHEMA:
-            raise InputError(f"{path}: schema {description['schema']!r}, but this version reads schema {SCHEMA}")
         tensors = load_file(folder / WEIGHTS)
         positioner = _put_together(description, tensors, device)
-        # earlier versions have none of these tables, nor have all methods
         if isinstance(positioner, FeaturePositioner) and description.get("yaw") is not None:
             positioner = replace(positioner, headings=unpack(_take(tensors, HEADINGS), description["yaw"]))
         if isinstance(positioner, FeaturePositioner) and description.get("confidence") is not None:
@@ -106,8 +102,9 @@ def _take(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, np.ndar
 def check_positioner(folder: Path) -> dict[str, Any]:
     """Return the description of a trained method after checking its weights' checksum; raises DamagedError."""
     description = read_json(folder / INDEX)
-    if "sha256" in description:  # earlier versions wrote none
-        check_sha256(folder / WEIGHTS, str(description.pop("sha256")))
+    if description.get("format") != FORMAT:
+        raise refuse_format(folder / INDEX, description.get("format"))
+    check_sha256(folder / WEIGHTS, str(description.pop("sha256", "")))
     return description
 
 
@@ -168,8 +165,7 @@ def _put_together(
     features = None
     if description["frequencies"] is not None:
         mean, basis = tensors["features.mean"], tensors["features.basis"]
-        # earlier versions knew nothing but pixels
-        values = FeatureSettings(values=description.get("values", "pixels")).values
+        values = FeatureSettings(values=description["values"]).values
         features = Features(shape, description["frequencies"], mean, basis, tensors.get("features.edges"), values)
     if description["kind"] == "neighbours" and features is not None:
         return NeighbourPositioner(features, tensors["known"], tensors["places"], description["neighbours"])

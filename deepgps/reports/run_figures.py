@@ -21,7 +21,6 @@ from sim.files.arrays import read_arrays
 from sim.files.atomic import write_bytes
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
-from sim.renamed import name_methods
 
 NOTE_IN = 0.4
 """Height of the note below error fields [inch]."""
@@ -57,7 +56,7 @@ def make_figures(run: Path) -> dict[str, Figure]:
 
 def read_histories(run: Path) -> dict[str, dict[str, np.ndarray]]:
     """Read each method's history.npz; methods that are not trained step by step have none."""
-    histories = name_methods({path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")})
+    histories = {path.parent.name: read_arrays(path) for path in run.glob("*/history.npz")}
     return {name: histories[name] for name in sorted(histories, key=_rank)}
 
 

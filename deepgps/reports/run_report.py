@@ -15,7 +15,6 @@ from deepgps.runs.run_folder import METRICS
 from deepgps.tracking.words import describe_causes
 from sim.errors import DamagedError, InputError
 from sim.files.json_files import read_json
-from sim.renamed import name_methods
 
 Row = tuple[str, ...]
 
@@ -49,7 +48,7 @@ def read_metrics(run: Path) -> dict[str, Any]:
         raise DamagedError(f"{error}; {MEASURE_AGAIN}") from None
     if not isinstance(metrics, dict) or not isinstance(metrics.get("methods"), dict):
         raise InputError(f"{path} lists no methods: it is not the metrics.json of a run")
-    return {**metrics, "methods": name_methods(metrics["methods"])}
+    return metrics
 
 
 def tabulate(metrics: Mapping[str, Any], columns: Sequence[Column] = COLUMNS) -> tuple[Row, list[Row]]:
@@ -257,7 +256,7 @@ def _has_yaw(metrics: Mapping[str, Any]) -> bool:
 
 
 def _is_held_out(metrics: Mapping[str, Any]) -> bool:
-    return metrics.get("test", {}).get("held_out", False)  # older runs do not say
+    return metrics.get("test", {}).get("held_out", False)
 
 
 def _rows(name: str, values: Mapping[str, Any], columns: Sequence[Column]) -> list[Row]:

@@ -22,7 +22,7 @@ def note_inputs(run: Path, inputs: dict[str, str]) -> None:
 
 
 def read_inputs(run: Path) -> dict[str, str]:
-    """Checksums of a run's inputs by name; empty where it has none, or is of a version that wrote none."""
+    """Checksums of a run's inputs by name; empty where it has none."""
     return read_json(run / FILE) if (run / FILE).is_file() else {}
 
 

@@ -19,7 +19,6 @@ MARK = ".deepgps"
 FRESH = ".deepgps-fresh"
 """Folder within an owned folder in which ``--fresh`` builds what will replace the rest."""
 COMPLETE = "complete.json"
-OLD_LOCK = ".lock"
 
 
 @dataclass(frozen=True)
@@ -50,11 +49,6 @@ class Kind:
     def text(self) -> str:
         """Contents of the mark."""
         return f"{self.head}: deepgps writes and removes files of its own here, and no others.\n"
-
-
-def is_older(folder: Path, kind: Kind) -> bool:
-    """Whether this folder was made by a version that wrote no mark; such a folder is read but never changed."""
-    return (folder / kind.first).is_file() and (folder / OLD_LOCK).is_file() and not os.path.lexists(folder / MARK)
 
 
 def choose_place(folder: Path, kind: Kind, fresh: bool) -> Path:
@@ -119,11 +113,6 @@ def check_owner(folder: Path, kind: Kind, named: str) -> None:
         raise InputError(
             f"{named} {folder}: its mark {MARK} {what}; choose another folder for a {kind.name}, or, if it is one, "
             f"write '{kind.head}' into the mark"
-        )
-    if is_older(folder, kind):
-        raise InputError(
-            f"{named} {folder} holds a {kind.name} of an earlier version, which is read but not changed; "
-            "choose another folder"
         )
     raise InputError(
         f"{named} {folder} is neither empty nor a {kind.name} folder of deepgps; nothing in it is touched: "

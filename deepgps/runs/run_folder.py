@@ -11,8 +11,7 @@ from deepgps.config.plugins import check_plugins
 from deepgps.config.scenario import Scenario, check_scenario, read_yaml, write_out
 from deepgps.config.scenario_digest import digest
 from deepgps.runs.inputs import check_inputs, list_inputs, note_inputs
-from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, is_older, replace
-from sim import renamed
+from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, replace
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import check_lines, write_lines
 from sim.files.folders import remove_empty, remove_files, sweep
@@ -31,7 +30,7 @@ def find_run_files() -> re.Pattern[str]:
 
 @lru_cache
 def _make_pattern(known: tuple[str, ...]) -> re.Pattern[str]:
-    methods = "|".join([*known, *renamed.METHODS])
+    methods = "|".join(known)
     return re.compile(
         rf"scenario\.yaml|inputs\.json|timing\.json|log\.txt|metrics\.json|without_truth\.json|diagnosis\.json|((error|label|use)_field|pictures)\.npz|failure\.txt"
         rf"|({methods})/(attempt\d+/)?({TRAINED_FILES})|({methods})/alignment\.json|features/({FEATURE_FILES})"
@@ -59,7 +58,7 @@ def open_run(folder: Path) -> Scenario:
         check_lines(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; restore it from a copy, or make the run again with --fresh") from None
-    return check_scenario(renamed.translate(read_yaml(path)), path)
+    return check_scenario(read_yaml(path), path)
 
 
 def list_runs(folder: Path) -> list[Path]:
@@ -88,12 +87,12 @@ def describe_no_run(folder: Path) -> str:
 
 def list_trained(folder: Path) -> list[str]:
     """Methods that are trained in a run folder."""
-    return sorted(renamed.METHODS.get(path.parent.name, path.parent.name) for path in folder.glob("*/positioner.json"))
+    return sorted(path.parent.name for path in folder.glob("*/positioner.json"))
 
 
 def join_methods(scenario: Scenario, folder: Path) -> Scenario:
     """The same scenario with the methods that are trained in its run folder already: no training is thrown away."""
-    if not (folder / RUN.first).is_file() or is_older(folder, RUN):
+    if not (folder / RUN.first).is_file():
         return scenario
     held = open_run(folder)
     if not is_same_but_methods(held, scenario):
@@ -132,10 +131,6 @@ def claim(scenario: Scenario, folder: Path, fresh: bool) -> Iterator[Path]:
             scenario needs is not loaded.
     """
     check_plugins(scenario)
-    if is_older(folder, RUN):
-        _check_older(scenario, folder, fresh)
-        yield folder
-        return
     cut_off = (folder / FRESH / COMPLETE).is_file()
     with hold(folder, RUN):
         if cut_off and fresh and open_run(folder) == scenario:
@@ -195,14 +190,6 @@ def _refuse_unknown_methods(folder: Path) -> None:
         raise InputError(
             f"--out {folder} holds a training of {unknown[0]}, a method of a plugin that is not loaded; load it with "
             "--plugin, or choose another folder"
-        )
-
-
-def _check_older(scenario: Scenario, folder: Path, fresh: bool) -> None:
-    if fresh or open_run(folder) != scenario or not (folder / METRICS).is_file():
-        raise InputError(
-            f"--out {folder} holds a run of an earlier version ({describe_work(folder)}), which is read but not "
-            "changed; choose another folder"
         )
 
 

@@ -15,7 +15,6 @@ from sim.files.checksums import damaged
 from sim.files.json_files import read_json
 from sim.paths import SCENARIOS
 from sim.recording.format import is_whole
-from sim.renamed import name_methods
 
 HEADINGS = ("run", "age", "RMS (median) [cm]", "differs from its scenario by")
 UNITS = ((86400, "d"), (3600, "h"), (60, "min"), (1, "s"))
@@ -64,8 +63,9 @@ def _describe_errors(run: Path) -> str:
     if path.is_file():
         metrics = read_json(path)
         try:
-            methods = name_methods(metrics["methods"])
-            errors = [(title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in methods.items()]
+            errors = [
+                (title_of(name), 100 * one["rms_m"], 100 * one["median_m"]) for name, one in metrics["methods"].items()
+            ]
             return ", ".join(f"{title} {rms:.1f} ({median:.1f})" for title, rms, median in errors)
         except (LookupError, TypeError, ValueError, AttributeError):
             raise damaged(path, "it does not list the errors of methods") from None

@@ -16,7 +16,6 @@ from deepgps.reports.run_report import read_metrics
 from deepgps.studies.plan import Plan
 from sim.files.atomic import write_bytes
 from sim.files.checksums import drop_sum, write_sum
-from sim.renamed import translate_row
 
 Row = dict[str, Any]
 # figures of a method, by their names in metrics.json
@@ -71,8 +70,8 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 def read_rows(path: Path) -> list[Row]:
-    """Read a table that ``write_table`` wrote, possibly before settings and methods were renamed."""
-    return [translate_row(row) for row in pq.read_table(path).to_pylist()]
+    """Read a table that ``write_table`` wrote."""
+    return pq.read_table(path).to_pylist()
 
 
 def split_by(rows: Iterable[Row], name: str) -> dict[Any, list[Row]]:

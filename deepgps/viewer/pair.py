@@ -24,7 +24,7 @@ from deepgps.runs.run_folder import open_run
 from deepgps.viewer.error_field import find_thinness, log_field
 from deepgps.viewer.plot import distribution_view, log_distribution
 from deepgps.viewer.run.recording import hash_run
-from deepgps.viewer.save import find_home, holds, save_recording
+from deepgps.viewer.save import holds, save_recording
 from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_strip
 from deepgps.viewer.timeline import put_text
 from deepgps.viewer.views import aim_eye, arrange, field_view, room_view, text_view
@@ -93,8 +93,7 @@ class Pair:
 def write_pair(folders: Sequence[Path]) -> Path:
     """Write the recording of two runs into ``pairs`` in the first one's folder unless it exists; return its path.
 
-    The runs' own files do not change, and nothing is added to a first run of an earlier version: its pairs are in the
-    user's cache.
+    The runs' own files do not change.
 
     Raises:
         InputError: The folders are not two complete runs with a method in common.
@@ -102,7 +101,7 @@ def write_pair(folders: Sequence[Path]) -> Path:
     pair = open_pair(folders)
     shown = [(folder.resolve().name, open_run(folder).model_dump_json(), hash_run(folder)) for folder in folders]
     number = hashlib.sha256(str(shown).encode()).hexdigest()[:32]
-    path = find_home(folders[0]) / PAIRS / f"{number[:12]}.rrd"
+    path = folders[0] / PAIRS / f"{number[:12]}.rrd"
     if not holds(path, number):
         title = " and ".join(folder.resolve().name for folder in folders)
         save_recording(path, number, title, _make_blueprint(pair), lambda stream: _log_pair(stream, pair))

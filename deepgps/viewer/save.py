@@ -1,7 +1,6 @@
 """Saving a recording: atomically, and with equal contents for equal runs."""
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from datetime import timedelta
@@ -10,8 +9,6 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.runs.owned_folder import is_older
-from deepgps.runs.run_folder import RUN
 from deepgps.viewer.read import open_rrd
 from sim.errors import InputError
 from sim.files.atomic import write_bytes
@@ -48,14 +45,6 @@ def save_recording(
     drop_sum(path)
     write_bytes(path, data or b"")
     write_sum(path)
-
-
-def find_home(run: Path) -> Path:
-    """Folder for recordings of a run: its own, or, for a run of an earlier version, one of the user's cache."""
-    if not is_older(run, RUN):
-        return run
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
-    return cache / "deepgps" / hashlib.sha256(str(run.resolve()).encode()).hexdigest()[:12]
 
 
 def hash_files(folder: Path, paths: Iterable[Path]) -> str:

@@ -6,12 +6,14 @@ import os
 from functools import lru_cache
 from pathlib import Path
 
-from sim.errors import DamagedError
+from sim.errors import DamagedError, InputError
 from sim.files.atomic import write_bytes, write_text
 
 log = logging.getLogger(__name__)
 SUM = ".sha256"
-LINES = "# sha256 of the lines below: "
+FORMAT = 2
+"""Number of the format of recordings, runs and studies; format 1 is that of deepgps 0.1.0."""
+LINES = f"# deepgps format {FORMAT}; sha256 of the lines below: "
 
 
 def damaged(path: Path, reason: str = "it differs from its checksum") -> DamagedError:
@@ -45,14 +47,24 @@ def write_lines(path: Path, text: str) -> None:
 
 
 def check_lines(path: Path) -> None:
-    """Compare a text file with the checksum in its first line; raises DamagedError.
+    """Compare a text file with the checksum in its first line.
 
-    A file that begins with no comment has no checksum; one that begins with another comment is damaged.
+    Raises:
+        InputError: It is of another format.
+        DamagedError: It differs from its checksum.
     """
     head, _, text = path.read_bytes().partition(b"\n")
-    expected = head.decode(errors="replace").removeprefix(LINES)
-    if head.startswith(b"#") and expected != hashlib.sha256(text).hexdigest():
+    if head.startswith(b"# sha256") or not head.startswith(b"#"):
+        raise refuse_format(path)
+    if head.decode(errors="replace").removeprefix(LINES) != hashlib.sha256(text).hexdigest():
         raise damaged(path)
+
+
+def refuse_format(path: Path, number: object = None) -> InputError:
+    """Return the error for a file of another format than this version's; None: it has no number, as in format 1."""
+    if number in {None, 1}:
+        return InputError(f"{path}: made by deepgps 0.1.0, format 1: make it again, or use deepgps 0.1.0")
+    return InputError(f"{path}: format {str(number)[:20]}, but this version of deepgps reads format {FORMAT}")
 
 
 def write_sum(path: Path) -> None:

@@ -20,7 +20,7 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file that ``write_json`` made; files of earlier versions have no checksum and are not checked.
+    """Read a JSON file that ``write_json`` made.
 
     Raises:
         DamagedError: The file is missing, truncated or changed.

@@ -31,7 +31,7 @@ from sim.recording.format import (
 )
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import choose_drive_in_use, seed_in_use
-from sim.recording.manifest import SCHEMA, Manifest, read_settings
+from sim.recording.manifest import Manifest, read_settings
 from sim.recording.training_drive import OF_TESTS
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
@@ -177,8 +177,6 @@ def _explain_misfit_of_drive(
     manifest: Manifest, settings: SimSettings, seed: int, title: str = "drive.samples"
 ) -> str | None:
     """The same for a recording without its drive in use, whose length is called ``title``."""
-    if manifest.number != SCHEMA:
-        return f"has schema {manifest.number}, of a version with other random numbers: nothing can be derived from it"
     samples, other = settings.drive.samples, read_settings(manifest)
     length = other.drive.samples
     reasons = {

@@ -18,18 +18,17 @@ from pydantic import ValidationError
 
 from sim.errors import DamagedError, InputError, one_line
 from sim.files.arrays import write_array
-from sim.files.checksums import check_sha256, damaged, sha256
+from sim.files.checksums import FORMAT, check_sha256, damaged, refuse_format, sha256
 from sim.files.folders import list_files, remove_files
 from sim.files.json_files import read_json, write_json
 from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.in_use import FOLDER as IN_USE
-from sim.recording.manifest import DIMENSIONS, READ, SCHEMA, SENSOR, Manifest, ObservationKind, describe_problem
+from sim.recording.manifest import DIMENSIONS, SENSOR, Manifest, ObservationKind, describe_problem
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, check_turns, from_array
 
 OWN = re.compile(
     rf"manifest\.json|scene\.glb|(observations|test)/{SENSOR}\.npy|(reading|time|turns)\.npy"
-    r"|(test/)?(observation|horizontal)\.npy|labels/(test_)?sighting\.npz"  # of schema 1
     r"|truth/(pose|reading|wheel_angle|state|test_pose|landmark|obstacle)\.npy|truth/free_space\.npz"
     r"|labels/((test_)?detection|tag)\.npz|labels/(test_)?pose\.npy"
 )
@@ -61,8 +60,8 @@ class Recording:
         reading: int64 (R, 4): segment, observation, cumulative left ticks, cumulative right ticks.
         time: Time of each reading (R,) [s].
         test_observation: Observations at test positions (C) and headings (H): (C, H, ...), memory-mapped.
-        observation_time: Time of each observation (N,) [s]; NaN where an old recording does not contain it.
-        turns: What the robot knows of its turns; None: nothing, as in old recordings and those of landmarks.
+        observation_time: Time of each observation (N,) [s]; NaN where it is not known.
+        turns: What the robot knows of its turns; None: nothing, as in those of landmarks.
         turn_observation: Observations of the first sensor after turns in place (K, ...), memory-mapped; None like
             ``turns``.
         others: Observations of the other sensors by name (N, ...), memory-mapped; a tag camera has grey images.
@@ -137,7 +136,7 @@ def open_recording(folder: Path) -> Recording:
         observation=observation,
         reading=reading,
         time=time,
-        test_observation=_open_array(folder / _grid_file(manifest, first), mapped=True),
+        test_observation=_open_array(folder / grid_file(first), mapped=True),
         observation_time=_open_array(stamps) if stamps.is_file() else stamp(reading[:, 1], time, len(observation)),
         others={name: _open_observations(folder, manifest, name) for name in others},
         **_open_turns(folder, first, reading, len(observation)),
@@ -236,7 +235,7 @@ def chunk_files(work: Path, index: int) -> tuple[Path, Path, Path]:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read a recording's manifest; raises InputError if it is missing, damaged or of an unknown schema."""
+    """Read a recording's manifest; raises InputError if it is missing, damaged or of another format."""
     path = folder / "manifest.json"
     if not path.is_file():
         raise InputError(f"{folder} is no finished recording: it has no manifest.json")
@@ -244,9 +243,8 @@ def read_manifest(folder: Path) -> Manifest:
         values = read_json(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
-    number = values.get("schema")
-    if number not in READ:
-        raise InputError(f"{path}: schema {number!r}, but this version reads {', '.join(map(str, sorted(READ)))}")
+    if values.get("format") != FORMAT:
+        raise refuse_format(path, values.get("format"))
     try:
         manifest = Manifest.model_validate(values)
     except ValidationError as error:
@@ -268,7 +266,7 @@ def finish_recording(folder: Path, manifest: Mapping[str, Any]) -> None:
     names = sorted(path.relative_to(folder).as_posix() for path in list_files(folder, RECORDING))
     ours = [name for name in names if (OWN.fullmatch(name) and name != "manifest.json") or name == OF_USE]
     checksums = {name: sha256(folder / name) for name in ours}
-    write_json(folder / "manifest.json", {**manifest, "schema": SCHEMA, "sha256": checksums})
+    write_json(folder / "manifest.json", {**manifest, "format": FORMAT, "sha256": checksums})
 
 
 def check_recording(folder: Path) -> None:
@@ -297,14 +295,8 @@ def _check_files(folder: Path, manifest: Manifest, truth: bool) -> None:
                 raise DamagedError(f"{error}; {RECORD_AGAIN}") from None
 
 
-def _observation_file(manifest: Manifest, sensor: str) -> str:
-    if manifest.number > 1:
-        return observation_file(sensor)
-    return "observation.npy" if sensor == manifest.sensor else "horizontal.npy"
-
-
 def _open_observations(folder: Path, manifest: Manifest, sensor: str) -> np.ndarray:
-    name, kind = _observation_file(manifest, sensor), manifest.sensors[sensor]
+    name, kind = observation_file(sensor), manifest.sensors[sensor]
     array = _open_array(folder / name, mapped=True)
     if array.ndim != DIMENSIONS[kind]:
         raise InputError(
@@ -323,10 +315,6 @@ def _open_turns(folder: Path, sensor: str, reading: np.ndarray, observations: in
         except InputError as error:
             raise InputError(f"{folder / TURNS}: {error}") from None
     return {"turns": from_array(turns), "turn_observation": seen}
-
-
-def _grid_file(manifest: Manifest, sensor: str) -> str:
-    return grid_file(sensor) if manifest.number > 1 else "test/observation.npy"
 
 
 def _open_array(path: Path, mapped: bool = False) -> np.ndarray:

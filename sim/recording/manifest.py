@@ -1,18 +1,14 @@
 """The manifest: a recording's metadata, checked once when it is opened."""
 
-from collections.abc import Mapping
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sim import renamed
 from sim.errors import InputError, one_line
+from sim.files.checksums import FORMAT
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import SimSettings
 
-SCHEMA = 3
-READ = (1, 2, 3)
-"""Schemas that can be read; schema 1 had other names, and one sensor without a name."""
 SENSOR = r"[a-z][a-z0-9_]{0,40}"
 """Pattern of a sensor's name, which is part of the names of its files."""
 DIMENSIONS: dict[ObservationKind, int] = {"polar_image": 4, "scan": 3, "vector": 2, "image": 3}
@@ -23,7 +19,7 @@ class Manifest(BaseModel):
     """Metadata of a recording; a writer may add keys of its own.
 
     Attributes:
-        number: Number of the schema.
+        number: Number of the format.
         source: Where it comes from: ``simulator``, or ``log`` of a robot.
         sensors: Kind of each sensor's observations, by its name; methods learn from the first.
         settings: Settings of the simulation, if there was one.
@@ -40,7 +36,7 @@ class Manifest(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="allow", populate_by_name=True)
 
-    number: int = Field(default=SCHEMA, alias="schema")
+    number: int = Field(default=FORMAT, alias="format")
     source: str = "simulator"
     sensors: dict[Annotated[str, Field(pattern=f"^{SENSOR}$")], ObservationKind] = Field(default_factory=dict)
     settings: dict[str, Any] = Field(default_factory=dict)
@@ -53,21 +49,6 @@ class Manifest(BaseModel):
     wheels_computed: bool = False
     gl_renderer: str = "none"
     sha256: dict[str, str] = Field(default_factory=dict)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _by_todays_names(cls, values: Any) -> Any:
-        if not isinstance(values, Mapping):
-            return values
-        if values.get("schema") != 1:
-            settings = values.get("settings")
-            return {**values, "settings": renamed.complete(settings)} if isinstance(settings, Mapping) else values
-        parts = {name: values.get(name, {}) for name in ("settings", "odometry")}
-        if not all(isinstance(part, Mapping) for part in parts.values()):
-            return values  # which the fields' own checks refuse
-        settings = renamed.translate(parts["settings"])
-        odometry = renamed.translate({"encoder": parts["odometry"]}).get("encoder", {})
-        return {**values, "settings": settings, "odometry": odometry, "sensors": _name_sensors_of_schema_1(settings)}
 
     @property
     def start_ns(self) -> int:
@@ -104,15 +85,3 @@ def describe_problem(error: ValidationError, *outer: str) -> str:
 def name_sensors(settings: SimSettings) -> dict[str, ObservationKind]:
     """Sensors and their kinds for a simulation, as in a manifest."""
     return {name: SENSORS[name].kind for name in list_kept(settings)}
-
-
-def _name_sensors_of_schema_1(settings: Mapping[str, Any]) -> dict[str, ObservationKind]:
-    """The sensors by the settings of a recording of schema 1, which may be anything."""
-    tags = settings.get("tag_camera")
-    kept = isinstance(tags, Mapping) and tags.get("mounted") and tags.get("kept")
-    others: dict[str, ObservationKind] = {"tag_camera": "image"} if kept else {}
-    if settings.get("world") == "landmarks":
-        return {"landmarks": "vector", **others}
-    if settings.get("world") == "obstacles" or settings.get("sensor") == "lidar":
-        return {"lidar": "scan", **others}
-    return {"fisheye": "polar_image", **others}

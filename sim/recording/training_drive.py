@@ -5,7 +5,7 @@ from typing import Any
 
 from sim.files.atomic import link_file
 from sim.recording.format import OF_USE, name_source, read_manifest
-from sim.recording.manifest import SCHEMA, read_settings
+from sim.recording.manifest import read_settings
 from sim.settings import DeploymentSettings, GridSettings, SimSettings
 
 OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
@@ -43,7 +43,7 @@ def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> boo
         InputError: The recording's manifest cannot be read.
     """
     manifest = read_manifest(base)
-    if manifest.number != SCHEMA or manifest.seed != seed:
+    if manifest.seed != seed:
         return False
     other = read_settings(manifest)
     shared = can_share(other) and can_share(settings)

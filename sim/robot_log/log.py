@@ -49,9 +49,9 @@ def _check_robot(path: Path) -> None:
     try:
         if path.exists():
             check_lines(path)
-    except DamagedError:
+    except InputError:
         raise InputError(
-            f"{path} was edited, or is of an earlier version, and would be overwritten: move it away, or give the "
+            f"{path} was edited, or is of another format, and would be overwritten: move it away, or give the "
             "log another name"
         ) from None
 

@@ -1,16 +1,14 @@
 """A group of settings: frozen, and checked once when it is created."""
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, ClassVar, get_args
+from typing import Annotated, Any, get_args
 
 from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
     ValidationInfo,
     field_validator,
-    model_serializer,
 )
 from pydantic_core import PydanticCustomError
 
@@ -43,18 +41,3 @@ def _list_types(annotation: Any) -> Iterator[Any]:
     yield annotation
     for part in get_args(annotation):
         yield from _list_types(part)
-
-
-class WithLater(Group):
-    """A group whose later settings are not written while they have their defaults: recordings keep their hash.
-
-    Attributes:
-        later: Names of the settings that are younger than the group.
-    """
-
-    later: ClassVar[frozenset[str]] = frozenset()
-
-    @model_serializer(mode="wrap")
-    def _write_later_settings_only_if_given(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        usual = {name: type(self).model_fields[name].default for name in self.later}
-        return {name: value for name, value in write(self).items() if name not in usual or value != usual[name]}

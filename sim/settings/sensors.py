@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from sim.settings.group import Group, WithLater
+from sim.settings.group import Group
 from sim.settings.world import FEWEST_SAMPLES
 
 SensorName = Literal["fisheye", "lidar"]
@@ -74,10 +74,8 @@ class ImageFaultSettings(Group):
     """Angle that the robot turns while the shutter is open, which smears each ring: turn rate x exposure time [deg]."""
 
 
-class MountSettings(WithLater):
+class MountSettings(Group):
     """A mounting of the camera."""
-
-    later = frozenset({"ahead_m", "left_m", "centre_px"})
 
 
 class CameraMountSettings(MountSettings):
@@ -115,11 +113,9 @@ class DeploymentMountSettings(MountSettings):
     """The optical centre is this far ahead of where it is assumed [px]; None: by camera_mount.centre_px."""
 
 
-class DeploymentSettings(WithLater):
+class DeploymentSettings(Group):
     """Changes between training and deployment: the test grid and the drive in use are made with them, the training
     drive is not."""
-
-    later = frozenset({"daylight", "lamp_on", "exposure", "person"})
 
     drive_samples: int = Field(default=0, ge=0, le=100_000)
     """Images of a drive in use, a second drive of the same robot after training, in the changed room; 0: none,

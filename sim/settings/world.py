@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sim.settings.group import Group, Seed, WithLater
+from sim.settings.group import Group, Seed
 
 WorldName = Literal["room", "landmarks", "obstacles"]
 RoomKind = Literal["living_room", "bedroom", "office", "kitchen", "studio", "workshop", "lab", "corridor", "labyrinth"]
@@ -14,10 +14,8 @@ SMALLEST_M: dict[RoomKind, float] = {"corridor": 6.0, "labyrinth": 3.0}
 Metres = Annotated[float, Field(ge=2.0, le=30.0)]
 
 
-class RoomSettings(WithLater):
+class RoomSettings(Group):
     """The room to build, or the MJCF file to use instead."""
-
-    later = frozenset({"look_alike"})
 
     kind: RoomKind = "living_room"
     """Purpose of the room, which determines its furniture."""
@@ -81,10 +79,8 @@ TURN_RATE_RPS = 1.8
 """Speed of turns in place [rad/s] (TurtleBot3 Burger: at most 2.84)."""
 
 
-class DriveSettings(WithLater):
+class DriveSettings(Group):
     """How the robot drives and when it looks."""
-
-    later = frozenset({"mixed_light", "arcs"})
 
     strategy: Literal["dense", "endpoint"] = "dense"
     """dense: an image every spacing_m; endpoint: images only where a straight segment begins and ends."""

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from deepgps.evaluation.acceptance import summarise_acceptance
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from sim.files.arrays import write_arrays
-from sim.files.atomic import write_text
+from sim.files.checksums import write_lines
 from sim.files.json_files import write_json
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
@@ -54,7 +54,7 @@ def write_synthetic_run(folder: Path, samples: int = 200, seed: int = 0, spacing
     for name, field in measured.items():
         metrics["methods"][name] |= summarise_acceptance(field)
     write_json(folder / "metrics.json", metrics)
-    write_text(folder / "scenario.yaml", "name: living_room\n")
+    write_lines(folder / "scenario.yaml", "name: living_room\n")
     return folder
 
 

@@ -9,7 +9,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Study, write_out
 from sim.files.arrays import write_arrays
-from sim.files.atomic import write_text
+from sim.files.checksums import write_lines
 from sim.files.json_files import write_json
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import write_files
@@ -38,7 +38,7 @@ def write_synthetic_study(folder: Path, study: Study = STUDY, failed: tuple[int,
     for plan in plans:
         if plan.run not in failures:
             write_synthetic_outcome(folder, plan)
-    write_text(folder / "study.yaml", write_out(study))
+    write_lines(folder / "study.yaml", write_out(study))
     report_study(study, plans, failures, folder)
     return plans
 
@@ -62,7 +62,7 @@ def write_synthetic_outcome(folder: Path, plan: Plan) -> None:
     write_arrays(run / "error_field.npz", {"truth": truth, "heading": heading, **predictions})
     metrics = make_metrics(truth, predictions, samples=200)
     write_json(run / "metrics.json", {**metrics, "scenario": plan.scenario.name, "seed": seed})
-    write_text(run / "scenario.yaml", write_scenario(plan.scenario))
+    write_lines(run / "scenario.yaml", write_scenario(plan.scenario))
     (run / "recording").symlink_to(Path("..") / ".." / "recordings" / plan.recording)
 
 

@@ -1,5 +1,4 @@
 import errno
-import json
 import os
 import re
 import resource
@@ -94,11 +93,6 @@ def test_a_flipped_bit_of_arrays_is_found_or_changes_no_array(tmp_path_factory: 
         assert str(path) in str(error)
     else:
         assert all(np.array_equal(read[name], arrays[name]) for name in arrays)
-
-
-def test_json_of_an_earlier_version_has_no_checksum_and_is_read(tmp_path: Path):
-    (tmp_path / "old.json").write_text(json.dumps(VALUE))
-    assert read_json(tmp_path / "old.json") == VALUE
 
 
 @pytest.mark.parametrize("name", [b"table.parquet", "Möbel.csv".encode(), b"M\xf6bel.csv"])

@@ -29,7 +29,7 @@ from deepgps.viewer.run.making import find_map, log_making
 from deepgps.viewer.run.places import find_places, log_places
 from deepgps.viewer.run.training import log_training
 from deepgps.viewer.run.without_truth import write_without_truth
-from deepgps.viewer.save import find_home, hash_files, save_recording
+from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
 from deepgps.viewer.timeline import put_text
 from sim.files.checksums import is_intact
@@ -50,12 +50,12 @@ LAYERS = (
 
 
 def write_run(run: Path) -> Path:
-    """Write ``<run>/run.rrd``, of a run of an earlier version in the user's cache; return its path.
+    """Write ``<run>/run.rrd``; return its path.
 
     Raises InputError if the folder is not a complete run. Equal runs give equal contents: the recording's id is a hash
     of the run, and no wall-clock time is written.
     """
-    path = find_home(run) / RECORDING
+    path = run / RECORDING
     if lacks_truth(run):
         return write_without_truth(run, path)
     metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)

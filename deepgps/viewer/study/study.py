@@ -46,7 +46,6 @@ from sim.files.arrays import read_arrays
 from sim.files.checksums import check_lines, check_sum, is_intact
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
-from sim.renamed import translate_study
 
 STUDY = "study.rrd"
 MAX_ARROWS = 2_500_000  # about 75 MB; in larger studies, every field is thinned out
@@ -135,7 +134,7 @@ def read_study(folder: Path) -> tuple[Study, list[Row]]:
     except DamagedError as error:
         raise DamagedError(f"{error}; run deepgps study with the same study and --out to write it again") from None
     try:
-        study = Study.model_validate(translate_study(read_yaml(folder / "study.yaml")))
+        study = Study.model_validate(read_yaml(folder / "study.yaml"))
     except ValidationError as error:
         raise InputError(f"{folder / 'study.yaml'}: {describe_problems(error, Study)}") from None
     if REPORTS[study.report].gather:

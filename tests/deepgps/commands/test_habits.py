@@ -26,7 +26,6 @@ HINTS = [
     ("study seeds --tinny", "deepgps study: there is no option --tinny, did you mean --tiny?"),
     ("doctor --fresh", "deepgps doctor: there is no option --fresh; there are none"),
     ("run tiny --frech", "--frech: there is no such setting, did you mean --fresh?"),
-    ("run tiny --encoder.gap-noise 1", "--encoder.gap-noise: it is called --encoder.step-noise now"),
     (
         "run tiny --encoder.tickz 1",
         "--encoder.tickz: there is no such setting; there are --encoder.ticks-per-rev, --enc",

@@ -19,7 +19,7 @@ def test_a_recording_is_diagnosed_and_a_file_written_where_one_is_named(small_re
     assert done.returncode == 0, done.stderr
     assert "wrote found.json" in done.stdout
     stored = read_json(tmp_path / "found.json")
-    assert set(stored) >= {"schema", "quantities", "stretches", "faults", "set", "smallest", "unknown"}
+    assert set(stored) >= {"format", "quantities", "stretches", "faults", "set", "smallest", "unknown"}
     assert all(value["low"] <= value["value"] <= value["high"] for value in stored["quantities"].values())
     again = deepgps_here("diagnose", str(small_recording), "--out", "found.json", cwd=tmp_path)
     assert again.returncode == 0, "its own file may be written over"

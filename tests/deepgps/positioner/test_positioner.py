@@ -124,17 +124,6 @@ def test_only_ranks_place_a_lighter_image_exactly_where_the_image_is():
     assert not np.allclose(spectral()(bright), spectral()(light), atol=1e-3)
 
 
-def test_a_positioner_of_an_earlier_version_takes_pixels(tmp_path: Path):
-    save_positioner(tmp_path, spectral(), {})
-    stored = read_json(tmp_path / "positioner.json")
-    assert stored.pop("values") == "pixels"
-    write_json(tmp_path / "positioner.json", stored)
-    assert np.array_equal(load_positioner(tmp_path)(images(9, 1)), spectral()(images(9, 1)))
-    write_json(tmp_path / "positioner.json", {**stored, "values": "colours"})
-    with pytest.raises(DamagedError, match="values"):
-        load_positioner(tmp_path)
-
-
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @pytest.mark.parametrize("make", [spectral, resnet])
 def test_a_gpu_gives_the_same_positions(tmp_path: Path, make):
@@ -180,8 +169,9 @@ def test_images_of_another_size_are_refused(tmp_path: Path):
     [
         ("{", r"positioner\.json is damaged: it is not JSON"),
         ("[]", r"positioner\.json is damaged"),
-        ('{"schema": 9}', r"positioner\.json: schema 9, but this version reads schema 1"),
-        ('{"schema": 1}', r"positioner\.json is damaged: 'shape'"),
+        ('{"format": 9}', r"positioner\.json: format 9, but this version of deepgps reads format 2"),
+        ('{"schema": 1}', r"positioner\.json: made by deepgps 0\.1\.0, format 1"),
+        ('{"format": 2}', r"weights\.safetensors is damaged"),
     ],
 )
 def test_a_broken_description_is_named(tmp_path: Path, text: str, message: str):

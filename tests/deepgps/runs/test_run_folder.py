@@ -23,7 +23,7 @@ from sim.files.json_files import write_json
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 OTHER = Scenario(world="landmarks", methods=("posenet",))
-OURS = ("recording/observation.npy", "knn/weights.safetensors", "metrics.json", "figures/drive.png")
+OURS = ("recording/reading.npy", "knn/weights.safetensors", "metrics.json", "figures/drive.png")
 MINE = ("notes.txt", "figures/mine.png", "knn/notes.txt", "movie.part", "a.1.part", "recording/data.csv", "study.yaml")
 NAMES = (
     *("scenario.yaml", "study.yaml", "metrics.json", "recording", "deepgps", "figures", "movie.part", "x.123.part"),
@@ -153,19 +153,13 @@ def test_another_scenario_is_refused_with_what_is_there(tmp_path: Path):
         make_run(tmp_path, OTHER)
 
 
-def test_a_run_of_an_earlier_version_is_read_and_never_changed(tmp_path: Path):
-    write_files(tmp_path, (*OURS, ".lock"), "old")
-    (tmp_path / "scenario.yaml").write_text(write_out(SCENARIO))
+def test_a_run_of_an_older_format_is_refused_and_not_changed(tmp_path: Path):
+    make_run(tmp_path)
+    (tmp_path / "scenario.yaml").write_text(f"# sha256 of the lines below: 0\n{write_out(SCENARIO)}")
     before = remember(tmp_path)
-    with claim(SCENARIO, tmp_path, fresh=False) as place:
-        assert place == tmp_path
-    for scenario, fresh in ((SCENARIO, True), (OTHER, False)):
-        with pytest.raises(InputError, match="a run of an earlier version"), claim(scenario, tmp_path, fresh):
-            pass
-    (tmp_path / "metrics.json").unlink()
-    with pytest.raises(InputError, match="a run of an earlier version"), claim(SCENARIO, tmp_path, False):
-        pass
-    assert remember(tmp_path) == {name: data for name, data in before.items() if name != "metrics.json"}
+    with pytest.raises(InputError, match=r"made by deepgps 0\.1\.0, format 1: make it again, or use deepgps 0\.1\.0"):
+        make_run(tmp_path)
+    assert remember(tmp_path) == before
 
 
 def test_an_empty_folder_of_the_user_s_stays_after_wrong_input(tmp_path: Path):

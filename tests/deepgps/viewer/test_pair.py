@@ -12,7 +12,6 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 from deepgps.config.scenario import Scenario, write_out
-from deepgps.runs.owned_folder import MARK, OLD_LOCK
 from deepgps.viewer.pair import (
     Pair,
     colours_of_change,
@@ -22,12 +21,10 @@ from deepgps.viewer.pair import (
     write_pair,
 )
 from deepgps.viewer.read import read_entity, read_error_table
-from deepgps.viewer.run.recording import find_recording
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
-from sim.files.atomic import write_text
-from sim.files.checksums import sha256
+from sim.files.checksums import sha256, write_lines
 from tests.helpers.blueprints import find_missing
 from tests.helpers.command import deepgps_here
 from tests.helpers.synthetic_run import METHODS, write_synthetic_run
@@ -42,7 +39,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
         write_synthetic_run(folder / name, samples=40, seed=seed, spacing_m=0.4) for seed, name in enumerate("ab")
     )
     for run, noise in zip(pair, ("0", "0.1"), strict=True):
-        write_text(run / "scenario.yaml", f"name: living_room\nencoder: {{step_noise: {noise}}}\nmethods: [deepgps]\n")
+        write_lines(run / "scenario.yaml", f"name: living_room\nencoder: {{step_noise: {noise}}}\nmethods: [deepgps]\n")
     return pair[0], pair[1]
 
 
@@ -120,9 +117,9 @@ def test_figures_and_settings_stand_beside_each_other(runs: tuple[Path, Path]) -
 
 
 def test_a_run_made_before_some_settings_were_there_has_them_as_they_are_by_default(copied: tuple[Path, Path]) -> None:
-    write_text(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
+    write_lines(copied[1] / "scenario.yaml", write_out(Scenario(name="living_room")))
     assert "Both runs have the same settings." in describe(open_pair(copied))
-    write_text(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
+    write_lines(copied[1] / "scenario.yaml", "image_faults: {exposure: 2.0}\nname: living_room\n")
     rows = [line for line in describe(open_pair(copied)).splitlines() if line.startswith("| image_faults.")]
     assert rows == ["| image_faults.exposure | 1.0 | 2.0 |"]
 
@@ -132,7 +129,7 @@ def test_settings_that_are_not_written_at_their_defaults_are_compared_as_well(co
     plain, other = Scenario(name="living_room"), Scenario.model_validate({"name": "living_room", **changed})
     for pair in ((plain, other), (other, plain)):
         for folder, scenario in zip(copied, pair, strict=True):
-            write_text(folder / "scenario.yaml", write_out(scenario))
+            write_lines(folder / "scenario.yaml", write_out(scenario))
         text = describe(open_pair(copied))
         assert all(f"| {name} |" in text for name in ("deployment.daylight", "learn.features.values", "drive.arcs"))
 
@@ -189,25 +186,11 @@ def test_the_runs_stay_as_they_are_and_the_same_pair_gives_the_same_contents(cop
     kept.unlink()
 
 
-def test_runs_of_an_earlier_version_are_viewed_and_not_changed(
-    copied: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    old = copied[1]
-    (old / MARK).unlink(missing_ok=True)
-    (old / OLD_LOCK).touch()
-    (old / "run.rrd").unlink(missing_ok=True)
-    before = sorted(old.rglob("*"))
-    for path in (find_recording(old), write_pair((old, copied[0]))):
-        assert path.is_relative_to(tmp_path / "cache") and path.stat().st_size > 10_000
-    assert sorted(old.rglob("*")) == before
-
-
 def test_what_stands_is_not_written_again_unless_settings_changed(copied: tuple[Path, Path]) -> None:
     first = write_pair(copied)
     before = first.stat().st_mtime_ns
     assert write_pair(copied).stat().st_mtime_ns == before
-    write_text(copied[1] / "scenario.yaml", "name: living_room\nlearn: {seed: 7}\n")
+    write_lines(copied[1] / "scenario.yaml", "name: living_room\nlearn: {seed: 7}\n")
     assert write_pair(copied) != first
 
 

@@ -94,10 +94,13 @@ def test_what_is_wrong_is_named(folder, tmp_path_factory):
     (folder / "time.npy").unlink()
     with pytest.raises(InputError, match=r"time\.npy is missing"):
         open_recording(folder)
-    write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "schema": 99})
-    with pytest.raises(InputError, match="schema 99, but this version reads 1, 2, 3"):
+    write_json(folder / "manifest.json", {**read_json(folder / "manifest.json"), "format": 99})
+    with pytest.raises(InputError, match="format 99, but this version of deepgps reads format 2"):
         open_recording(folder)
-    (folder / "manifest.json").write_text('{"schema"')
+    write_json(folder / "manifest.json", {"schema": 3})
+    with pytest.raises(InputError, match=r"made by deepgps 0\.1\.0, format 1: make it again, or use deepgps 0\.1\.0"):
+        open_recording(folder)
+    (folder / "manifest.json").write_text('{"format"')
     with pytest.raises(InputError, match="is not JSON"):
         open_recording(folder)
 
@@ -114,9 +117,8 @@ def test_a_cut_array_is_refused(folder, name, left):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"schema": 1, "settings": 3}, "manifest.json: settings cannot be used"),
-        ({"schema": 1, "odometry": [1]}, "manifest.json: odometry cannot be used"),
-        ({"schema": 1, "settings": {"horizontal": 3, "world": []}}, "observation.npy is missing"),
+        ({"settings": 3}, "manifest.json: settings cannot be used"),
+        ({"odometry": [1]}, "manifest.json: odometry cannot be used"),
         ({"sensors": {"../../fisheye": "polar_image"}}, "manifest.json: sensors"),
         ({"sensors": {"fisheye": "smell"}}, "manifest.json: sensors.fisheye cannot be used"),
         ({"sensors": {"fisheye": "vector"}}, "fisheye.npy has 4 axes, and observations of kind vector have 2"),

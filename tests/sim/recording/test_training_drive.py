@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError
+from sim.files.checksums import FORMAT
 from sim.files.json_files import write_json
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES, explain_misfit
 from sim.recording.format import check_recording, open_recording, read_manifest
-from sim.recording.manifest import SCHEMA
 from sim.recording.training_drive import has_same_training_drive
 from sim.settings import SimSettings
 
@@ -111,7 +111,7 @@ def test_another_seed_or_world_is_not_shared(plain, base):
     ],
 )
 def test_settings_that_cannot_be_used_are_one_clear_line(settings, message, plain, tmp_path):
-    write_json(tmp_path / "manifest.json", {"schema": SCHEMA, "seed": 0, "settings": settings})
+    write_json(tmp_path / "manifest.json", {"format": FORMAT, "seed": 0, "settings": settings})
     for compare in (has_same_training_drive, explain_misfit):
         with pytest.raises(InputError, match=message):
             compare(tmp_path, plain, 0)
