@@ -129,7 +129,7 @@ def do_run(
             if not link.is_symlink():
                 link.symlink_to(Path("..") / ".." / "recordings" / recording)
             take_trainings(scenario, folder)
-            train(scenario, folder, progress)
+            train(scenario, folder, progress, processes=1)
             leave_trainings(scenario, folder)
             evaluate(scenario, folder, progress)
             (folder / FAILURE).unlink(missing_ok=True)
