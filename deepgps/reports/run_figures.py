@@ -163,7 +163,6 @@ def draw_drive(truth: Truth, reading: np.ndarray, driven_m: float | None = None)
 
 
 def _aspect(space: FreeSpace) -> float:
-    """Height of a floor over its width, at most ``TALLEST``."""
     low, high = limits(space)
     return min((high[1] - low[1]) / (high[0] - low[0]), TALLEST)
 
@@ -227,7 +226,6 @@ def plot_risk(axes: Axes, fields: Mapping[str, ErrorField]) -> None:
 
 
 def _plot_curve(axes: Axes, risk: np.ndarray, **line) -> None:
-    """Plot a curve of risks (n,) [m] over the share refused."""
     refused = 100 * (1 - np.arange(1, len(risk) + 1) / len(risk))
     shown = refused <= 100 * LARGEST_SHARE
     axes.plot(refused[shown], 100 * risk[shown], **line)

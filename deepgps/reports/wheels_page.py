@@ -84,7 +84,6 @@ def print_diagnosis(diagnosis: Diagnosis, console: Console) -> None:
 
 
 def _is_measured(diagnosis: Diagnosis) -> bool:
-    """Whether enough turns and images could be used to know the track width and the radii."""
     return diagnosis.track_m.known and diagnosis.wheel_ratio.known
 
 
@@ -204,7 +203,6 @@ def draw_segments(length: np.ndarray, error: np.ndarray) -> Figure:
 
 
 def _rms_along(length: np.ndarray, error: np.ndarray, parts: int = 10) -> tuple[np.ndarray, np.ndarray]:
-    """Mean length and RMS error of groups of equally many segments, from short to long."""
     order = np.array_split(np.argsort(length), min(parts, len(length)))
     mean = np.array([length[part].mean() for part in order])
     return mean, np.array([np.sqrt(np.mean(error[part] ** 2)) for part in order])

@@ -39,6 +39,12 @@ class StudyReport:
 
 
 _COMPARED = {"errors": "compare:draw", "error_fields": "compare:draw_fields"}
+
+
+def _combine(prefixes: str, names: str) -> tuple[str, ...]:
+    return tuple(prefix.removeprefix("-") + name for prefix in prefixes.split() for name in names.split())
+
+
 REPORTS: dict[str, StudyReport] = {
     "plain": StudyReport("compare:report_runs"),
     "rooms": StudyReport(
@@ -46,16 +52,8 @@ REPORTS: dict[str, StudyReport] = {
         {"rooms": "rooms:draw"},
         "rooms:measure",
         (
-            *(
-                f"{method}{name}"
-                for method in ("", "deepgps_compass_")
-                for name in ("rms_m", "median_m", "p95_m", "max_m", "posenet_ratio", "wins")
-            ),
-            *(
-                f"{method}{name}"
-                for method in ("", "deepgps_compass_")
-                for name in ("rms_accepted_m", "max_accepted_m", "radius_68_holds", "radius_95_holds")
-            ),
+            *_combine("- deepgps_compass_", "rms_m median_m p95_m max_m posenet_ratio wins"),
+            *_combine("- deepgps_compass_", "rms_accepted_m max_accepted_m radius_68_holds radius_95_holds"),
             *("train_s", "posenet_rms_m", "posenet_median_m", "posenet_max_m"),
         ),
     ),
@@ -66,16 +64,7 @@ REPORTS: dict[str, StudyReport] = {
         "paper:report_landmarks",
         {"landmarks": "paper:draw_landmarks"},
         "paper:measure_landmarks",
-        (
-            *("deepgps_complete", "deepgps_incomplete", "posenet_complete", "posenet_incomplete"),
-            *(
-                "explicit_complete",
-                "explicit_incomplete",
-                "explicit_mds_complete",
-                "explicit_mds_incomplete",
-                "train_s",
-            ),
-        ),
+        (*_combine("deepgps_ posenet_ explicit_ explicit_mds_", "complete incomplete"), "train_s"),
     ),
     "compare": StudyReport("compare:report", _COMPARED),
     "networks": StudyReport(
@@ -108,7 +97,7 @@ REPORTS: dict[str, StudyReport] = {
         "maps:report_concave",
         {"concave": "maps:draw_concave", "rooms": "maps:draw_shapes"},
         "maps:measure_concave",
-        ("deepgps_little", "posenet_little", "deepgps_two_rooms", "posenet_two_rooms"),
+        _combine("deepgps_ posenet_", "little two_rooms"),
         "maps:add_reach",
         varies=("room.shape",),
     ),
@@ -123,9 +112,8 @@ REPORTS: dict[str, StudyReport] = {
         {"encoder": "encoder:draw", "near": "encoder:draw_near"},
         "encoder_sweeps:measure",
         (
-            *(f"{prefix}{name}" for prefix in ("", "aware_") for name in ("rms_w", "ticks_16", "ticks_4")),
-            *("compass_w", "compass_radius", "compass_slip", "compass_stuck_rms_m", "compass_stuck_folded"),
-            *("compass_curves_1", "compass_curves_3"),
+            *_combine("- aware_", "rms_w ticks_16 ticks_4"),
+            *_combine("compass_", "w radius slip stuck_rms_m stuck_folded curves_1 curves_3"),
         ),
         "encoder:add_errors",
     ),
@@ -134,8 +122,8 @@ REPORTS: dict[str, StudyReport] = {
         {"camera": "changes:draw"},
         "changes:measure",
         (
-            *("clean_rms_m", "both_rms_ratio", "both_median_ratio", "deployment_rms_ratio", "deployment_median_ratio"),
-            *(f"compass_{name}_{lean}_ratio" for name in ("tilted", "knocked") for lean in (2, 8)),
+            *("clean_rms_m", *_combine("both_ deployment_", "rms_ratio median_ratio")),
+            *_combine("compass_tilted_ compass_knocked_", "2_ratio 8_ratio"),
         ),
     ),
     "change": StudyReport(
@@ -150,8 +138,8 @@ REPORTS: dict[str, StudyReport] = {
         {"knowing": "knowing:draw"},
         "knowing:measure",
         (
-            *("drives_right", "images_right", "clean_refused", "moved_refused"),
-            *("other_room_refused", "covered_refused"),
+            *("drives_right", "images_right"),
+            *("clean_refused", "moved_refused", "other_room_refused", "covered_refused"),
         ),
         "knowing_drives:add_drives",
         sets=("deployment.drive_samples",),
@@ -187,10 +175,8 @@ REPORTS: dict[str, StudyReport] = {
         {"lab": "paper:draw_lab_errors", "lab_places": "paper:draw_lab_places"},
         "paper:measure_lab",
         (
-            *("deepgps_label_rms_m", "deepgps_label_median_m", "deepgps_label_max_m"),
-            *("deepgps_rms_m", "deepgps_median_m", "deepgps_max_m"),
-            *("posenet_label_rms_m", "posenet_label_median_m", "posenet_label_max_m"),
-            *("posenet_rms_m", "posenet_median_m", "posenet_max_m", "labels_rms_m"),
+            *_combine("deepgps_label_ deepgps_ posenet_label_ posenet_", "rms_m median_m max_m"),
+            "labels_rms_m",
         ),
         "paper:add_labels",
         labels=True,

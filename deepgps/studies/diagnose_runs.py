@@ -63,7 +63,6 @@ def draw_runs(common: Mapping[str, Any], drives: Sequence[tuple[int, Point]]) ->
 
 
 def _choose(rng: np.random.Generator, count: int) -> list[str]:
-    """Faults of different kinds: never both radii, which the readings tell only together."""
     names = [name for name in LIMITS if name != ALIKE[int(rng.integers(2))]]
     return [names[place] for place in rng.choice(len(names), count, replace=False)]
 

@@ -154,7 +154,6 @@ def write_out(study: Study) -> str:
 
 
 def _are_numbers(axes: Sequence[Any]) -> bool:
-    """Whether there is an axis, and all values of all axes are numbers."""
     values = [value for axis in axes for value in (axis if isinstance(axis, list | tuple) else [None])]
     return bool(values) and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
 

@@ -111,7 +111,6 @@ def _run_all(ray: Any, plans: Sequence[Plan], folder: Path, progress: Report) ->
 
 
 def _knock(address: str) -> None:
-    """Raise OSError if nothing answers at host:port, since Ray itself would keep trying for minutes."""
     host, _, port = address.rpartition(":")
     if host and "/" not in host and port.isdigit():
         socket.create_connection((host, int(port)), timeout=KNOCK_S).close()

@@ -147,7 +147,6 @@ def _choose(scenario: Scenario, samples: int) -> Scenario:
 
 
 def _name_drive(scenario: Scenario) -> str:
-    """A hash that is the same for all recordings of a drive."""
     return digest_recording(_choose(scenario, 0 if can_be_cut(scenario.sim) else scenario.drive.samples))
 
 
@@ -171,7 +170,6 @@ def _find_bases(scenarios: dict[str, Scenario], drives: Iterable[Scenario], home
 
 
 def _name_training_drive(scenario: Scenario) -> str:
-    """A hash that is the same for all recordings with the same training drive."""
     sim = keep_training_settings(scenario.sim)
     return digest_recording(scenario.model_copy(update={"deployment": sim.deployment, "grid": sim.grid}))
 

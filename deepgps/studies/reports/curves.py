@@ -171,7 +171,6 @@ def _split_panels(rows: Sequence[Row]) -> Mapping[tuple[str, ...], list[Row]]:
 
 
 def _name_panels(rows: Sequence[Row]) -> list[str]:
-    """The settings other than the axis that tell all cases apart."""
     return tell_apart(rows, varied_in(rows[0])[:-1])
 
 

@@ -221,7 +221,6 @@ def _error(row: Row, name: str) -> float:
 
 
 def _is_off(row: Row, name: str) -> bool:
-    """Whether the truth of a quantity differs from that of perfect wheels."""
     kinds = {"track_m": "track alike radius wheel", "reading_ratio": "radius", "wheel_ratio": "wheel"}
     kinds |= {"step_noise": "step_noise", "slip_per_m": "slip", "dropout": "dropout", "stuck_fraction": "stuck"}
     return bool(set(kinds[name].split()) & set(row["set"].split()))
@@ -232,7 +231,6 @@ def _accept(name: str) -> str:
 
 
 def _list_right(row: Row) -> list[str]:
-    """Findings that are right for what was set."""
     return [_accept(name) for name in row["set"].split()]
 
 

@@ -127,7 +127,6 @@ def draw_near(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pictu
 
 
 def _write_errors(rows: Sequence[Row]) -> str:
-    """RMS [cm]: mean, best and worst seed; and the part of the positions within the smaller distance."""
     low, high = (f"{100 * take(row['rms_m'] for row in rows):.1f}" for take in (min, max))
     return f"{100 * mean(rows, 'rms_m'):.1f} ({low} to {high}), {100 * mean(rows, name_part(NEAR_M[0])):.0f} %"
 
@@ -163,7 +162,6 @@ def _head(method: str) -> str:
 
 
 def _last(setting: str) -> str:
-    """A setting's own name, which heads its column."""
     return setting.rpartition(".")[2]
 
 

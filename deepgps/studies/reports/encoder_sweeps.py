@@ -125,5 +125,4 @@ def _values(row: Row, names: Names) -> tuple[float, ...]:
 
 
 def _list_changed(row: Row) -> Names:
-    """Settings of encoders and wheels that differ from their defaults."""
     return tuple(sorted(name for name in varied_in(row) if name in PERFECT and row[name] != PERFECT[name]))

@@ -262,7 +262,6 @@ def _group_starts(rows: Sequence[Row], varied: Sequence[str]) -> Mapping[str, li
 
 
 def _take_maps(rows: Sequence[Row]) -> list[Row]:
-    """The rows of methods with a map by compass; others know no error of theirs."""
     return [row for row in rows if row["map_rms_m"] is not None]
 
 

@@ -116,7 +116,6 @@ def check_publish(target: Path) -> None:
 
 
 def _read_sums(target: Path) -> set[tuple[str, str]]:
-    """Checksums and names of the files published in a folder."""
     lines = (target / SUMS).read_text(errors="replace").splitlines() if (target / SUMS).is_file() else []
     return {(digest, name) for digest, _, name in (line.partition("  ") for line in lines)}
 

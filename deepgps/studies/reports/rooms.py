@@ -224,7 +224,6 @@ def _count_wins(rows: Sequence[Row]) -> list[str]:
 
 
 def _count(word: str, differences: Sequence[float]) -> str:
-    """How many differences are negative, and the p-value of a two-sided sign test."""
     wins, losses = sum(value < 0 for value in differences), sum(value > 0 for value in differences)
     chance = binomtest(wins, wins + losses).pvalue if wins + losses else 1.0
     return f"{wins} by {word} (p = {chance:.2g})"

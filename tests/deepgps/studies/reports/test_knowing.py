@@ -10,8 +10,16 @@ from deepgps.data.segments import find_runs
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import knowing
-from deepgps.studies.reports.knowing_drives import COLUMN, EXPECTED, JudgedDrive, add_drives, find_expected
-from deepgps.studies.spoilt_drives import SPOILT, keep_segments, spoil_drive
+from deepgps.studies.reports.knowing_drives import (
+    COLUMN,
+    EXPECTED,
+    SPOILT,
+    JudgedDrive,
+    add_drives,
+    find_expected,
+    keep_segments,
+    spoil_drive,
+)
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from deepgps.tracking.rules import TITLES
