@@ -261,7 +261,9 @@ def test_robot_walled_in_is_stuck():
         take(make_world(room), 1)
 
 
-@pytest.mark.parametrize("pinch_m", [0.001, 0.002, 0.004])
+@pytest.mark.parametrize(
+    "pinch_m", [0.002, *(pytest.param(pinch_m, marks=pytest.mark.slow) for pinch_m in (0.001, 0.004))]
+)
 def test_robot_wedged_between_two_legs_frees_itself(pinch_m):
     room = walls()
     for name, side in (("left", 1), ("right", -1)):
@@ -373,19 +375,21 @@ def seconds_to_enter(seed: int, mouth_m: float, **drive_settings) -> float:
     raise AssertionError
 
 
-def test_random_driving_is_quiet_and_covers_the_room():
+@pytest.mark.parametrize(("duration_s", "share"), [(100.0, 0.5), pytest.param(400.0, 0.9, marks=pytest.mark.slow)])
+def test_driving_is_quiet_and_covers_the_room(duration_s, share):
     world = make_world(furnished(), (0.0, -0.8, 0.0))
     places = [world.pose()[None]]
     for segment in drive(world, world.settings.drive, np.random.default_rng(SEED)):
         places.append(segment.pose)
-        if world.time() > 400.0:
+        if world.time() > duration_s:
             break
     assert not world.data.warning.number.any()
     driven = np.concatenate(places)[:, :2]
-    assert share_covered(world, driven) > 0.9
+    assert share_covered(world, driven) > share
     assert world.is_free(driven).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_exploring_covers_a_room_sooner_than_random_headings():
     assert cover_studio(50.0) > cover_studio(50.0, headings="random") + 0.1
 

@@ -20,7 +20,7 @@ from sim.robot_log.log import check_log, robot_file, write_log, write_robot
 from sim.robot_log.observe import EPOCH_NS, make_base_clock
 from sim.settings import CameraMountSettings, DriveSettings, EncoderSettings, ImageFaultSettings, SimSettings
 
-SEED, SAMPLES = 3, 20
+SEED, SAMPLES = 3, 16
 IMAGE = "/camera/image_raw/compressed"
 
 
@@ -158,6 +158,7 @@ def test_it_has_the_same_bytes_on_any_number_of_cores(path, settings, recording,
     assert {one.name for one in tmp_path.iterdir()} == {"again.mcap", "again.robot.yaml"}
 
 
+@pytest.mark.slow
 def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tmp_path, caplog, monkeypatch, log):
     def stop(stage: str, *_: int) -> None:
         if stage == "log write":
@@ -178,6 +179,7 @@ def test_interrupted_work_is_continued_and_says_so(path, settings, recording, tm
     assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
 
 
+@pytest.mark.slow
 def test_two_processes_cannot_write_one_log(path, settings, recording, tmp_path):
     def write_again(stage: str, *_: int) -> None:
         if stage == "log write":
@@ -189,6 +191,7 @@ def test_two_processes_cannot_write_one_log(path, settings, recording, tmp_path)
     assert {one.name for one in tmp_path.iterdir()} == {"a.mcap", "a.robot.yaml"}
 
 
+@pytest.mark.slow
 def test_parts_of_another_log_are_not_used(path, settings, recording, tmp_path, caplog):
     parts = tmp_path / "a.mcap.parts"
     write_arrays(parts / "picture-000000.npz", {"jpeg": np.zeros(3, np.uint8), "end": np.array([3])})
@@ -198,6 +201,7 @@ def test_parts_of_another_log_are_not_used(path, settings, recording, tmp_path, 
     assert (tmp_path / "a.mcap").read_bytes() == path.read_bytes()
 
 
+@pytest.mark.slow
 def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(path, settings, recording, tmp_path, caplog):
     here = tmp_path / "a.mcap"
     here.write_bytes(path.read_bytes())
@@ -211,6 +215,7 @@ def test_a_complete_log_stays_and_one_of_other_settings_is_replaced(path, settin
     assert len(read(here)[IMAGE]) == len(read(path)[IMAGE])
 
 
+@pytest.mark.slow
 def test_a_log_in_the_place_of_another_has_pictures_of_its_own(settings, recording, tmp_path):
     pictures = []
     for roll_deg in (0.0, 10.0):
@@ -233,6 +238,7 @@ def test_a_foreign_description_is_kept(settings, recording, tmp_path):
         check_log(tmp_path / "a.mcap", settings)
 
 
+@pytest.mark.slow
 def test_faults_of_the_encoders_are_in_the_log(log, settings, recording, tmp_path):
     faulty = settings.model_copy(update={"encoder": EncoderSettings(radius_error_left=0.1, dropout=0.2)})
     write_log(tmp_path / "a.mcap", faulty, SEED, recording, "key", quiet, workers=1)

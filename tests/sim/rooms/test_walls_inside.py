@@ -46,7 +46,7 @@ def test_passages_lead_from_each_cell_to_each_other_one(columns: int, rows: int,
     assert loops < 1.0 or len(passages) == every
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 6))])
 def test_the_robot_gets_into_every_cell_of_a_labyrinth(seed: int) -> None:
     model, space = build(kind="labyrinth", seed=seed)
     walls = [body for body in range(model.nbody) if model.body(body).name.startswith("wall_")]
@@ -68,7 +68,10 @@ def test_labyrinths_differ_in_size_textures_and_passages() -> None:
     assert len({texture_of(plain, body) for body in bodies(plain, "partition")} - {None}) == 1
 
 
-@pytest.mark.parametrize(("seed", "look_alike"), [(0, False), (1, True), (2, False), (3, True)])
+@pytest.mark.parametrize(
+    ("seed", "look_alike"),
+    [(0, False), *(pytest.param(seed, seed % 2 == 1, marks=pytest.mark.slow) for seed in (1, 2, 3))],
+)
 def test_the_robot_gets_into_every_office(seed: int, look_alike: bool) -> None:
     model, space = build(kind="corridor", seed=seed, look_alike=look_alike)
     free = enclosed(space)
@@ -84,7 +87,7 @@ def test_the_robot_gets_into_every_office(seed: int, look_alike: bool) -> None:
     assert away[row, column].max() < 1.6
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_doors_of_an_office_floor_are_alike_and_at_the_corridor(seed: int) -> None:
     model, space = build(kind="corridor", seed=seed)
     data = mujoco.MjData(model)
@@ -112,7 +115,7 @@ def test_a_shape_or_size_without_room_for_the_walls_is_refused(settings: dict, t
 
 
 @pytest.mark.parametrize("kind", ["labyrinth", "corridor"])
-@pytest.mark.parametrize("size", [(6.0, 6.0), (15.3, 8.03)])
+@pytest.mark.parametrize("size", [(6.0, 6.0), pytest.param((15.3, 8.03), marks=pytest.mark.slow)])
 def test_any_size_works(kind: str, size: tuple[float, float]) -> None:
     _, space = build(kind=kind, width_m=size[0], depth_m=size[1], look_alike=True)
     assert space.reachable.sum() > 0.97 * enclosed(space).sum()

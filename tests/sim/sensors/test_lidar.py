@@ -18,7 +18,7 @@ from sim.robot.scene import compile_scene
 from sim.robot.world import RoomWorld
 from sim.sensors.lidar import LIDAR_HEIGHT_M, Lidar
 from sim.sensors.lidar_scan import LIDAR_REACH_M
-from sim.settings import LidarSettings, SimSettings
+from sim.settings import DriveSettings, LidarSettings, SimSettings
 from tests.helpers.small_room import furnished
 
 LIDAR = LidarSettings(rays=90, headings=2)
@@ -92,13 +92,13 @@ def test_it_agrees_with_the_range_finder_and_tells_its_reach(
 
 def test_a_recording_of_scans_is_whole_and_repeats_with_its_noise(tmp_path: Path, small_settings: SimSettings) -> None:
     lidar = LidarSettings(rays=32, noise_m=0.01)
-    settings = small_settings.model_copy(update={"sensor": "lidar", "lidar": lidar})
+    settings = small_settings.model_copy(update={"sensor": "lidar", "lidar": lidar, "drive": DriveSettings(samples=80)})
     exact = settings.model_copy(update={"lidar": LidarSettings(rays=32)})
     for name, chosen, workers in (("one", settings, 1), ("two", settings, 2), ("exact", exact, 1)):
         collect(chosen, 0, tmp_path / name, lambda *_: None, workers=workers)
     check_recording(tmp_path / "one")
     one, two, still = (open_recording(tmp_path / name) for name in ("one", "two", "exact"))
-    assert one.observation.shape == (300, 1, 32)
+    assert one.observation.shape == (80, 1, 32)
     assert one.observation.dtype == np.float32
     assert one.test_observation.shape == (*open_truth(tmp_path / "one").test_pose.shape[:2], 1, 32)
     assert one.manifest.gl_renderer == "none"
