@@ -21,7 +21,6 @@ def list_tests(material: Material) -> list[Test]:
     """What a run made anew may do to what was there."""
     old, new = material.runs["landmarks"], material.other
     return [
-        Test("fresh", "with user files in the old run, done", 2, _attack_done(old, new)),
         Test("fresh", "killed at any moment, looked at, given again", 7, _attack_killed(old, new)),
     ]
 
@@ -36,16 +35,6 @@ def plant_in_run(folder: Path, rng: random.Random) -> Looks:
     if rng.random() < 0.4:
         (folder / "link").symlink_to(rng.choice(["thesis.txt", "..", "nowhere"]))
     return {name: how for name, how in look(folder).items() if name in MINE or name in {"link", "own", "own/deeper"}}
-
-
-def _attack_done(old: Run, new: Run):
-    def attempt(case: Case) -> Verdict:
-        folder = copy(old.stages["finished"], case.folder / "run")
-        mine, again = plant_in_run(folder, case.rng), case.rng.choice([old, new])
-        ended = deepgps("run", again.source, "--out", "run", "--fresh", cwd=case.folder)
-        return _judge_done(ended, folder, mine, again.clean)
-
-    return attempt
 
 
 def _attack_killed(old: Run, new: Run):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.faults.attack import Case, Test, Verdict
 from tests.faults.command import Ended, deepgps
-from tests.faults.material import Material, Run
+from tests.faults.material import Material
 from tests.faults.tree import find_lost, look, plant
 
 SCENARIOS = ("run", "collect", "train", "evaluate")
@@ -29,10 +29,8 @@ TIME_S = 60.0
 
 def list_tests(material: Material) -> list[Test]:
     """Any command line at any tree."""
-    run = material.runs["landmarks"]
     return [
         Test("users", "any command at a tree of a user's files", 60, _attack(material)),
-        Test("users", "--fresh at a folder with the user's own scenario.yaml", 6, _attack_own_scenario(run)),
     ]
 
 
@@ -95,20 +93,3 @@ def _draw_place(home: Path, cwd: Path, rng: random.Random) -> str:
 
 def _finished(material: Material) -> list[Path]:
     return [material.runs["landmarks"].stages["finished"], material.study.folder]
-
-
-def _attack_own_scenario(run: Run):
-    """The natural name for one's own scenario is no mark of ours."""
-
-    def attempt(case: Case) -> Verdict:
-        home = case.folder / "home"
-        plant(home, case.rng)
-        path = home / "scenario.yaml"
-        if path.is_symlink() or path.exists():
-            path.unlink()
-        path.write_bytes(Path(run.source).read_bytes())
-        before, fault = look(home), case.rng.choice(FAULTS)
-        words = [case.rng.choice(SCENARIOS), "scenario.yaml", "--out", ".", "--fresh", *fault]
-        return judge(before, home, deepgps(*words, cwd=home, time_s=TIME_S))
-
-    return attempt
