@@ -50,6 +50,11 @@ def digest_recording(scenario: Scenario, read: Callable[[str, str], bytes | None
     return _hash(f"{scenario.seed} {scenario.sim.model_dump_json()}", scenario, read)
 
 
+def digest_drive(scenario: Scenario, settings: str) -> str:
+    """The same digest of those ``settings`` that determine a drive, whatever is measured on it."""
+    return _hash(f"{scenario.seed} {settings}", scenario, read_room)
+
+
 def _hash(settings: str, scenario: Scenario, read: Callable[[str, str], bytes | None]) -> str:
     state = hashlib.sha256(f"{FORMAT} {settings}".encode())
     for field, path in list_own_files(scenario).items():

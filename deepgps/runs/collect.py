@@ -11,7 +11,7 @@ from deepgps.config.scenario import Scenario
 from deepgps.config.scenario_digest import digest_recording
 from deepgps.runs.adopted_recording import find_adopted
 from deepgps.runs.run_folder import find_place
-from deepgps.runs.shared_drive import find_base, find_training_drive
+from deepgps.runs.shared_drive import find_base, find_training_drive, keep_drive
 from deepgps.runs.timing import timed
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError, WorkError
@@ -46,28 +46,17 @@ def choose_renderer() -> None:
 
 
 def collect(scenario: Scenario, folder: Path, progress: Report) -> None:
-    """Make the recording, unless it is finished: from an earlier run of the same drive, or else by driving."""
-    if not find_adopted(folder) and not is_whole(folder / "recording"):
-        with timed(folder, "collect"):
-            if not derive_from_base(scenario, folder, progress):
-                make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))
-
-
-def derive_from_base(scenario: Scenario, folder: Path, progress: Report) -> bool:
-    """Derive a run's recording from that of an earlier run, if one has the same drive; return whether that was done."""
-    base = find_base(scenario, folder)
-    if base is None:
-        return False
-    label = f"derive from {base.parent.name}"
-    progress(label, 0, 1)
-    try:
-        derive(base, scenario.sim, scenario.seed, folder / "recording")
-    except DamagedError as error:
-        log.warning("%s; the drive is made again", error)
-        choose_renderer_for([scenario])
-        return False
-    progress(label, 1, 1)
-    return True
+    """Make the recording, unless it is finished: from a stored one of the same drive, or else by driving."""
+    if find_adopted(folder) or is_whole(folder / "recording"):
+        return
+    with timed(folder, "collect"):
+        if base := find_base(scenario, folder):
+            progress("derive", 0, 1)
+            derive(base, scenario.sim, scenario.seed, folder / "recording")
+            progress("derive", 1, 1)
+        else:
+            make_recording(scenario, folder / "recording", progress, find_training_drive(scenario, folder))
+            keep_drive(scenario, folder)
 
 
 def make_recording(

@@ -1,66 +1,101 @@
-"""The drive of an earlier run of the same scenario: what differs only in encoders, image faults or length shares it.
+"""The store of drives: ``runs/drives/<digest>/<recording>/`` holds hard links to the recordings that runs have driven.
 
-Recordings that differ only in deployment or test grid share the training drive, and have tests of their own.
+A drive has a digest: that of its seed, settings, files and packages. A run in the usual folder, ``runs/<scenario>``, is
+made from a stored recording, byte for byte as if it had been driven: what differs only in encoders, image faults or
+length shares the drive; what differs in deployment or test grid shares the training drive, and has tests of its own.
 """
 
+import logging
+import os
+import re
 from collections.abc import Callable
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 from deepgps.config.scenario import Scenario
-from deepgps.runs.owned_folder import FRESH
-from sim.errors import InputError
-from sim.recording.derive import explain_misfit
-from sim.recording.format import is_whole, read_manifest
-from sim.recording.manifest import Manifest
-from sim.recording.training_drive import has_same_training_drive
+from deepgps.config.scenario_digest import digest_drive, digest_recording
+from sim.errors import DamagedError, InputError
+from sim.files.atomic import PART, link_file
+from sim.files.folders import list_files, remove_files
+from sim.recording.derive import choose_drive, explain_misfit
+from sim.recording.format import RECORDING, check_recording
+from sim.recording.manifest import PACKAGES
+from sim.recording.training_drive import has_same_training_drive, keep_training_settings
+
+STORE = "drives"
+"""Folder of the store in ``runs``."""
+STORED = re.compile(rf"[0-9a-f]{{8}}/[0-9a-f]{{8}}/({RECORDING.pattern})")
+"""Paths of the files in a store."""
+log = logging.getLogger(__name__)
 
 
 def find_base(scenario: Scenario, run: Path) -> Path | None:
-    """Find a recording from which that of a run can be derived, byte for byte as if it had been driven.
-
-    Only finished runs beside this one in the folder of their scenario, ``runs/<scenario>``, are considered. A room of
-    the user's own is driven each time, since its meshes may have changed.
+    """Find a stored recording from which that of a run can be derived; a damaged one is removed.
 
     Args:
         scenario: The scenario of the run.
-        run: The run's folder; with ``--fresh`` it is a subfolder, which shares nothing.
+        run: The run's folder; one elsewhere than in ``runs/<scenario>`` shares nothing, nor does one of ``--fresh``.
     """
     return _find(scenario, run, lambda base: not explain_misfit(base, scenario.sim, scenario.seed))
 
 
 def find_training_drive(scenario: Scenario, run: Path) -> Path | None:
-    """Find a recording with the training drive of a run's recording, whose tests are still to be drawn.
+    """Find a stored recording with the training drive of a run's recording, whose tests are still to be drawn.
 
-    Takes the arguments of ``find_base``, and considers the same runs.
+    Takes the arguments of ``find_base``.
     """
     return _find(scenario, run, lambda base: has_same_training_drive(base, scenario.sim, scenario.seed))
 
 
+def keep_drive(scenario: Scenario, run: Path) -> None:
+    """Store the recording that a run has driven, so that later runs can share it; takes the arguments of ``find_base``.
+
+    That of a track width with an error is not stored, since the exact one cannot be had from the rounded one.
+    """
+    stored = _find_home(scenario) / digest_recording(scenario)
+    if not _may_share(scenario, run) or scenario.encoder.track_error or stored.exists():
+        return
+    part = stored.with_name(f"{stored.name}.{os.getpid()}{PART}")
+    for path in list_files(run / "recording", RECORDING):
+        link_file(path, part / path.relative_to(run / "recording"))
+    try:
+        part.rename(stored)
+    except OSError:  # another process has just stored it
+        remove_files(part, RECORDING)
+
+
+def measure_store(runs: Path) -> int:
+    """Bytes of all files in the store of a folder of runs, which runs may share."""
+    return sum(path.stat().st_size for path in list_files(runs / STORE, STORED))
+
+
+def empty_store(runs: Path) -> None:
+    """Remove all files in the store of a folder of runs; the runs keep theirs."""
+    remove_files(runs / STORE, STORED)
+
+
 def _find(scenario: Scenario, run: Path, fits: Callable[[Path], bool]) -> Path | None:
-    if run.name == FRESH or run.parent.name != scenario.name or scenario.room.mjcf or scenario.robot.mjcf:
+    if not _may_share(scenario, run):
         return None
-    for manifest in sorted(run.parent.glob("*/recording/manifest.json")):
-        if manifest.parent.parent != run and _is_sound(manifest.parent, fits):
-            return manifest.parent
+    for manifest in sorted(_find_home(scenario).glob(f"{8 * '[0-9a-f]'}/manifest.json")):
+        try:
+            if fits(manifest.parent):
+                check_recording(manifest.parent)
+                return manifest.parent
+        except DamagedError as error:
+            log.warning("%s; the drive is made again", error)
+            remove_files(manifest.parent, RECORDING)
+        except InputError as error:
+            log.warning("%s; it is not used", error)
     return None
 
 
-def _is_sound(recording: Path, fits: Callable[[Path], bool]) -> bool:
-    try:
-        manifest = read_manifest(recording)
-        if not is_whole(recording) or not fits(recording):
-            return False
-    except (InputError, ValueError):  # it is damaged, or of settings that no longer exist
-        return False
-    # The exact track width cannot be had from a rounded one. Other versions of a package may draw other bytes.
-    return not manifest.settings["encoder"]["track_error"] and _is_of_these_packages(manifest)
+def _may_share(scenario: Scenario, run: Path) -> bool:
+    return run.resolve().parent == (Path("runs") / scenario.name).resolve()
 
 
-def _is_of_these_packages(manifest: Manifest) -> bool:
-    """Whether a recording was made with the installed versions of the packages that determine its bytes."""
-    made_with = (manifest.model_extra or {}).get("packages", {})
-    try:
-        return all(version(name) == number for name, number in made_with.items())
-    except PackageNotFoundError:
-        return False
+def _find_home(scenario: Scenario) -> Path:
+    """Folder of all stored recordings with the training drive of a scenario, whatever its length and encoders."""
+    settings = keep_training_settings(choose_drive(scenario.sim, 0))
+    packages = [version(name) for name in PACKAGES]
+    return Path("runs") / STORE / digest_drive(scenario, f"{packages} {settings.model_dump_json()}")

@@ -37,7 +37,7 @@ from sim.recording.chunks import CHUNK, drive_chunk
 from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
-from sim.recording.manifest import name_sensors
+from sim.recording.manifest import PACKAGES, name_sensors
 from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.recording.sensing import part_files, sense_part
@@ -55,7 +55,6 @@ ROUNDED = 1e-6
 """How far outside the free space a position of the test grid may be, as a part of its spacing: sums are rounded."""
 TRIES = 3
 """Attempts at assembling a recording when a part turns out to be damaged."""
-PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
 log = logging.getLogger(__name__)
 
 

@@ -9,6 +9,8 @@ from sim.files.checksums import FORMAT
 from sim.sensors.catalog import SENSORS, ObservationKind, list_kept
 from sim.settings import SimSettings
 
+PACKAGES = ("mujoco", "numpy", "opencv-python-headless")
+"""Packages on whose versions the bytes of a recording depend."""
 SENSOR = r"[a-z][a-z0-9_]{0,40}"
 """Pattern of a sensor's name, which is part of the names of its files."""
 DIMENSIONS: dict[ObservationKind, int] = {"polar_image": 4, "scan": 3, "vector": 2, "image": 3}

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.config.scenario import load_scenario
+from deepgps.config.scenario_digest import digest_drive
 from deepgps.config.spelling import from_option
 from deepgps.runs.collect import list_undriven
 from deepgps.runs.run_folder import default_folder
@@ -49,7 +50,7 @@ def test_a_derived_drive_has_the_bytes_of_a_fresh_one(change, tmp_path, monkeypa
     assert derived.parent != base.parent
     assert read_files(derived) == read_files(fresh)
     own, other = read_json(fresh / "manifest.json"), read_json(derived / "manifest.json")
-    assert other.pop("derived_from") == base.parent.name
+    assert other.pop("derived_from") in {path.name for path in tmp_path.glob("runs/drives/*/*")}
     for name in ("collect_s", "samples_dropped", "times_relocated"):
         own.pop(name, None)
         other.pop(name, None)
@@ -71,11 +72,14 @@ def test_a_room_is_derived_without_a_renderer_and_with_the_same_bytes(tmp_path, 
 
 
 def test_a_damaged_base_is_not_used(tmp_path):
-    base = collect("landmarks", *SMALL, home=tmp_path)
-    (base / "reading.npy").write_bytes(b"damaged")
+    collect("landmarks", *SMALL, home=tmp_path)
+    (stored,) = tmp_path.glob("runs/drives/*/*/reading.npy")
+    stored.write_bytes(b"damaged")
     done = deepgps_here("collect", "landmarks", *SMALL, *FAULTS, cwd=tmp_path)
     assert done.returncode == 0
     assert "the drive is made again" in done.stderr
+    (again,) = tmp_path.glob("runs/drives/*/*/manifest.json")
+    check_recording(again.parent)
     check_recording(tmp_path / done.stdout.split()[-1] / "recording")
 
 
@@ -109,8 +113,19 @@ def test_only_runs_of_the_same_folder_are_bases_and_fresh_drives_again(tmp_path,
     assert "derived_from" not in read_json(again / "manifest.json")
 
 
-def test_a_room_of_the_users_own_is_driven_each_time(tmp_path, monkeypatch):
+def test_a_changed_room_of_the_users_own_is_another_drive(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.xml").write_text("<mujoco/>")
-    scenario = load_scenario("tiny", {"room.mjcf": "room.xml"})
-    assert find_base(scenario, default_folder(scenario)) is None
+    digests = set()
+    for text in ("<mujoco/>", "<mujoco />"):
+        (tmp_path / "room.xml").write_text(text)
+        digests.add(digest_drive(load_scenario("tiny", {"room.mjcf": "room.xml"}), ""))
+    assert len(digests) == 2
+
+
+def test_the_store_is_measured_and_emptied_and_the_runs_stay(tmp_path):
+    recording = collect("landmarks", *SMALL, home=tmp_path)
+    (tmp_path / "runs" / "drives" / "mine.txt").touch()
+    assert "runs/drives: drives that later runs share" in deepgps_here("runs", cwd=tmp_path).stdout
+    assert deepgps_here("runs", "--empty-drives", cwd=tmp_path).returncode == 0
+    assert [path.name for path in (tmp_path / "runs" / "drives").rglob("*")] == ["mine.txt"]
+    check_recording(recording)
