@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 
-from deepgps.data.runs import fill_stretches
+from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.reports.field_plot import draw_room

@@ -101,7 +101,7 @@ OPENS_ALIGNMENT = ("deepgps.evaluation", "deepgps.api.run", "deepgps.viewer")
 """The alignment of a map with the world is fitted on the truth."""
 READS_LABELS = (
     *("deepgps.evaluation", "deepgps.data.labels"),
-    *("deepgps.methods.posenet", "deepgps.methods.knn", "deepgps.methods.pca_knn"),
+    "deepgps.methods.baselines",
 )
 MAKES_LABELS = ("sim.apriltag",)
 MAKES_PATHS = {"joinpath", "join", "Path", "PurePath"}
@@ -330,7 +330,7 @@ BREAKS = (
     (break_import_law, "sim.rooms.build", f"import {RECORD}", "sim.rooms comes before sim.recording"),
     (break_import_law, FISHEYE, "if TYPE_CHECKING:\n    import rerun as rr", "never imports rerun"),
     (break_import_law, FISHEYE, "from . import lens", "relative"),
-    (break_import_law, TRAINER, "from deepgps.methods import knn", "comes before deepgps.methods"),
+    (break_import_law, TRAINER, "from deepgps.methods import baselines", "comes before deepgps.methods"),
     (break_import_law, TRAINER, "import rerun", "only deepgps.viewer may"),
     (break_import_law, TRAINER, "from tyro import cli", "only deepgps.commands may"),
     (break_import_law, "deepgps.run", "import ray", "only deepgps.studies.engine.ray_cluster may"),
@@ -352,7 +352,7 @@ BREAKS = (
     (break_alignment_law, "deepgps.methods.deepgps", "open('runs/tiny/deepgps/alignment.json')", "alignment"),
     (break_label_law, "deepgps.methods.deepgps", "from deepgps.data.labels import read_places", "labels"),
     (break_label_law, "deepgps.methods.deepgps", "from sim.recording.format import open_labels", "labels"),
-    (break_label_law, "deepgps.methods.dead_reckoned_labels", "import deepgps.data.labels", "labels"),
+    (break_label_law, "deepgps.methods.supervised", "import deepgps.data.labels", "labels"),
     (break_seed_law, "sim.robot.drive", "np.random.seed(0)", "randomness is an argument"),
     (break_seed_law, "sim.robot.drive", "np.random.normal(size=3)", "randomness is an argument"),
     (break_seed_law, "sim.robot.drive", "from numpy.random import normal", "randomness is an argument"),
@@ -371,7 +371,7 @@ KEEPS = (
     (break_truth_law, RECORD, "from sim.recording.format import load_free_space"),
     (break_alignment_law, "deepgps.api.run", "from deepgps.evaluation.stored_alignment import read_alignment"),
     (break_alignment_law, TRAINER, "from sim.alignment import fit_alignment"),
-    (break_label_law, "deepgps.methods.posenet", "from deepgps.data.labels import read_places"),
+    (break_label_law, "deepgps.methods.baselines", "from deepgps.data.labels import read_places"),
     (break_seed_law, "sim.robot.drive", "rng = np.random.default_rng(np.random.SeedSequence(0))"),
 )
 

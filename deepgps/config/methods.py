@@ -47,11 +47,11 @@ METHODS: dict[str, Method] = {
         "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", "polar_image", reads_turns=True
     ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
-    "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.deepgps_noise_aware:fit"),
-    "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.deepgps_with_turns:fit"),
-    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.posenet:fit", reads_ticks=False),
+    "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.variants:fit_noise_aware"),
+    "deepgps_with_turns": Method("DeepGPS, with turns", "#7048e8", "SE2", "deepgps.methods.variants:fit_with_turns"),
+    "posenet": Method("PoseNet", "#e07b00", "SE2", "deepgps.methods.baselines:fit_posenet", reads_ticks=False),
     "posenet_noisy": Method(
-        "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.posenet:fit_noisy", reads_ticks=False
+        "PoseNet, noisy labels", "#b8860b", "SE2", "deepgps.methods.baselines:fit_posenet_noisy", reads_ticks=False
     ),
     "explicit": Method(
         "Explicit positioning", "#7a4fbf", "E2", "deepgps.methods.explicit:fit", observes="vector", in_steps=False
@@ -64,17 +64,19 @@ METHODS: dict[str, Method] = {
         observes="vector",
         in_steps=False,
     ),
-    "knn": Method("Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.knn:fit", in_steps=False, reads_ticks=False),
+    "knn": Method(
+        "Nearest neighbour", "#1a936f", "SE2", "deepgps.methods.baselines:fit_knn", in_steps=False, reads_ticks=False
+    ),
     "pca_knn": Method(
         "PCA + nearest neighbour",
         "#6b8e23",
         "SE2",
-        "deepgps.methods.pca_knn:fit",
+        "deepgps.methods.baselines:fit_pca_knn",
         observes="scan",
         in_steps=False,
         reads_ticks=False,
     ),
-    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.dead_reckoned_labels:fit"),
+    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.supervised:fit_dead_reckoned"),
 }
 """The methods in the order of figures. Scenarios and studies can name every method that is added here.
 

@@ -14,8 +14,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepgps.data.dead_reckoning import travel
-from deepgps.data.segments import Segments, find_runs
+from deepgps.data.segments import Segments, find_runs, travel
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, measure_tick
 from sim.sensors.encoder_faults import expect_bias, expect_variance

@@ -24,8 +24,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
 from deepgps.config.learning import FeatureSettings, PixelValues
-from deepgps.data.ranks import rank_values
-from deepgps.data.relit import relight
+from deepgps.data.light import rank_values, relight
 from deepgps.data.segments import Segments, subsample_learned
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import write_atomic

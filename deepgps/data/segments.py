@@ -1,16 +1,67 @@
-"""Weak constraints from a recording: observations on a straight segment and the distances along it.
+"""Weak constraints from a recording: straight segments, the distances along them, and the path by dead reckoning.
 
 The ground truth is not used.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 
-from deepgps.data.dead_reckoning import travel
 from sim.errors import InputError
 from sim.recording.format import Recording
+from sim.sensors.encoder import check_odometry, count_from_first, ticks_to_distance
+
+
+def travel(ticks: np.ndarray, constants: Mapping[str, Any]) -> np.ndarray:
+    """Distance travelled by each wheel [m] from its cumulative ticks, both (R, 2); only differences are meaningful."""
+    odometry = check_odometry(constants)
+    return ticks_to_distance(count_from_first(ticks), odometry["wheel_radius_m"], odometry["ticks_per_rev"])
+
+
+def dead_reckon(recording: Recording) -> np.ndarray:
+    """Dead-reckoned pose at each reading (R, 3): x, y [m], yaw [rad], starting at (0, 0, 0).
+
+    In each step the robot turns by the difference of the wheels' distances over the track, and drives their mean along
+    the mean heading. Between segments it first backs off from what it touched and then turns in place.
+    """
+    way = np.diff(travel(recording.reading[:, 2:], recording.manifest.odometry), axis=0)
+    turn = (way[:, 1] - way[:, 0]) / check_odometry(recording.manifest.odometry)["track_m"]
+    yaw = np.concatenate([[0.0], np.cumsum(turn)])
+    heading = yaw[:-1] + turn / 2.0
+    between = np.diff(recording.reading[:, 0]) != 0
+    heading = np.where(between, yaw[:-1], heading)
+    step = way.mean(axis=1)[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)])
+    return np.concatenate([place, yaw[:, None]], axis=1)
+
+
+def find_starts(segment: np.ndarray) -> np.ndarray:
+    """Index of the first reading of each reading's segment (R,), for segments (R,) in the order driven."""
+    first = np.flatnonzero(np.r_[True, segment[1:] != segment[:-1]])
+    return np.repeat(first, np.diff(np.r_[first, len(segment)]))
+
+
+def find_lasts(start: np.ndarray) -> np.ndarray:
+    """Index of the last reading of each segment (S,), from the result of ``find_starts`` (R,)."""
+    return np.flatnonzero(np.r_[start[1:] != start[:-1], True])
+
+
+def find_stretches(mask: np.ndarray) -> np.ndarray:
+    """First and last index of each stretch (n, 2) in which a mask (N,) is true."""
+    edge = np.diff(np.r_[0, mask.astype(int), 0])
+    return np.stack([np.flatnonzero(edge > 0), np.flatnonzero(edge < 0) - 1], axis=1)
+
+
+def fill_stretches(stretches: Sequence[Sequence[int]], size: int) -> np.ndarray:
+    """The mask (size,) that is true in these stretches alone, as ``find_stretches`` gives them."""
+    mask = np.zeros(size, bool)
+    for first, last in stretches:
+        mask[first : last + 1] = True
+    return mask
+
 
 MOST_FITTED = 16_000
 """Most observations on which features are fitted, for which a sample is as good, and of which the initial map by

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 from threadpoolctl import threadpool_limits
 
-from deepgps.data.plausible_readings import check_recording
-from deepgps.data.turn_images import turns_with_images
+from deepgps.data.checks import check_recording
+from deepgps.data.turns import turns_with_images
 from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
 from deepgps.diagnosis.turning import FEWEST, Sight, measure_curvature, measure_turn_scale
 from deepgps.diagnosis.walk import fit_slip, fit_step_noise

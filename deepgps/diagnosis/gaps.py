@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepgps.data.dead_reckoning import travel
-from deepgps.data.runs import find_stretches
+from deepgps.data.segments import find_stretches, travel
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.encoder import measure_tick

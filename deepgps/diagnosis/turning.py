@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from deepgps.data.compass_turns import trust_wheels
-from deepgps.data.turn_images import find_next, take_images, turns_with_images
+from deepgps.data.turns import find_next, take_images, trust_wheels, turns_with_images
 from deepgps.diagnosis.gaps import Gaps
 from sim.errors import InputError
 from sim.geometry import wrap

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar, root_scalar
 
-from deepgps.data.runs import fill_stretches, find_stretches
+from deepgps.data.segments import fill_stretches, find_stretches
 from deepgps.diagnosis.gaps import Gaps
 
 FLOOR_M = 1e-5

@@ -13,12 +13,10 @@ import torch
 
 from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.dead_reckoning import dead_reckon
 from deepgps.data.features import check_observations
+from deepgps.data.segments import dead_reckon
 from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
-from deepgps.evaluation.coverage import measure_coverage
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
-from deepgps.evaluation.flipped import measure_flipped
 from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import (
     add_expected,
@@ -28,10 +26,10 @@ from deepgps.evaluation.map_errors import (
     place_map,
     read_known_map,
 )
+from deepgps.evaluation.measures import add_yaws, measure_coverage, measure_flipped, summarise_yaw
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import write_alignment
 from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
-from deepgps.evaluation.yaw_errors import add_yaws, summarise_yaw
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import CPU, Positioner

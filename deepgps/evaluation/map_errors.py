@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from deepgps.evaluation.error_field import ErrorField, find_rms
-from deepgps.evaluation.flipped import measure_flipped_patch
+from deepgps.evaluation.measures import measure_flipped_patch
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth

@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from deepgps.data.dead_reckoning import dead_reckon, travel
 from deepgps.data.encoder_noise import expect_errors, find_wrong, predict_rms
-from deepgps.data.runs import find_lasts, find_starts
-from deepgps.data.segments import read_segments
+from deepgps.data.segments import dead_reckon, find_lasts, find_starts, read_segments, travel
 from deepgps.evaluation.error_field import find_rms
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, Truth, measure_driven

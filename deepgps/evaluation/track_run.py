@@ -8,8 +8,7 @@ import numpy as np
 
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.field_of_view import check_view, find_view
-from deepgps.data.plausible_readings import check_recording
+from deepgps.data.checks import check_recording, check_view, find_view
 from deepgps.diagnosis.store import digest_files
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
@@ -19,8 +18,7 @@ from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
-from deepgps.tracking.track import Track, track_drive, write_track
-from deepgps.tracking.tum import is_tum, write_tum
+from deepgps.tracking.track import Track, is_tum, track_drive, write_track, write_tum
 from sim.alignment import Alignment
 from sim.errors import InputError
 from sim.files.atomic import check_overwrite

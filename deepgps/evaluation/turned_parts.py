@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from deepgps.data.relative_headings import compare_headings
 from deepgps.data.segments import find_runs
-from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
+from deepgps.data.turns import find_in_place, take_images, turns_with_images
 from sim.geometry import wrap
 from sim.recording.format import Recording
 from sim.recording.turns import Turns, from_array

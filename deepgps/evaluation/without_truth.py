@@ -12,16 +12,14 @@ import torch
 
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.dead_reckoning import travel
-from deepgps.data.lean import compare_images
-from deepgps.data.runs import find_lasts, find_starts
-from deepgps.data.turn_images import find_in_place, take_images, turns_with_images
+from deepgps.data.segments import find_lasts, find_starts, travel
+from deepgps.data.turns import compare_images, find_in_place, take_images, turns_with_images
 from deepgps.diagnosis.diagnosis import diagnose
 from deepgps.diagnosis.findings import find_faults
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.error_field import find_rms
-from deepgps.evaluation.good_turing import expect_new, measure_new
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
+from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.segment_errors import describe_drive
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.pose import Poses, find_poses

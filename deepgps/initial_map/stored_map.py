@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
+from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.compass_map import CompassMap
 from sim.files.arrays import read_arrays, write_arrays
 from sim.files.checksums import damaged

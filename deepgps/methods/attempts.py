@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.initial_map.distances.fold_detector import FoldScore
+from deepgps.initial_map.distances.folding import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.positioner.positioner import NetworkPositioner
 from sim.files.atomic import write_bytes

@@ -18,18 +18,15 @@ import torch
 
 from deepgps.config.learning import LearnSettings, Start
 from deepgps.data.encoder_noise import find_inliers
-from deepgps.data.runs import find_stretches
-from deepgps.data.segments import Segments, subsample
+from deepgps.data.segments import Segments, find_stretches, subsample
 from deepgps.initial_map.distances.dense import find_initial_map
 from deepgps.initial_map.distances.end_points import find_end_point_map
-from deepgps.initial_map.distances.flip_ambiguity import find_ambiguous
-from deepgps.initial_map.distances.fold_detector import score_folding
+from deepgps.initial_map.distances.folding import find_ambiguous, score_folding
 from deepgps.initial_map.distances.isomap import has_lines
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, sample_from
-from deepgps.learning.imitation import imitate_first, sample_mapped_first
-from deepgps.learning.lifting import find_plane, flatten_later
 from deepgps.learning.networks import count_parameters
+from deepgps.learning.starts import find_plane, flatten_later, imitate_first, sample_mapped_first
 from deepgps.learning.step import Loss
 from deepgps.learning.trainer import make_generator, predict, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare

@@ -8,11 +8,10 @@ import numpy as np
 import torch
 
 from deepgps.config.learning import LearnSettings, Start
-from deepgps.data.compass_turns import CompassTurns, measure_turns
 from deepgps.data.encoder_noise import expect_errors
-from deepgps.data.lean import describe_lean, ignore_small
 from deepgps.data.relative_headings import compare_headings, measure_curvature
 from deepgps.data.segments import Segments
+from deepgps.data.turns import CompassTurns, describe_lean, ignore_small, measure_turns
 from deepgps.diagnosis.store import take_diagnosed
 from deepgps.initial_map.compass.closures import Closures
 from deepgps.initial_map.compass.compass_map import NEIGHBOURS, CompassMap, find_compass_map
@@ -21,7 +20,7 @@ from deepgps.initial_map.distances.wheel_turns import find_chirality
 from deepgps.initial_map.stored_map import write_map
 from deepgps.learning.training_data import TrainingData, prepare
 from deepgps.methods.deepgps import Variant, fit_data, make_initial_map, record_undecided
-from deepgps.methods.deepgps_noise_aware import weigh_by_noise
+from deepgps.methods.variants import weigh_by_noise
 from deepgps.positioner.positioner import Fitted, NetworkPositioner
 from deepgps.terminal.progress import Report
 from sim.recording.format import Recording

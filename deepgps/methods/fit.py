@@ -12,10 +12,9 @@ import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
+from deepgps.data.checks import check_recording
 from deepgps.data.features import check_observations
-from deepgps.data.plausible_readings import check_recording
-from deepgps.data.runs import fill_stretches
-from deepgps.data.segments import read_segments
+from deepgps.data.segments import fill_stretches, read_segments
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.learning.trainer import describe_device, use_threads
 from deepgps.methods.attempts import remove_leftovers

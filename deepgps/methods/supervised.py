@@ -1,18 +1,23 @@
-"""Training on positions as labels: the same network, inputs, steps and loop as DeepGPS."""
+"""Training on positions as labels: the same network, inputs, steps and loop as DeepGPS.
+
+Dead-reckoned positions are labels too: what the encoders alone would teach.
+"""
 
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.segments import leave_held_out
+from deepgps.data.segments import dead_reckon, leave_held_out
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch
 from deepgps.learning.networks import count_parameters
 from deepgps.learning.trainer import train
-from deepgps.learning.training_data import TrainingData, new_network
+from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.positioner.positioner import Fitted, as_positioner
 from deepgps.terminal.progress import Report
+from sim.recording.format import Recording
 from sim.rng import derive_seed
 
 
@@ -62,3 +67,14 @@ def fit_positions(
         "parameters": count_parameters(network),
     }
     return Fitted(as_positioner(data, settings, network, -centre, torch.eye(2)), training)
+
+
+def fit_dead_reckoned(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Fitted:
+    """Train on dead-reckoned positions."""
+    # Where the robot turns, one observation has two readings; either gives its label. Lost readings give no label.
+    index, first = np.unique(recording.reading[:, 1], return_index=True)
+    place = dead_reckon(recording)[first, :2].astype(np.float32)
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)

@@ -3,20 +3,207 @@
 The threshold comes from images whose segments are left out. The radii come from segments that the network has not
 learned from; where a drive is too short for these, from positions interpolated without an image's own segment, among
 the images that are accepted.
+
+How far predictions are off shows at segments: each one held out is a straight bar of known length.
+
+Images of the same segment are trivially alike. So, for the threshold, segments are left out in turn, and their images
+compared with a table of the others. Where the drive was short, many of these are novel, but then their places are not
+known either: positions interpolated between the most alike images of the table are far from those of the map. Such a
+novelty is not accepted.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
+from scipy.interpolate import RBFInterpolator
+from scipy.optimize import linprog, minimize
 from scipy.spatial.distance import pdist
+from scipy.special import logit
 
-from deepgps.data.segments import Segments, find_held_out, spread_evenly
-from deepgps.positioner.bar_errors import measure_bars
-from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence
-from deepgps.positioner.confidence_table import make_table
-from deepgps.positioner.left_out import leave_segments_out, set_threshold
+from deepgps.data.segments import Segments, find_held_out, find_owners, spread_evenly
+from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, make_table
+
+CLEARLY = 0.67
+"""Median distance across bars over that along them, below which the encoders err more than the network."""
+LEAST_READINGS = 4
+"""Readings that make a bar."""
+FAR, MOST_FITS, PRECISE_M = 3.5, 50, 1e-6
+"""Residual that weighs a quarter, as a multiple of the median; steps of a fit, and the change at which it ends."""
+
+
+def measure_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Distance of predictions from their segment as a bar with known spacing (N,) [m]; NaN where unknown.
+
+    Place, heading and length of a bar, four unknowns, are fitted to 2 n coordinates, which hides a part of the error:
+    the root of (2 n - 4) / 2 n is divided out. All bars may be bent alike, as those of a robot that curves. Both fits
+    are robust, since a few images far off would spoil the errors of their whole bar. Distances along a bar contain the
+    encoders' errors too; where they are clearly larger than those across, they are scaled to these.
+
+    Args:
+        segments: The segments, of which those held out are measured.
+        positions: Predictions (N, 2) [m].
+        chosen: Predictions that count (N,) bool.
+    """
+    error = np.full(len(positions), np.nan)
+    bars = list(_fit_bars(segments, positions, chosen))
+    if not bars:
+        return error
+    index = np.concatenate([bar.index for bar in bars])
+    along, across, bow, hidden = (np.concatenate(part) for part in zip(*(bar[1:] for bar in bars), strict=True))
+    (across,) = find_residuals(bow[:, None], across)
+    usual = np.median(np.abs(across)) / max(np.median(np.abs(along)), 1e-12)
+    error[index] = np.hypot(along * (usual if usual < CLEARLY else 1.0), across) / hidden
+    return error
+
+
+def find_residuals(design: np.ndarray, values: np.ndarray, *others: np.ndarray) -> list[np.ndarray]:
+    """Residuals (n,) of a linear fit in which values far off hardly count, and of others with the same weights.
+
+    Iteratively reweighted least squares with Geman and McClure's cost.
+
+    Args:
+        design: Known factors of the coefficients (n, k).
+        values: What is fitted (n,) [m].
+        others: More values (n,).
+    """
+    weight, missed = np.ones(len(design)), np.zeros(len(design))
+    for _ in range(MOST_FITS):
+        root, before = np.sqrt(weight), missed
+        fit = np.linalg.pinv(root[:, None] * design) * root
+        missed = values - design @ (fit @ values)
+        if np.allclose(missed, before, rtol=0.0, atol=PRECISE_M):
+            break
+        weight = (1.0 + (missed / max(FAR * np.median(np.abs(missed)), 1e-12)) ** 2) ** -2
+    return [missed, *(other - design @ (fit @ other) for other in others)]
+
+
+class _Bar(NamedTuple):
+    """Observations of a bar (n,), how far they are from it along and across (n,) [m], the shape of a bar that is bent
+    by one radian a metre (n,) [m], and the share of the error that the fit leaves (n,).
+    """
+
+    index: np.ndarray
+    along: np.ndarray
+    across: np.ndarray
+    bow: np.ndarray
+    hidden: np.ndarray
+
+
+def _fit_bars(segments: Segments, positions: np.ndarray, chosen: np.ndarray) -> Iterator[_Bar]:
+    held = [] if segments.held_out is None else segments.held_out.nonzero()[:, 0].tolist()
+    for row in held:
+        index, way = (part[row, : segments.count[row]].numpy() for part in (segments.index, segments.distance))
+        index, way = index[chosen[index]], way[chosen[index]].astype(float)
+        if len(index) < LEAST_READINGS or not np.ptp(way):
+            continue
+        line = np.column_stack([np.ones(len(way)), way - way.mean()])
+        direction = (np.linalg.pinv(line) @ positions[index])[1]
+        ahead = direction / max(np.linalg.norm(direction), 1e-12)
+        along, across = positions[index] @ ahead, positions[index] @ np.array([-ahead[1], ahead[0]])
+        (along,) = find_residuals(line, along)
+        across, bow = find_residuals(line, across, way**2 / 2.0)
+        yield _Bar(index, along, across, bow, np.full(len(index), np.sqrt(1.0 - 2.0 / len(index))))
+
+
+REFUSED = 0.02
+"""Share of the training images that would be refused if their segments had not been driven."""
+FAR_M, SELDOM = 0.25, 0.1
+"""An image that would be off by more than this [m] with more than this probability is refused as well."""
+FOLDS, RIDGE = 20, 1e-6
+INTERPOLATED, AROUND, SMOOTHING = 2000, 64, 1e-3
+"""Images whose positions are interpolated, entries most alike that are used for each, and the ridge of the fit."""
+
+
+class LeftOut(NamedTuple):
+    """What is known of M training images without their own segments.
+
+    Attributes:
+        novelty: Their novelty at the position that the method predicts (M,) [m].
+        guessed: Novelty of those that are interpolated, at the interpolated position (I,) [m].
+        error: Distance between interpolated and predicted position (I,) [m].
+    """
+
+    novelty: np.ndarray
+    guessed: np.ndarray
+    error: np.ndarray
+
+
+def leave_segments_out(segments: Segments, features: np.ndarray, positions: np.ndarray) -> LeftOut | None:
+    """Compare images with tables without the segments of their fold; None where no segment has others beside it.
+
+    Args:
+        segments: Segments of the drive.
+        features: Features of its images (N, K).
+        positions: Positions that the method predicts for them (N, 2) [m].
+    """
+    novelty, guessed, error, std = [], [], [], np.zeros(len(positions))
+    chosen = spread_evenly(len(positions)).numpy() < INTERPOLATED / max(1, len(positions))
+    for inside, others in _split(segments, len(positions)):
+        table = make_table(features, positions, std, others)
+        novelty.append(table.measure(features[inside], positions[inside])[0])
+        some = inside[chosen[inside]]
+        place = interpolate(table, features[some])
+        guessed.append(table.measure(features[some], place)[0])
+        error.append(np.linalg.norm(place - positions[some], axis=1))
+    return LeftOut(*(np.concatenate(part) for part in (novelty, guessed, error))) if novelty else None
+
+
+def interpolate(table: Confidence, features: np.ndarray) -> np.ndarray:
+    """Positions (B, 2) [m] of images with these features (B, at least K): a spline through the entries most alike."""
+    known = table.features * table.scale
+    if not len(features) or not np.ptp(known, axis=0).any():
+        return np.tile(table.place.mean(axis=0, dtype=float), (len(features), 1))
+    spline = RBFInterpolator(known, table.place, neighbors=AROUND, smoothing=SMOOTHING, kernel="linear")
+    return spline(features[:, : len(table.scale)])
+
+
+def set_threshold(table: Confidence, left_out: LeftOut) -> Confidence:
+    """The table that accepts a novelty [m] that most images of the drive have, and at which a position is seldom far
+    off.
+    """
+    usual = float(np.quantile(left_out.novelty, 1.0 - REFUSED, method="higher"))
+    threshold = min(usual, find_crossing(left_out.guessed, left_out.error > FAR_M, SELDOM))
+    refused = float(np.mean(left_out.novelty > threshold))
+    return replace(table, threshold_m=threshold, usual_m=usual, refused=refused)
+
+
+def find_crossing(novelty: np.ndarray, far: np.ndarray, probability: float) -> float:
+    """Novelty [m] at which a position is far off with a probability.
+
+    Infinite where none is; where novelty tells nothing, infinite or zero, by the share of all that is far off.
+
+    Logistic regression of ``far`` (n,) bool on the logarithm of the novelty (n,) [m]; its penalty, ``RIDGE``, matters
+    only where a novelty separates the two completely.
+    """
+    known = novelty > 0.0
+    novelty, far = novelty[known], far[known]
+    if not far.any():
+        return np.inf
+    usual = np.inf if far.mean() <= probability else 0.0
+    scale = float(np.median(novelty))
+    line = np.column_stack([np.ones(len(novelty)), np.log(novelty / scale)])
+    sign = np.where(far, -1.0, 1.0)
+
+    def cost(weight: np.ndarray) -> float:
+        return float(np.logaddexp(0.0, sign * (line @ weight)).mean() + RIDGE * weight @ weight)
+
+    offset, growth = minimize(cost, np.array([0.0, 1.0])).x
+    return float(scale * np.exp((logit(probability) - offset) / growth)) if growth > 0.0 else usual
+
+
+def _split(segments: Segments, observations: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Of each fold, its observations and those that are on none of its segments."""
+    first, last = (owner.numpy() for owner in find_owners(segments, observations))
+    fold = np.append((spread_evenly(len(segments.count)) * FOLDS).long().numpy(), -1)
+    for number in range(FOLDS):
+        others = (first >= 0) & (fold[first] != number) & (fold[last] != number)
+        inside = fold[first] == number
+        if inside.any() and others.any():
+            yield np.flatnonzero(inside), np.flatnonzero(others)
+
 
 COMPARED = 500
 LEAST_ERRORS, MOST_ERRORS = 20, 4000

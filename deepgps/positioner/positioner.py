@@ -14,8 +14,7 @@ from deepgps.config.methods import find_method
 from deepgps.data.features import Features, check_shape
 from deepgps.learning.batches import Inputs
 from deepgps.learning.training_data import TrainingData
-from deepgps.positioner.confidence import Confidence
-from deepgps.positioner.confidence_table import COMPONENTS
+from deepgps.positioner.confidence import COMPONENTS, Confidence
 from deepgps.positioner.headings import HeadingTable, Yaws
 from deepgps.positioner.nearest_scan import ScanPositioner
 from deepgps.positioner.trilateration import LandmarkPositioner

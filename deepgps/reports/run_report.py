@@ -12,7 +12,7 @@ from deepgps.evaluation.error_field import MEASURE_AGAIN
 from deepgps.reports import table
 from deepgps.reports.without_truth import print_without_truth, write_hundredths
 from deepgps.runs.run_folder import METRICS
-from deepgps.tracking.words import describe_causes
+from deepgps.tracking.causes import describe_causes
 from sim.errors import DamagedError, InputError
 from sim.files.json_files import read_json
 

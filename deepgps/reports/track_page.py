@@ -15,8 +15,8 @@ from deepgps.evaluation.track_run import Reference, Tracked
 from deepgps.reports.field_plot import SCALE_M, add_scale, colours_of, draw_room
 from deepgps.reports.style import PAPER, count_by_decades, to_png
 from deepgps.reports.table import print_table
+from deepgps.tracking.causes import describe_causes
 from deepgps.tracking.track import PATHS, Track
-from deepgps.tracking.words import describe_causes
 from sim.files.atomic import write_bytes
 from sim.recording.turns import NO_IMAGE
 

@@ -9,7 +9,7 @@ from rich.console import Console
 from deepgps.config.methods import title_of
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import table
-from deepgps.tracking.words import describe_causes
+from deepgps.tracking.causes import describe_causes
 from sim.errors import InputError
 
 NO_ERRORS = "There is no ground truth, so no figure here is an error of a position."

@@ -1,25 +1,34 @@
-"""Names why images of a drive in use are refused or suspicious, by comparing it with what a method has learned from."""
+"""Names why images of a drive in use are refused or suspicious, by comparing it with what a method has learned from.
 
+Images are named as they come, too, by each image and those before it. A camera that leans shows at turns only, and a
+frozen image by wheels that move: neither is known here.
+"""
+
+from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from deepgps.data.lean import MOST_TURNS, adapt_upright, compare_images, ignore_small
-from deepgps.data.turn_images import find_in_place, turns_with_images
+from deepgps.data.turns import MOST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, turns_with_images
 from deepgps.positioner.confidence import Confidence
 from deepgps.positioner.pose import locate_camera
 from deepgps.positioner.positioner import FeaturePositioner, NetworkPositioner, Positioner, confidence_of
 from deepgps.tracking.comparison import Comparison, KnownImages, learn_images
-from deepgps.tracking.image_checks import ImageLimits, check_images, find_driven, find_limits
 from deepgps.tracking.rules import (
     FAULTY,
     MORE,
     MOSTLY,
     OFTEN,
     TITLES,
+    WINDOW,
     Evidence,
+    ImageLimits,
     Seen,
+    check_images,
+    find_driven,
+    find_limits,
     find_long,
     label,
     median_around,
@@ -28,6 +37,28 @@ from deepgps.tracking.rules import (
 from sim.recording.format import Recording
 from sim.recording.turns import from_array
 from sim.sensors.camera.mount import Upright
+
+
+def describe_causes(causes: Mapping[str, Any]) -> str:
+    """Describe in a sentence what ``Causes.summarise`` returns."""
+    named, refused = causes["named"], causes["refused"]
+    parts = [f"{100 * causes['accepted']:.1f} % of images accepted"]
+    if refused:
+        parts.append(f"refused: {_list_shares(refused)}")
+    if suspicious := {name: causes["shares"][name] for name in named if name in causes["shares"]}:
+        suspicious = {name: share for name, share in suspicious.items() if share > refused.get(name, 0.0)}
+        parts += [f"with those accepted: {_list_shares(suspicious)}"] if suspicious else []
+    if "light" in named:
+        parts.append(f"pixel values are {causes['gain']:.2f} times those in training")
+    if "camera" in named:
+        parts.append(f"the camera's lean differs by {causes['lean_deg']:.1f}° from that in training")
+    return f"The drive in use: {'; '.join(parts)}."
+
+
+def _list_shares(shares: Mapping[str, float]) -> str:
+    ordered = sorted(shares, key=lambda name: -shares[name])
+    return ", ".join(f"{TITLES[name]} {100 * shares[name]:.1f} %" for name in ordered)
+
 
 LEAN_RINGS = 1.0 / 6.0
 """A camera has moved if it leans otherwise than in training by this part of a ring: 0.5 degrees with 32 rings."""
@@ -204,3 +235,22 @@ def name_causes(positioner: Positioner, recording: Recording, drive: Recording) 
     """
     monitor = make_monitor(positioner, recording)
     return None if monitor is None else monitor.name(drive)
+
+
+class Watch:
+    """Remembers what the last images have shown."""
+
+    def __init__(self, monitor: Monitor) -> None:
+        self._monitor = monitor
+        self._seen = deque[Seen](maxlen=WINDOW)
+
+    def step(self, image: np.ndarray, novelty: float) -> str:
+        """Name of the cause of the next polar image (rings, sectors, 3) with this novelty [m]; empty: none."""
+        one, monitor = image[None], self._monitor
+        compared = monitor.known.compare(one, locate_camera(monitor.positioner, one), monitor.upright)
+        self._seen.append(monitor.look(one, np.array([False]), np.array([novelty]), compared))
+        parts = {name: np.concatenate([vars(seen)[name] for seen in self._seen]) for name in vars(self._seen[-1])}
+        found = monitor.weigh(Seen(**parts), False)
+        if len(self._seen) < WINDOW:  # too few to be another room
+            found = replace(found, long_new=np.zeros(len(self._seen), bool))
+        return str(label(found)[-1])

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deepgps.data.compass_turns import (
+from deepgps.data.segments import dead_reckon, find_runs, travel
+from deepgps.data.turns import (
     BACKED_OFF_M,
     MEETING_M,
     UNKNOWN_M,
@@ -17,10 +18,8 @@ from deepgps.data.compass_turns import (
     WHEELS_RAD,
     CompassTurns,
     measure_turns,
+    turns_with_images,
 )
-from deepgps.data.dead_reckoning import dead_reckon, travel
-from deepgps.data.segments import find_runs
-from deepgps.data.turn_images import turns_with_images
 from deepgps.diagnosis.diagnosis import apply_diagnosis, can_diagnose, diagnose
 from deepgps.diagnosis.gaps import mend_stuck
 from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate

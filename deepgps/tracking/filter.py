@@ -13,10 +13,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepgps.tracking.fix import Fix
+from deepgps.tracking.fix import Fix, update
 from deepgps.tracking.motion import SCALE_STD, Motion, move
 from deepgps.tracking.noise import Trail, add_image, begin_trail, break_off, extend, find_factor
-from deepgps.tracking.update import update
 from sim.geometry import wrap
 
 MOST = 12

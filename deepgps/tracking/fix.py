@@ -1,9 +1,16 @@
-"""Fixes: what single images say of the robot's pose, as the filter takes it."""
+"""Fixes: what single images say of the robot's pose, as the filter takes it.
+
+The filter updates several hypotheses by one image. Errors follow a Student-t distribution: the variance of an image is
+enlarged until it fits what the update leaves of its difference (Roth, Ozkan and Gustafsson, "A Student's t filter for
+heavy tailed process and measurement noise", ICASSP 2013).
+"""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from sim.geometry import wrap
 
 if TYPE_CHECKING:
     from deepgps.positioner.pose import Poses
@@ -74,3 +81,68 @@ def _take_yaws(pose: "Poses") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     weight = np.array([pose.yaw_weight, pose.other_weight], float)
     known = np.isfinite(yaw) & (weight > 0.0)
     return yaw[known], np.full(known.sum(), float(pose.yaw_std)), weight[known]
+
+
+FREEDOM = 4.0
+"""Degrees of freedom of the errors of images."""
+ROUNDS = 4
+"""Rounds in which the variance of an image is enlarged."""
+OUTLIER = 0.1
+"""Probability that an image says nothing of the pose."""
+LEAST_WITHOUT_YAW = 0.05
+"""Probability that no yaw of an image is right, at least."""
+AREA_M2 = 25.0
+"""Area over which the place of a robot that is lost is spread: only its order of magnitude matters [m^2]."""
+
+
+class Updated(NamedTuple):
+    """Hypotheses after an image (K, 4), their covariances (K, 4, 4), and the log-likelihood of the image under each,
+    against that under a pose that is unknown (K,)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    likelihood: np.ndarray
+
+
+def update(mean: np.ndarray, covariance: np.ndarray, fix: Fix) -> Updated:
+    """Update hypotheses (K, 4) with covariances (K, 4, 4) by an image, each with the yaw that fits it best."""
+    without = max(1.0 - float(fix.yaw_weight.sum()), LEAST_WITHOUT_YAW)
+    tried = [_update(mean, covariance, fix, None, without)]
+    tried += [_update(mean, covariance, fix, one, float(fix.yaw_weight[one])) for one in range(len(fix.yaw))]
+    likelihood = np.stack([one.likelihood for one in tried])
+    best, rows = likelihood.argmax(axis=0), np.arange(len(mean))
+    right = likelihood.max(axis=0) + np.log(1.0 - OUTLIER)
+    return Updated(
+        np.stack([one.mean for one in tried])[best, rows],
+        np.stack([one.covariance for one in tried])[best, rows],
+        np.logaddexp(right, np.log(OUTLIER)),
+    )
+
+
+def _update(mean: np.ndarray, covariance: np.ndarray, fix: Fix, number: int | None, weight: float) -> Updated:
+    """Update by the position, and by one of the yaws unless ``number`` is None, which has this probability."""
+    missed, variance = fix.position - mean[:, :2], np.full(2, fix.position_std**2)
+    spread_of_lost = AREA_M2 + 2.0 * np.pi * fix.position_std**2
+    if number is not None:
+        missed = np.column_stack([missed, wrap(fix.yaw[number] - mean[:, 2])])
+        variance, spread_of_lost = np.append(variance, fix.yaw_std[number] ** 2), 2.0 * np.pi * spread_of_lost
+    size = len(variance)
+    expected = covariance[:, :size, :size] + np.diag(variance)
+    squared = np.einsum("ki,ki->k", missed, np.linalg.solve(expected, missed[..., None])[..., 0])
+    density = -0.5 * np.linalg.slogdet(2.0 * np.pi * expected)[1]
+    likelihood = density - 0.5 * (FREEDOM + size) * np.log1p(squared / FREEDOM)
+    return Updated(*_fit(mean, covariance, missed, variance), np.log(weight * spread_of_lost) + likelihood)
+
+
+def _fit(
+    mean: np.ndarray, covariance: np.ndarray, missed: np.ndarray, variance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    size, left, uncertain = len(variance), missed, np.zeros(missed.shape)
+    for _ in range(ROUNDS):
+        squared = ((left**2 + uncertain) / variance).sum(axis=1)
+        larger = np.maximum((FREEDOM + squared) / (FREEDOM + size), 1.0)[:, None, None]
+        gain = covariance[:, :, :size] @ np.linalg.inv(covariance[:, :size, :size] + larger * np.diag(variance))
+        step = (gain @ missed[..., None])[..., 0]
+        after = covariance - gain @ covariance[:, :size, :]
+        left, uncertain = missed - step[:, :size], np.diagonal(after, axis1=1, axis2=2)[:, :size]
+    return mean + step, (after + after.mT) / 2.0

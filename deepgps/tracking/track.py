@@ -1,4 +1,7 @@
-"""A drive tracked by a trained method: poses by single images, filter, smoother, and odometry alone."""
+"""A drive tracked by a trained method: poses by single images, filter, smoother, and odometry alone.
+
+A path is also written in the TUM format, which ``evo`` and most tools for trajectories read: time x y z qx qy qz qw.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deepgps.data.dead_reckoning import dead_reckon
-from deepgps.data.segments import Segments, read_segments
+from deepgps.data.segments import Segments, dead_reckon, read_segments
 from deepgps.initial_map.distances.wheel_turns import find_chirality
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner, headings_of
@@ -18,8 +20,34 @@ from deepgps.tracking.fix import Fix, take_fixes
 from deepgps.tracking.motion import Motion, mirror, move, rotate
 from deepgps.tracking.smoother import run_forward, smooth
 from sim.files.arrays import read_arrays, write_arrays
+from sim.files.atomic import write_text
 from sim.recording.format import Recording
 from sim.recording.turns import NO_IMAGE
+
+HEAD = "# deepgps: time_s x_m y_m z_m qx qy qz qw"
+
+
+def write_tum(path: Path, time: np.ndarray, pose: np.ndarray) -> None:
+    """Write a path; rows without a time or a position are left out.
+
+    Args:
+        path: The file to write.
+        time: Times (n,) [s].
+        pose: Poses x, y [m], yaw [rad] (n, 3), or positions (n, 2), written with a yaw of zero; as is a yaw of NaN.
+    """
+    place = np.asarray(pose, float)
+    yaw = np.nan_to_num(place[:, 2]) if place.shape[1] > 2 else np.zeros(len(place))
+    zero = np.zeros(len(place))
+    table = np.column_stack([time, place[:, :2], zero, zero, zero, np.sin(yaw / 2.0), np.cos(yaw / 2.0)])
+    kept = table[np.isfinite(table).all(axis=1)]
+    lines = (" ".join([f"{row[0]:.6f}", *(f"{value:.9g}" for value in row[1:])]) for row in kept)
+    write_text(path, "\n".join([HEAD, *lines]) + "\n")
+
+
+def is_tum(data: bytes) -> bool:
+    """Whether these are the contents of such a file, which may be written over."""
+    return data.startswith(HEAD.encode())
+
 
 PATHS = {
     "single": "single image",

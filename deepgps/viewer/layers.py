@@ -6,8 +6,8 @@ import rerun as rr
 from matplotlib import colormaps
 from scipy.spatial import KDTree
 
-from deepgps.evaluation.coverage import find_seen
 from deepgps.evaluation.error_field import ErrorField, split_by_acceptance
+from deepgps.evaluation.measures import find_seen
 from deepgps.reports.field_plot import colours_of
 from deepgps.viewer.error_field import HEIGHT_M, draw_arrows, find_thinness, list_headings, log_headings
 from deepgps.viewer.scene import LAYER_M, lift

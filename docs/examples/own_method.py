@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 import deepgps
-from deepgps.data.dead_reckoning import dead_reckon
+from deepgps.data.segments import dead_reckon
 
 
 def describe(images: np.ndarray) -> np.ndarray:

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import SHORTEST_M, Segments
+from deepgps.data.turns import CompassTurns
 
 SHARED = 3
 """Unknowns of all bars: curvature [1 / m], the camera's place ahead and to the left of the axle [m]."""

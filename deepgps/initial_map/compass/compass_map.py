@@ -10,8 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
+from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import SHARED, Bars, lay_out
 from deepgps.initial_map.compass.closures import (
     GATE,
@@ -25,7 +25,7 @@ from deepgps.initial_map.compass.closures import (
     limit_gate,
     link,
 )
-from deepgps.initial_map.distances.join_parts import join_parts
+from deepgps.initial_map.compass.join_parts import join_parts
 from deepgps.initial_map.distances.odometry import (
     Joints,
     Scale,

@@ -10,13 +10,11 @@ import torch
 
 from deepgps.data.segments import Segments
 from deepgps.initial_map.distances.affine_maps import find_affine_maps
-from deepgps.initial_map.distances.fold_detector import measure_overlap
-from deepgps.initial_map.distances.isomap import find_loop_closures, map_by_paths
+from deepgps.initial_map.distances.folding import measure_overlap
+from deepgps.initial_map.distances.isomap import NEIGHBOURS, find_loop_closures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import relax
 from deepgps.initial_map.distances.uneven_bars import relax_unevenly
 
-NEIGHBOURS = (3, 6)
-"""Neighbours of each observation in the graphs whose shortest paths give a map; the first gives the loop closures."""
 OVERLAP = 0.1
 """Part of the observations that look unlike their neighbours on the map which counts as much as the whole cost."""
 

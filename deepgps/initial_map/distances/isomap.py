@@ -15,6 +15,8 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from deepgps.data.segments import Segments, find_owners, measure_spacing
 from sim.errors import InputError
 
+NEIGHBOURS = (3, 6)
+"""Neighbours of each observation in the graphs whose shortest paths give a map; the first gives the loop closures."""
 LANDMARKS = 300
 LONGEST_LINK = 2.0
 PAIRS = 2**23

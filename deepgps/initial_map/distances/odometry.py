@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deepgps.data.compass_turns import CompassTurns
+from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import CONTINUED_M, CONTINUED_RAD, OF_AXLE, OF_CAMERA, SHARED, Bars, expand, turn
 from deepgps.initial_map.compass.closures import Belief, Links
 from deepgps.initial_map.least_squares import Equations

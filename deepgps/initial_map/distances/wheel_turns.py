@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from deepgps.data.dead_reckoning import dead_reckon
-from deepgps.data.segments import Segments, find_runs
-from deepgps.initial_map.distances.dense import NEIGHBOURS
-from deepgps.initial_map.distances.isomap import find_loop_closures
+from deepgps.data.segments import Segments, dead_reckon, find_runs
+from deepgps.initial_map.distances.isomap import NEIGHBOURS, find_loop_closures
 from deepgps.initial_map.distances.pose_graph import relax
 from deepgps.initial_map.distances.uneven_bars import Relaxed, relax_unevenly
 from sim.recording.format import Recording

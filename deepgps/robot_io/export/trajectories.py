@@ -20,7 +20,7 @@ from deepgps.learning.trainer import use_threads
 from deepgps.positioner.confidence import find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.terminal.progress import Report
-from deepgps.tracking.tum import write_tum
+from deepgps.tracking.track import write_tum
 from sim.errors import InputError
 from sim.files.atomic import write_text
 from sim.recording.format import Recording, has_truth, open_truth

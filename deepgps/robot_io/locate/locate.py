@@ -9,7 +9,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from deepgps.api.run import Frame, Run
-from deepgps.data.field_of_view import find_view
+from deepgps.data.checks import find_view
 from deepgps.learning.trainer import use_threads
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import headings_of
@@ -17,8 +17,7 @@ from deepgps.robot_io.locate.log_source import Odometry, check_images, open_sour
 from deepgps.robot_io.locate.pictures import Picture, Unwrapper, open_pictures
 from deepgps.robot_io.locate.tracker import Tracker
 from deepgps.terminal.progress import Report
-from deepgps.tracking.causes import make_monitor
-from deepgps.tracking.watch import Watch
+from deepgps.tracking.causes import Watch, make_monitor
 from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
 from sim.sensors.camera.unwrap import RoundImage

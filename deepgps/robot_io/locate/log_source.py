@@ -8,7 +8,7 @@ from tempfile import TemporaryFile
 
 import numpy as np
 
-from deepgps.data.field_of_view import check_view
+from deepgps.data.checks import check_view
 from deepgps.robot_io.locate.pictures import Picture
 from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import Log, open_log

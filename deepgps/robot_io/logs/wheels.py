@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deepgps.data.runs import find_stretches
+from deepgps.data.segments import find_stretches
 from sim.errors import InputError
 
 COARSE = 0.125

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from deepgps.data import runs
+from deepgps.data.segments import find_lasts, find_starts
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.segment_errors import measure_distances, measure_segments, reckon_path
 from deepgps.reports import style
@@ -103,8 +103,8 @@ def log_path(
         clock: The timelines.
     """
     place = lift(place, LAYER_M)
-    start = runs.find_starts(segment)
-    end = runs.find_lasts(start)
+    start = find_starts(segment)
+    end = find_lasts(start)
     for name, radius_m, colour, rows in (
         ("path", 0.006, [*colours[0], 150], end),
         ("leg", 0.012, colours[1], np.arange(len(place))),

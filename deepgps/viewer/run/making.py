@@ -11,7 +11,7 @@ import pyarrow as pa
 import rerun as rr
 
 from deepgps.config.methods import folder_of
-from deepgps.data.runs import find_starts
+from deepgps.data.segments import find_starts
 from deepgps.evaluation.map_errors import read_known_map
 from deepgps.initial_map.stored_map import StoredMap
 from deepgps.viewer.scene import LAYER_M, lift

@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
-from deepgps.data.dead_reckoning import dead_reckon, travel
+from deepgps.data.segments import dead_reckon, travel
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import run_figures

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.data.compass_turns import BACKED_OFF_M, MEETING_M, _join, measure_turns
 from deepgps.data.segments import find_runs
-from deepgps.data.turn_images import find_next
+from deepgps.data.turns import BACKED_OFF_M, MEETING_M, _join, find_next, measure_turns
 from deepgps.initial_map.compass.bars import turn
 from sim.errors import InputError
 from sim.geometry import wrap

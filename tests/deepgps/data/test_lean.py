@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.config.learning import LearnSettings
-from deepgps.data.compass_turns import measure_turns
-from deepgps.data.lean import LAST_TURNS, adapt_upright, compare_images, ignore_small
-from deepgps.data.turn_images import find_in_place
+from deepgps.data.turns import LAST_TURNS, adapt_upright, compare_images, find_in_place, ignore_small, measure_turns
 from deepgps.evaluation.evaluate import predict
 from deepgps.evaluation.in_use import adapt, measure_in_use
 from deepgps.learning.training_data import prepare

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from deepgps.data.plausible_readings import check_readings
+from deepgps.data.checks import check_readings
 from sim.errors import InputError
 from sim.sensors.encoder import describe_odometry, read_encoders
 from sim.settings import EncoderSettings

@@ -8,8 +8,7 @@ from scipy.stats import rankdata
 from deepgps.config.learning import FeatureSettings
 from deepgps.data import features
 from deepgps.data.features import describe, fit_features
-from deepgps.data.ranks import rank_values
-from deepgps.data.relit import relight
+from deepgps.data.light import rank_values, relight
 from deepgps.data.segments import Segments
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from deepgps.data.runs import fill_stretches, find_stretches
+from deepgps.data.segments import fill_stretches, find_stretches
 
 
 @given(st.lists(st.booleans(), max_size=40))

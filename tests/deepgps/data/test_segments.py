@@ -5,8 +5,15 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.data.dead_reckoning import dead_reckon, travel
-from deepgps.data.segments import find_held_out, find_owners, leave_held_out, read_segments, subsample
+from deepgps.data.segments import (
+    dead_reckon,
+    find_held_out,
+    find_owners,
+    leave_held_out,
+    read_segments,
+    subsample,
+    travel,
+)
 from deepgps.learning.batches import sample_batch
 from sim.errors import InputError
 from sim.recording.format import Recording

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepgps.data.compass_turns import PUSHED_RAD, WHEELS_RAD, trust_wheels
+from deepgps.data.turns import PUSHED_RAD, WHEELS_RAD, trust_wheels
 from deepgps.diagnosis.turning import fit_slope
 from sim.recording.turns import KINDS, Turns
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.evaluate import measure_heading_spread
-from deepgps.evaluation.flipped import measure_flipped, measure_flipped_patch
+from deepgps.evaluation.measures import measure_flipped, measure_flipped_patch
 
 SPACING_M = 0.08
 X, Y = (axis.ravel() * SPACING_M - 0.4 for axis in np.meshgrid(np.arange(21), np.arange(11)))

@@ -9,8 +9,8 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.core.units import Unit
 from evo.tools import file_interface
 
-from deepgps.evaluation.trajectory import measure_ate, measure_rpe
-from deepgps.tracking.tum import write_tum
+from deepgps.evaluation.track_errors import measure_ate, measure_rpe
+from deepgps.tracking.track import write_tum
 
 
 @pytest.fixture(scope="module")

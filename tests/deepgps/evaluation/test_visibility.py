@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deepgps.evaluation.visibility import measure_visible
+from deepgps.evaluation.measures import measure_visible
 from sim.occupancy import FreeSpace
 
 CELL = 0.02

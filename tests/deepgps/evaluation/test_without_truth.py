@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.commands.main import main
-from deepgps.evaluation.good_turing import expect_new, measure_new
+from deepgps.evaluation.measures import expect_new, measure_new
 from deepgps.evaluation.without_truth import judge_segments, read_judged
 from deepgps.reports.without_truth import describe, markdown, tabulate
 from deepgps.robot_io.logs.importing import import_log

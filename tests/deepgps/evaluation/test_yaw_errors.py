@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.evaluation.yaw_errors import summarise_yaw
+from deepgps.evaluation.measures import summarise_yaw
 
 HEADING = np.radians([0.0, 90.0, 180.0, -90.0])
 ERROR_DEG = np.array([[1.0, -1.0, 1.0, np.nan], [2.0, -2.0, 2.0, -20.0]])

@@ -11,13 +11,12 @@ from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTens
 from deepgps.config.learning import Architecture, LearnSettings, LiftSettings, NetworkSettings, TrainSettings
 from deepgps.learning import losses
 from deepgps.learning.batches import Batch, Inputs
-from deepgps.learning.imitation import imitate_first
-from deepgps.learning.lifting import flatten_later
 from deepgps.learning.networks import make_network
+from deepgps.learning.starts import flatten_later, imitate_first
 from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
 from deepgps.learning.trainer import make_generator, train
 from deepgps.methods.deepgps import segment_loss
-from deepgps.methods.deepgps_noise_aware import weigh_by_noise
+from deepgps.methods.variants import weigh_by_noise
 
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 KNOWN = torch.tensor([[0.1, 0.2], [float("nan")] * 2]).repeat(10, 1)

@@ -9,8 +9,7 @@ import torch
 from deepgps.config.learning import LearnSettings, LiftSettings
 from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.learning.batches import Batch
-from deepgps.learning.imitation import imitate_first
-from deepgps.learning.lifting import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later
+from deepgps.learning.starts import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later, imitate_first
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.positioner import Positioner
@@ -117,7 +116,7 @@ def test_a_fold_restarts_training_and_the_best_attempt_is_kept(
     toy: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     train = SETTINGS.train.model_copy(update={"steps": 40})
-    monkeypatch.setattr("deepgps.initial_map.distances.fold_detector.LENGTH_ERROR_LIMIT", 1e-9)
+    monkeypatch.setattr("deepgps.initial_map.distances.folding.LENGTH_ERROR_LIMIT", 1e-9)
     once_more = SETTINGS.fold.model_copy(update={"restarts": 1})
     settings = SETTINGS.model_copy(update={"train": train, "fold": once_more, "start": "random"})
     labels = []

@@ -8,8 +8,8 @@ import pytest
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.scenario import load_scenario
-from deepgps.data.compass_turns import measure_turns
 from deepgps.data.encoder_noise import expect_errors
+from deepgps.data.turns import measure_turns
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps_compass import make_compass_map
 from deepgps.methods.fit import fit_method

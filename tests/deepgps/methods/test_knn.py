@@ -20,7 +20,7 @@ def test_neighbours_interpolate_true_positions(tmp_path: Path):
 
 
 def test_one_neighbour_is_a_stored_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("deepgps.methods.knn.NEIGHBOURS", 1)
+    monkeypatch.setattr("deepgps.methods.baselines.NEIGHBOURS", 1)
     recording = make_toy(tmp_path / "toy", samples=500)
     positioner = fit_method("knn", recording, LearnSettings(), 0, tmp_path / "run" / "knn")
     stored = {tuple(place) for place in open_truth(recording.folder).pose[:, :2].tolist()}

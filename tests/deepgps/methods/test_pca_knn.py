@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from deepgps.config.learning import LearnSettings, PcaSettings
+from deepgps.methods.baselines import draw_turns, turn_scans
 from deepgps.methods.fit import fit_method
-from deepgps.methods.pca_knn import draw_turns, turn_scans
 from deepgps.positioner.nearest_scan import ScanPositioner
 from sim.errors import InputError
 from sim.planar.obstacles import LidarWorld, collect

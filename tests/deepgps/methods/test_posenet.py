@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from deepgps.config.learning import LearnSettings
-from deepgps.methods import posenet
+from deepgps.methods import baselines
 from deepgps.methods.fit import fit_method
 from deepgps.terminal.progress import ignore
 from sim.recording.format import open_truth
@@ -22,11 +22,11 @@ def test_true_positions_are_learned_in_the_frame_of_the_world(tmp_path: Path):
 def test_noisy_labels_are_off_by_what_was_asked_and_the_same_for_one_seed(tmp_path: Path, monkeypatch):
     recording = make_toy(tmp_path / "toy")
     told = []
-    monkeypatch.setattr(posenet, "prepare", lambda *_: None)
-    monkeypatch.setattr(posenet, "fit_positions", lambda data, index, label, *rest: told.append(label))
+    monkeypatch.setattr(baselines, "prepare", lambda *_: None)
+    monkeypatch.setattr(baselines, "fit_positions", lambda data, index, label, *rest: told.append(label))
     for seed, noise in ((0, 0.01), (0, 0.01), (1, 0.01), (0, 0.0)):
-        monkeypatch.setattr(posenet, "LABEL_NOISE_M", noise)
-        posenet.fit_noisy(recording, LearnSettings(), seed, tmp_path, ignore)
+        monkeypatch.setattr(baselines, "LABEL_NOISE_M", noise)
+        baselines.fit_posenet_noisy(recording, LearnSettings(), seed, tmp_path, ignore)
     truth = torch.from_numpy(open_truth(recording.folder).pose[:, :2])
     first, again, other, exact = (label - truth for label in told)
     assert torch.equal(first, again)

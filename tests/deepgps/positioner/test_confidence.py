@@ -7,16 +7,19 @@ import pytest
 import torch
 
 from deepgps.data.segments import HELD_OUT, LEAST_SEGMENTS, Segments, choose_held_out, find_held_out
-from deepgps.positioner.bar_errors import measure_bars
 from deepgps.positioner.confidence import GROWTH, LEVELS, Confidence, find_normal_radius, unpack
-from deepgps.positioner.confidence_fit import LEAST_ERRORS, fit_quantile, fit_radii, make_confidence
-from deepgps.positioner.left_out import (
+from deepgps.positioner.confidence_fit import (
     FAR_M,
+    LEAST_ERRORS,
     REFUSED,
     SELDOM,
     find_crossing,
+    fit_quantile,
+    fit_radii,
     interpolate,
     leave_segments_out,
+    make_confidence,
+    measure_bars,
     set_threshold,
 )
 

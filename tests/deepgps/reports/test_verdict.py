@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deepgps.evaluation.coverage import measure_coverage, name_part
+from deepgps.evaluation.measures import measure_coverage, name_part
 from deepgps.reports.run_report import TRY_OUT, judge_run, markdown_report
 from deepgps.studies.study import Study
 from tests.helpers.synthetic_run import make_metrics

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from deepgps.positioner.pose import find_poses
-from deepgps.tracking.causes import Causes, Monitor, make_monitor, name_causes
+from deepgps.tracking.causes import Causes, Monitor, Watch, describe_causes, make_monitor, name_causes
 from deepgps.tracking.rules import TITLES, WINDOW
-from deepgps.tracking.watch import Watch
-from deepgps.tracking.words import describe_causes
 from sim.recording.format import Recording, open_recording
 from tests.helpers.drawn_room import HIGH, MOVED, PILLARS, Room, drive, train
 

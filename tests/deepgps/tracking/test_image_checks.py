@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.tracking.image_checks import (
+from deepgps.tracking.rules import (
     BLOCKS,
     ImageLimits,
     check_images,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from deepgps.tracking import update
+from deepgps.tracking import fix
 from deepgps.tracking.filter import State, estimate
 from deepgps.tracking.motion import SCALE_M, SCALE_STD
 from deepgps.tracking.smoother import run_forward, smooth
@@ -56,7 +56,7 @@ def fit_all(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture
 def without_heavy_tails(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(update, "FREEDOM", 1e12)
+    monkeypatch.setattr(fix, "FREEDOM", 1e12)
 
 
 @pytest.mark.usefixtures("without_heavy_tails")

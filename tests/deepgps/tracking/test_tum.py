@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from evo.tools import file_interface
 
-from deepgps.tracking.tum import is_tum, write_tum
+from deepgps.tracking.track import is_tum, write_tum
 
 
 def test_evo_reads_what_was_written(tmp_path: Path):

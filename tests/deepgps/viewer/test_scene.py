@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from deepgps.data.runs import find_starts
+from deepgps.data.segments import find_starts
 from deepgps.evaluation.segment_errors import measure_distances
 from deepgps.viewer.pictures import encode_jpeg, make_warp, warp_round
 from deepgps.viewer.scene import draw_floor_plan, find_outline, open_room

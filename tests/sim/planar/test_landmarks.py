@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from deepgps.data.dead_reckoning import dead_reckon
-from deepgps.data.segments import read_segments
+from deepgps.data.segments import dead_reckon, read_segments
 from sim.alignment import fit_alignment
 from sim.errors import WorkError
 from sim.planar.drive import choose_heading, count_drive, drive_segments

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from deepgps.evaluation.coverage import find_seen
+from deepgps.evaluation.measures import find_seen
 from sim.errors import WorkError
 from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
+from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.bars import Bars, lay_out
 
 READINGS, SPACING_M, DRAWS = 9, 0.08, 40_000

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.data.compass_turns import CompassTurns
 from deepgps.data.segments import Segments
+from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.closures import Closures
 from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map
 from deepgps.initial_map.distances.odometry import CURVATURE

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from deepgps.initial_map.distances.flip_ambiguity import find_ambiguous_readings
+from deepgps.initial_map.distances.folding import find_ambiguous_readings
 from deepgps.initial_map.distances.pose_graph import PoseGraph
 
 STEP = 0.1

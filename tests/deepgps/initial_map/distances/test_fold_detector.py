@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deepgps.data.segments import Segments, read_segments
-from deepgps.initial_map.distances.fold_detector import LENGTH_ERROR_LIMIT, OVERLAP_LIMIT, FoldScore, score_folding
+from deepgps.initial_map.distances.folding import LENGTH_ERROR_LIMIT, OVERLAP_LIMIT, FoldScore, score_folding
 from tests.helpers.toy import make_toy
 
 

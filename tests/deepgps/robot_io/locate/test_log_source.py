@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import deepgps
-from deepgps.data.field_of_view import find_view
+from deepgps.data.checks import find_view
 from deepgps.robot_io.locate.locate import find_shape
 from deepgps.robot_io.locate.log_source import open_source
 from deepgps.terminal.progress import ignore

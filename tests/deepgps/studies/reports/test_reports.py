@@ -8,7 +8,7 @@ import torch
 
 from deepgps.config.learning import NetworkSettings
 from deepgps.evaluation.error_field import read_fields
-from deepgps.evaluation.visibility import measure_visible
+from deepgps.evaluation.measures import measure_visible
 from deepgps.learning.networks import make_network
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.reports.style import to_png

@@ -1,22 +1,46 @@
-"""The paper's baseline on scans (its appendix): a map of stored scans at many headings, with true positions.
+"""Supervised baselines, the only methods that open labels: nearest neighbours on features, PCA with KNN, and PoseNet.
 
-Turning the robot by a whole number of rays shifts the scan in a circle, so the many headings need not be observed. They
-are stored all the same, each as its principal components, which is what the method's memory holds.
+PCA with KNN is the paper's baseline on scans (its appendix): a map of stored scans at many headings. Turning the robot
+by a whole number of rays shifts the scan in a circle, so the many headings need not be observed. They are stored all
+the same, each as its principal components, which is what the method's memory holds. PoseNet (Kendall et al. 2015; paper
+Eq. 1) is the same network as DeepGPS's, trained on positions.
 """
 
 import time
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
+from deepgps.data.segments import leave_held_out
+from deepgps.learning.trainer import make_generator
+from deepgps.learning.training_data import prepare
+from deepgps.methods.supervised import fit_positions
 from deepgps.positioner.nearest_scan import ScanPositioner
-from deepgps.positioner.positioner import Fitted
+from deepgps.positioner.positioner import Fitted, NeighbourPositioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.rng import stream
+
+NEIGHBOURS = 4
+"""Number of stored positions that are averaged."""
+
+
+def fit_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Store features and positions of the labelled observations, without those on segments held out."""
+    start = time.perf_counter()
+    data = prepare(recording, settings, seed, folder.parent)
+    index, places = leave_held_out(*read_places(recording), data.segments, len(data.features))
+    features = data.features[index]
+    positioner = NeighbourPositioner(data.projection, features, places, NEIGHBOURS)
+    stored = features.numel() + places.numel()
+    training = {"steps": 0, "train_s": round(time.perf_counter() - start, 1), "parameters": stored}
+    progress(folder.name, 1, 1)
+    return Fitted(positioner, training)
+
 
 FITTED = 50_000
 """Approximate maximum number of scans from which the principal components are computed."""
@@ -25,7 +49,7 @@ COMPONENTS = 128
 """Principal components of a scan, as in the paper."""
 
 
-def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+def fit_pca_knn(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
     """Store the scans of all positions at random headings.
 
     Raises:
@@ -81,3 +105,25 @@ def find_axes(scans: np.ndarray, turns: np.ndarray, components: int) -> tuple[np
     some = turn_scans(scans, turns[:, : max(1, FITTED // len(scans))])
     found = PCA(min(components, *some.shape), svd_solver="covariance_eigh").fit(some)
     return np.asarray(found.mean_, np.float32), np.asarray(found.components_, np.float32)
+
+
+LABEL_NOISE_M = 0.01
+"""Standard deviation of a noisy label, in x and in y [m]."""
+
+
+def fit_posenet(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:
+    """Train on labels, or on true positions if the recording has no labels."""
+    index, place = read_places(recording)
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, index, place.float(), settings, seed, folder, progress)
+
+
+def fit_posenet_noisy(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Fitted:
+    """Train on labels with a surveyor's errors: Gaussian noise of ``LABEL_NOISE_M`` in x and in y."""
+    index, place = read_places(recording)
+    noise = torch.randn(place.shape, generator=make_generator(seed, "labels"))
+    place = place.float() + LABEL_NOISE_M * noise
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, index, place, settings, seed, folder, progress)

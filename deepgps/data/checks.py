@@ -1,7 +1,8 @@
-"""Checks of readings: arrays that no drive leaves are refused in one line, before a method learns from them.
+"""Checks of a recording before it is learned from: its readings, and its field of view.
 
 Recordings that a simulation made are protected by their checksums, and the import of a log checks the wheels at their
-own rate; these checks are for arrays of one's own.
+own rate; the checks of readings are for arrays of one's own. Polar images must have the same field of view where a
+method learns and where it is used.
 """
 
 from collections.abc import Mapping
@@ -12,6 +13,25 @@ import numpy as np
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry, count_from_first, measure_tick
+
+MOST_APART_DEG = 2.0
+"""Difference of two fields of view that moves no pixel by more than a ring or so [deg]."""
+
+
+def find_view(recording: Recording) -> float | None:
+    """Full angle of a recording's polar images [deg]; None: its manifest does not tell."""
+    camera = recording.manifest.settings.get("camera", {})
+    return camera.get("field_of_view_deg") if isinstance(camera, dict) else None
+
+
+def check_view(used_deg: float, learned_deg: float | None) -> None:
+    """Raise InputError if images of this field of view are not like those that were learned from; None: unknown."""
+    if learned_deg is not None and abs(used_deg - learned_deg) > MOST_APART_DEG:
+        raise InputError(
+            f"camera.field_of_view_deg {used_deg:g}: the run has learned from images of {learned_deg:g}, so no place "
+            "would be found; set the same, or leave it out"
+        )
+
 
 FASTEST_MPS = 10.0
 """Highest credible speed of a wheel of a robot in a room [m/s]; a counter that wraps around or restarts exceeds it."""

@@ -1,0 +1,250 @@
+"""Turns between segments by the images before and after them, and the lean of the camera that these show.
+
+By the compass, the two images of a turn show how far the heading changes. The wheels choose between the peaks of the
+compass and count whole turns; they never change an angle. The ground truth is not used.
+
+The lean is measured over all turns of the training drive, and again over the last turns of a drive in use. Smaller
+leans than ``LEAST_RAD`` are not corrected, so that the images of a level camera stay as they are.
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deepgps.data.segments import dead_reckon, find_runs, travel
+from sim.errors import InputError
+from sim.recording.format import Recording
+from sim.recording.turns import KINDS, NO_IMAGE, Turns, from_array
+from sim.sensors.camera.lens import make_lens
+from sim.sensors.camera.mount import Upright
+from sim.sensors.compass.compass import Hypotheses, disambiguate, find_turns
+from sim.sensors.compass.lean import compare_at_horizon, find_lean
+from sim.settings import SimSettings
+
+
+def turns_with_images(recording: Recording) -> Turns | None:
+    """The turns of a recording; None unless it has polar images before and after them."""
+    return recording.turns if recording.turn_observation is not None and recording.kind == "polar_image" else None
+
+
+def take_images(recording: Recording, turns: Turns) -> tuple[np.ndarray, np.ndarray]:
+    """Images before and after some of a recording's turns, both (T, rings, sectors, channels)."""
+    assert recording.turn_observation is not None
+    after, taken = recording.observation[find_next(recording, turns)], turns.image != NO_IMAGE
+    after[taken] = recording.turn_observation[turns.image[taken]]
+    return recording.observation[turns.before], after
+
+
+def find_next(recording: Recording, turns: Turns) -> np.ndarray:
+    """First observation (T,) of the segment after each turn: where the robot backed off, its reading may be lost."""
+    first = recording.reading[turns.after, 1]
+    return np.where(turns.kind == KINDS.index("backed_off"), np.minimum(turns.before + 1, first), first)
+
+
+def find_in_place(turns: Turns) -> np.ndarray:
+    """Indices of the turns in place with an image after them."""
+    return np.flatnonzero((turns.kind == KINDS.index("in_place")) & (turns.image != NO_IMAGE))
+
+
+LEAST_RAD = np.radians(0.1)
+"""Leans, or differences of leans, up to this are not corrected [rad]."""
+LAST_TURNS = 5
+"""Turns in place from which the lean in use is measured."""
+MOST_TURNS = 100
+"""Turns in place from which the lean of the training drive is measured, spread evenly over it."""
+ROUNDS = 5
+"""Most corrections of the lean: of two images that lean by many degrees apart, one fit finds only a part of it."""
+
+
+class SeenTurns(NamedTuple):
+    """What the images before and after some turns tell.
+
+    Attributes:
+        hypotheses: Of the angles turned by the robot, corrected for the camera's lean.
+        upright: What sets its images upright, however small its lean is.
+    """
+
+    hypotheses: Hypotheses
+    upright: Upright
+
+
+def compare_images(recording: Recording, turns: Turns | None = None, trained: Upright | None = None) -> SeenTurns:
+    """Compare the images before and after each turn of a recording, or some of its turns.
+
+    Images of a camera that leans are set upright and compared again, until the lean that is left is small.
+
+    Args:
+        recording: With images after turns.
+        turns: Some of its turns; None: all.
+        trained: Where the lean begins, and the parallax, which lasts: the lean is then that of all rings less the
+            parallax, which takes fewer turns. None: the lean is measured near the horizon, without parallax.
+
+    Raises:
+        InputError: The recording has no turns or no polar images.
+    """
+    if (recorded := turns_with_images(recording)) is None:
+        raise InputError(
+            f"{recording.folder} has no images after turns (turns.npy), which a compass needs; deepgps learns without"
+        )
+    turns = recorded if turns is None else turns
+    before, after = take_images(recording, turns)
+    some = find_in_place(turns)
+    some = some[:: -(-len(some) // MOST_TURNS) or 1]
+    lens = make_lens(SimSettings.model_validate(recording.manifest.settings).camera)
+    upright = trained or Upright(lens, (0.0, 0.0))
+    for _ in range(ROUNDS):
+        one, two = upright(before), upright(after)
+        seen, hidden = find_turns(one, two, lens), float(np.linalg.norm(upright.lean))
+        apparent = _find_lean(Hypotheses(*(array[some] for array in vars(seen).values())))
+        step, parallax = apparent - upright.parallax, np.array(upright.parallax)
+        if trained is None:
+            step = _find_lean(compare_at_horizon(one[some], two[some], seen.angle[some, 0], lens, hidden))
+            parallax = apparent - step
+        upright = Upright(lens, _pair(upright.lean + step), _pair(parallax))
+        if np.linalg.norm(step) <= LEAST_RAD:
+            break
+    else:  # the lean has changed since
+        seen = find_turns(upright(before), upright(after), lens)
+    return SeenTurns(seen, upright)
+
+
+def _find_lean(hypotheses: Hypotheses) -> np.ndarray:
+    """Lean (2,) [rad]; zero where no turn shows it."""
+    return np.nan_to_num(find_lean(hypotheses))
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def ignore_small(upright: Upright) -> Upright:
+    """The same, but images of a camera that leans by ``LEAST_RAD`` or less stay as they are."""
+    return replace(upright, lean=(0.0, 0.0)) if np.linalg.norm(upright.lean) <= LEAST_RAD else upright
+
+
+def adapt_upright(trained: Upright, drive: Recording) -> tuple[Upright, tuple[float, float] | None]:
+    """What sets the images of a drive in use upright, whose camera may have been knocked since training.
+
+    Args:
+        trained: What does in training.
+        drive: The drive in use.
+
+    Returns:
+        That of training unless the lean has changed by more than ``LEAST_RAD``, and the lean in use (2,) [rad]; None
+        where the drive has fewer than ``LAST_TURNS`` turns in place.
+    """
+    turns = turns_with_images(drive)
+    if turns is None or len(last := find_in_place(turns)[-LAST_TURNS:]) < LAST_TURNS:
+        return trained, None
+    found = compare_images(drive, from_array(turns.array[last]), trained).upright
+    changed = np.linalg.norm(np.subtract(found.lean, trained.lean)) > LEAST_RAD
+    return (found if changed else trained), found.lean
+
+
+def describe_lean(lean: tuple[float, float]) -> dict[str, float]:
+    """Entries for ``training.json`` and ``metrics.json`` of a lean (2,) [rad]."""
+    roll, pitch = np.degrees(lean)
+    return {"lean_roll_deg": round(float(roll), 4), "lean_pitch_deg": round(float(pitch), 4)}
+
+
+WHEELS_RAD, PUSHED_RAD = 0.3, 1.5
+"""Standard deviations of a turn by the wheels, to choose between peaks: they may slip, and what the robot touched may
+have turned it by a right angle while they did not move [rad]."""
+WANDER_RAD = np.radians(0.07)
+"""Standard deviation of a segment's mean heading against its heading at the ends [rad]."""
+BACKED_OFF_M, MEETING_M = 0.05, 0.001
+"""Standard deviations of where a segment begins after the robot backed off, and where it turned in place [m]."""
+UNEVEN = 0.3
+"""Standard deviation of the distance between images, as a part of it, where readings were lost."""
+UNKNOWN_RAD, UNKNOWN_M = 3.0, 10.0
+"""Standard deviations of a turn and of a way of which nothing is known: the robot was carried [rad], [m]."""
+
+
+@dataclass(frozen=True)
+class CompassTurns:
+    """The turns between consecutive rows of ``Segments``.
+
+    Attributes:
+        angle: Turn to the left (L - 1,) [rad].
+        angle_std: Its standard deviation (L - 1,) [rad].
+        jump: From the end of a segment to the beginning of the next, in the frame of the first (L - 1, 2) [m].
+        jump_std: Its standard deviation along each axis (L - 1,) [m].
+        upright: What sets images of the camera upright; the angles are corrected for its lean.
+    """
+
+    angle: np.ndarray
+    angle_std: np.ndarray
+    jump: np.ndarray
+    jump_std: np.ndarray
+    upright: Upright | None = None
+
+
+def measure_turns(recording: Recording) -> CompassTurns:
+    """Measure all turns of a recording, and the camera's lean, which changes what an image shows of a turn.
+
+    Raises:
+        InputError: The recording has no turns or no polar images.
+    """
+    (seen, upright), turns = compare_images(recording), recording.turns
+    assert turns is not None
+    yaw = dead_reckon(recording)[:, 2]
+    wheels = yaw[turns.after] - yaw[turns.after - 1]
+    spread = trust_wheels(turns)
+    found = disambiguate(seen, wheels, spread)
+    known = np.isfinite(found.angle[:, 0]) & (turns.kind != KINDS.index("relocated"))
+    angle = np.where(known, found.angle[:, 0], wheels)
+    likely = np.where(found.weight > 0.0, found.weight, 0.0)
+    apart = np.nansum(likely * (found.angle - found.angle[:, :1]) ** 2, axis=1)  # where several peaks are likely
+    variance = np.where(known, found.std[:, 0] ** 2 + WANDER_RAD**2 + apart, spread**2)
+    return replace(_join(recording, angle, variance), upright=upright)
+
+
+def trust_wheels(turns: Turns) -> np.ndarray:
+    """Standard deviation of each turn (T,) by the wheels, to choose between peaks of the compass [rad]."""
+    return np.where(turns.kind == KINDS.index("in_place"), WHEELS_RAD, PUSHED_RAD)
+
+
+def _join(recording: Recording, angle: np.ndarray, variance: np.ndarray) -> CompassTurns:
+    """Turns (L - 1) between the segments that have at least two readings, from all turns (T,)."""
+    assert recording.turns is not None
+    turns, runs = recording.turns, find_runs(recording)
+    travelled = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    numbers = {int(row): number for number, row in enumerate(turns.after)}
+    rows, turned, squared = [], 0.0, 0.0
+    jump, jump_squared = np.zeros(2), MEETING_M**2
+    gap = np.diff(recording.reading[:, :2], axis=0)
+    beside = (gap[:, 0] == 0) & (gap[:, 1] == 1)
+    step_m = float(np.median(np.abs(np.diff(travelled)[beside]))) if beside.any() else 0.0
+    begun = False
+    for before, run in zip([runs[0], *runs], runs, strict=False):
+        number = numbers.get(int(run[0]))
+        skipped = recording.reading[run[0], 0] - recording.reading[before[-1], 0] > 1
+        if begun and (number is None or skipped):
+            squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
+        if begun and number is not None:
+            way_m = travelled[run[0]] - travelled[before[-1]]
+            last, place, first = recording.reading[before[-1], 1], turns.before[number], recording.reading[run[0], 1]
+            ahead = _direct(turned)
+            if KINDS[turns.kind[number]] == "relocated":
+                squared, jump_squared = squared + UNKNOWN_RAD**2, jump_squared + UNKNOWN_M**2
+            elif KINDS[turns.kind[number]] == "backed_off":
+                on_m = max(first - place - 1, 0) * step_m  # driven after it, before the first reading that arrived
+                jump = jump + (way_m - on_m) * ahead + on_m * _direct(turned + angle[number])
+                jump_squared += BACKED_OFF_M**2 + (UNEVEN * on_m) ** 2
+            elif first > last:  # readings at the turn were lost
+                share = (place - last) / (first - last)
+                jump = jump + way_m * (share * ahead + (1.0 - share) * _direct(turned + angle[number]))
+                if last < place < first:  # nothing was measured at the turn itself: images are evenly spaced, roughly
+                    jump_squared += (UNEVEN * way_m / (first - last)) ** 2
+            turned, squared = turned + angle[number], squared + variance[number]
+        if len(run) >= 2:
+            if begun:
+                rows.append((turned, np.sqrt(squared), *jump, np.sqrt(jump_squared)))
+            begun, turned, squared, jump, jump_squared = True, 0.0, 0.0, np.zeros(2), MEETING_M**2
+    table = np.array(rows).reshape(-1, 5)
+    return CompassTurns(table[:, 0], table[:, 1], table[:, 2:4], table[:, 4])
+
+
+def _direct(heading: float) -> np.ndarray:
+    return np.array([np.cos(heading), np.sin(heading)])

@@ -1,0 +1,195 @@
+"""Measures of a map and of a drive: coverage, visibility, flipped parts, new floor to be expected, yaw.
+
+The last but one needs no truth: the probability that a new draw is of a kind not seen before is about the number of
+kinds seen once, over the number of draws (I. J. Good, Biometrika 40, 1953). A draw is a cell of the floor that a
+segment passes.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from deepgps.evaluation.error_field import ErrorField, find_rms
+from deepgps.positioner.pose import Poses
+from sim.alignment import Alignment
+from sim.occupancy import FreeSpace
+
+SEEN_WITHIN_M = 0.25
+OFF_CENTRE = 0.25
+"""Distance from the middle of the room, as a fraction of half its extent, from which a part has a direction."""
+
+
+def measure_coverage(cells: np.ndarray, samples: np.ndarray) -> dict[str, Any]:
+    """Count test positions (C, 2) [m], and those with a training sample (N, 2) [m] near enough to have been seen; name
+    the part of the room in which most of the others are."""
+    seen = find_seen(cells, samples)
+    part = name_part(cells, ~seen)
+    return {
+        "reachable_cells": len(cells),
+        "cells_seen": int(seen.sum()),
+        **({"missed": part} if part else {}),
+    }
+
+
+def find_seen(places: np.ndarray, samples: np.ndarray) -> np.ndarray:
+    """Whether places (C, 2) [m] have a training sample (N, 2) [m] within ``SEEN_WITHIN_M``: (C,)."""
+    return KDTree(samples).query(places)[0] <= SEEN_WITHIN_M
+
+
+def name_part(cells: np.ndarray, chosen: np.ndarray) -> str | None:
+    """The part of the room, with north along +y, in which the chosen (C,) of the positions (C, 2) [m] lie on average.
+
+    None if there are none, or if they lie all around the middle.
+    """
+    if not chosen.any():
+        return None
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    x, y = (cells[chosen].mean(axis=0) - (low + high) / 2) / np.maximum((high - low) / 2, 1e-9)
+    north = "north" if y > OFF_CENTRE else "south" if y < -OFF_CENTRE else ""
+    east = "east" if x > OFF_CENTRE else "west" if x < -OFF_CENTRE else ""
+    return "-".join(filter(None, (north, east))) or None
+
+
+RAYS = 180
+
+
+def measure_visible(space: FreeSpace, points: np.ndarray) -> np.ndarray:
+    """Share of the reachable floor that straight drives from each point reach.
+
+    Rays are followed from the point to the first cell where the robot does not fit; a ray of length r represents a
+    sector of area ``pi r^2 / rays`` (the isovist of Benedikt 1979, with the robot's centre in place of an eye).
+
+    Args:
+        space: Where the robot fits.
+        points: Places (C, 2) [m].
+
+    Returns:
+        Shares (C,) from 0 to 1; 0 for a place where the robot does not fit.
+    """
+    angle = 2 * np.pi * (np.arange(RAYS) + 0.5) / RAYS
+    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    # Distance of each cell from where the robot does not fit: a ray may skip it in one step. The padding is occupied.
+    clear = np.asarray(ndimage.distance_transform_edt(np.pad(space.free, 1))) * space.cell_m
+    start, direction = np.repeat(points, RAYS, axis=0), np.tile(direction, (len(points), 1))
+    length, going = np.zeros(len(start)), np.arange(len(start))
+    while len(going):
+        place = start[going] + length[going, None] * direction[going]
+        column, row = (np.rint((place - space.origin) / space.cell_m).astype(int) + 1).T
+        gap = clear[row.clip(0, clear.shape[0] - 1), column.clip(0, clear.shape[1] - 1)]
+        going, gap = going[gap > 0.0], gap[gap > 0.0]
+        length[going] += np.maximum(gap - space.cell_m, space.cell_m / 2)
+    length = length.reshape(len(points), RAYS)
+    return np.minimum(np.pi * np.square(length).mean(axis=1) / (space.reachable.sum() * space.cell_m**2), 1.0)
+
+
+PATCH_SPACING_M = 0.1
+"""Side of the cells on which patches are measured [m]."""
+
+
+def measure_flipped(truth: np.ndarray, predicted: np.ndarray, spacing_m: float) -> float:
+    """Share of a map that is flipped, as by a fold: 0 for a correct map, at most a half.
+
+    Args:
+        truth: Test positions (C, 2) [m] on a grid.
+        predicted: One prediction for each (C, 2) [m]; the share is invariant to rigid motions and reflections of all.
+        spacing_m: Spacing of the grid [m].
+
+    Returns:
+        The share of neighbourhoods (a position, its right and its upper neighbour) with the rarer orientation.
+    """
+    area = _measure_areas(np.rint((truth - truth.min(axis=0)) / spacing_m).astype(int), predicted)
+    area = area[np.isfinite(area)]
+    return float(min((area > 0).mean(), (area < 0).mean())) if len(area) else 0.0
+
+
+def measure_flipped_patch(truth: np.ndarray, positions: np.ndarray) -> float:
+    """Area [m^2] of the largest connected patch of flipped neighbourhoods in a map of scattered positions.
+
+    The map's displacement is averaged in cells of ``PATCH_SPACING_M``; cells without a position have no neighbourhood.
+
+    Args:
+        truth: True positions (n, 2) [m].
+        positions: The map's positions (n, 2) [m], aligned with the truth.
+    """
+    cell, number = np.unique(np.floor(truth / PATCH_SPACING_M).astype(int), axis=0, return_inverse=True)
+    number = number.ravel()
+    away = np.stack([np.bincount(number, axis) for axis in (positions - truth).T], axis=1)
+    centre = PATCH_SPACING_M * cell + away / np.bincount(number)[:, None]
+    flipped = _measure_areas(cell - cell.min(axis=0), centre) < 0.0
+    patch = np.zeros(flipped.shape, np.int32)
+    ndimage.label(flipped, output=patch)
+    return float(np.bincount(patch[flipped]).max(initial=0) * PATCH_SPACING_M**2)
+
+
+def _measure_areas(cell: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Signed areas (columns, rows) of the neighbourhoods of cells (C, 2) that lie at (C, 2) [m]; NaN: incomplete."""
+    table = np.full((*(cell.max(axis=0) + 2), 2), np.nan)  # a margin, so that the last cells have missing neighbours
+    table[tuple(cell.T)] = place
+    right, up = (table[1:, :-1] - table[:-1, :-1], table[:-1, 1:] - table[:-1, :-1])
+    return right[..., 0] * up[..., 1] - right[..., 1] * up[..., 0]
+
+
+CELL_M = 0.25
+"""Side of a cell [m]."""
+
+
+def expect_new(places: np.ndarray, segment: np.ndarray) -> float:
+    """Share of the cells on the way of one more segment that no earlier one passed, to be expected.
+
+    Args:
+        places: Position of each reading (R, 2) [m].
+        segment: Its segment (R,).
+    """
+    visits = _list_visits(places, segment)
+    _, counts = np.unique(visits[:, :2], axis=0, return_counts=True)
+    return float((counts == 1).sum() / len(visits))
+
+
+def measure_new(places: np.ndarray, segment: np.ndarray, known: np.ndarray) -> float:
+    """The same share, measured on segments that are held out; ``known`` (N, 2) [m] are the positions before."""
+    visits = _list_visits(places, segment)[:, :2]
+    before = {tuple(cell) for cell in _find_cells(known).tolist()}
+    return float(np.mean([tuple(cell) not in before for cell in visits.tolist()]))
+
+
+def _list_visits(places: np.ndarray, segment: np.ndarray) -> np.ndarray:
+    """Cell and segment (V, 3) of each visit; a segment visits a cell once."""
+    return np.unique(np.column_stack([_find_cells(places), segment]), axis=0)
+
+
+def _find_cells(places: np.ndarray) -> np.ndarray:
+    return np.floor(places / CELL_M).astype(np.int64)
+
+
+def add_yaws(field: ErrorField, poses: Poses, alignment: Alignment) -> ErrorField:
+    """The error field with yaws, aligned as positions are; the same field where the method estimates no yaw.
+
+    Args:
+        field: The field of a method's positions.
+        poses: Its poses of the test images (C * H), in the method's frame.
+        alignment: From the method's frame to the world's.
+    """
+    if poses.yaw is None or poses.yaw_std is None or poses.yaw_weight is None:
+        return field
+    yaw, std, weight = (
+        part.reshape(field.predicted.shape[:2]) for part in (poses.yaw, poses.yaw_std, poses.yaw_weight)
+    )
+    return replace(field, yaw=alignment.turn(yaw), yaw_std=std, yaw_weight=weight)
+
+
+def summarise_yaw(field: ErrorField) -> dict[str, float]:
+    """RMS, median and 95th percentile of the yaw's error [deg] over all images, and RMS over those accepted.
+
+    Empty where there is no yaw; without the last where the method accepts or refuses nothing.
+    """
+    if field.yaw_error is None or not (known := np.isfinite(field.yaw_error)).any():
+        return {}
+    error = np.degrees(np.abs(field.yaw_error))
+    median, p95 = (float(value) for value in np.percentile(error[known], [50, 95]))
+    figures = {"yaw_rms_deg": find_rms(error[known]), "yaw_median_deg": median, "yaw_p95_deg": p95}
+    if field.accepted is not None and (accepted := known & field.accepted).any():
+        figures["yaw_rms_accepted_deg"] = find_rms(error[accepted])
+    return figures
