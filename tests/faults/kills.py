@@ -13,8 +13,6 @@ from tests.faults.fingerprint import Print, differences, take
 from tests.faults.material import Material
 from tests.faults.moments import wait_for_moment
 
-HANGS_S = 90.0
-"""A command of some seconds, of which a renderer was killed, must have replaced it and ended by then."""
 RENDERER = b"renderers import work"
 """Part of the command line of a process that draws."""
 
@@ -59,7 +57,7 @@ def _hit_renderers(words: Sequence[str], clean: Print, most: int) -> Callable[[C
         for pid in hit:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
-        ended, told = finish(running, time_s=HANGS_S), f"killed {len(hit)} renderers"
+        ended, told = finish(running), f"killed {len(hit)} renderers"
         if ended.code == 1 and not ended.fell and len(ended.problems) == 1:
             again = _judge(deepgps(*words, cwd=case.folder), case.folder / "out", clean, told)
             return Verdict(f"one line, then {again.kind}", again.held, again.detail)

@@ -70,8 +70,8 @@ class Run:
 
     def after(self, command: str) -> Print:
         """What a run holds once this command has ended."""
-        later = () if command == "run" else ("figures/",)
-        return {name: value for name, value in self.clean.items() if not name.startswith(later or "\0")}
+        later = () if command == "run" else ("figures/", "pictures.npz")
+        return {name: value for name, value in self.clean.items() if not name.startswith(later)}
 
 
 @dataclass(frozen=True)
