@@ -25,40 +25,21 @@ if TYPE_CHECKING:
     __version__: str
 
 _HOMES = {
-    "load": "deepgps.api.run",
-    "Run": "deepgps.api.run",
-    "simulate": "deepgps.api.simulate",
-    "train": "deepgps.api.simulate",
-    "write_recording": "deepgps.api.record",
-    "unwrap_fisheye": "sim.sensors.camera.unwrap",
-    "Scenario": "deepgps.config.scenario",
-    "Method": "deepgps.config.methods",
-    "Fitted": "deepgps.positioner.positioner",
-    "EncoderFault": "sim.plugins",
-    "FreeSpace": "sim.occupancy",
-    "Lens": "sim.sensors.camera.lens",
-    "InputError": "sim.errors",
-    "WorkError": "sim.errors",
+    "deepgps.api.record": ("write_recording",),
+    "deepgps.api.run": ("Run", "load"),
+    "deepgps.api.simulate": ("simulate", "train"),
+    "deepgps.config.methods": ("Method",),
+    "deepgps.config.scenario": ("Scenario",),
+    "deepgps.positioner.positioner": ("Fitted",),
+    "sim.errors": ("InputError", "WorkError"),
+    "sim.occupancy": ("FreeSpace",),
+    "sim.plugins": ("EncoderFault",),
+    "sim.sensors.camera.lens": ("Lens",),
+    "sim.sensors.camera.unwrap": ("unwrap_fisheye",),
 }
-"""Module of each name of the Python interface."""
-
-__all__ = [
-    "EncoderFault",
-    "Fitted",
-    "FreeSpace",
-    "InputError",
-    "Lens",
-    "Method",
-    "Run",
-    "Scenario",
-    "WorkError",
-    "__version__",
-    "load",
-    "simulate",
-    "train",
-    "unwrap_fisheye",
-    "write_recording",
-]
+"""Names of the Python interface by module."""
+_HOME = {name: module for module, names in _HOMES.items() for name in names}
+__all__ = [*sorted(_HOME), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:
@@ -66,9 +47,9 @@ def __getattr__(name: str) -> Any:
         from importlib.metadata import version
 
         return version("deepgps")
-    if name not in _HOMES:
+    if name not in _HOME:
         raise AttributeError(f"module 'deepgps' has no attribute {name!r}")
-    value = resolve_name(f"{_HOMES[name]}:{name}")
+    value = resolve_name(f"{_HOME[name]}:{name}")
     globals()[name] = value  # the next use finds it at once
     return value
 
