@@ -39,7 +39,7 @@ _HOMES = {
 }
 """Names of the Python interface by module."""
 _HOME = {name: module for module, names in _HOMES.items() for name in names}
-__all__ = [*sorted(_HOME), "__version__"]  # pyright: ignore[reportUnsupportedDunderAll]
+__all__ = [*_HOME, "__version__"]  # noqa: PLE0604  # pyright: ignore[reportUnsupportedDunderAll]
 
 
 def __getattr__(name: str) -> Any:

@@ -203,3 +203,13 @@ def test_the_script_of_the_page_on_trust_counts_what_metrics_say(
     assert share == pytest.approx(measured["accepted"], abs=0.001)
     told = [measured[name] for name in ("radius_68_holds", "radius_95_holds") if name in measured]
     assert radii == pytest.approx(told)
+
+
+def test_every_file_and_folder_of_the_code_that_a_page_names_exists() -> None:
+    named = re.compile(r"(?<![\w./-])(?:deepgps|sim|tests|docs)/[a-z_0-9/]+(?:\.py|/)")
+    pages = [
+        path for path in (ROOT / "docs").rglob("*") if path.suffix in {".md", ".svg"} and "results" not in path.parts
+    ]
+    for page in [*pages, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]:
+        paths = set(named.findall(page.read_text(encoding="utf-8")))
+        assert [path for path in paths if not (ROOT / path).exists()] == [], page

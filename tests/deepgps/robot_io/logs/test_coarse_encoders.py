@@ -71,6 +71,7 @@ def bring_in(ticks: int, tmp_path: Path) -> tuple[Path, dict[str, Any]]:
     return tmp_path / "recording", import_log(log, config, tmp_path / "recording", ignore)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ticks", [16, 32, 64])
 def test_the_log_of_coarse_encoders_has_every_segment_and_turn(ticks: int, tmp_path: Path):
     folder, _ = bring_in(ticks, tmp_path)
@@ -82,6 +83,7 @@ def test_the_log_of_coarse_encoders_has_every_segment_and_turn(ticks: int, tmp_p
     assert turns is not None and turns.kind.tolist() == [0] * len(TURNS)
 
 
+@pytest.mark.slow
 def test_encoders_that_are_too_coarse_are_noted(tmp_path: Path):
     _, about = bring_in(4, tmp_path)
     assert f"{JOINTS}: an encoder counts 4 ticks a turn of its wheel: turns in place may be missed" in about["notes"]

@@ -1,7 +1,7 @@
 """Logs of a synthetic robot, in every container and with every fault, become right recordings or are refused."""
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,14 @@ from tests.helpers.robot_log import (
 )
 
 FORMS = ("bag", "bag_bz2", "bag_lz4", "db3", "db3_v8", "db3_v5", "db3_zstd", "mcap", "mcap_zstd", "mcap_lz4")
+slow = pytest.mark.slow
+Change = Callable[[list[Note]], list[Note]]
 WITH_TRUTH = {**CONFIG, "pose": {"topic": TRUTH}, "drive": {"spacing_m": 0.1, "held_out": 0.0}}
+
+
+def in_tiers(cases: Iterable[str], *quick: str) -> list[Any]:
+    """All cases, those that are not named marked slow."""
+    return [case if case in quick else pytest.param(case, marks=slow) for case in cases]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +105,7 @@ def check_complete(folder: Path, within_m: float = 0.003) -> None:
     assert turns is not None and turns.kind.tolist() == [0] * len(TURNS) and (turns.image >= 0).all()
 
 
-@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("form", in_tiers(FORMS, "bag", "db3", "mcap_lz4"))
 def test_every_container_gives_the_same_recording(form: str, notes: list[Note], tmp_path: Path) -> None:
     folder, about = bring_in(write_log(tmp_path / "log", notes, form), tmp_path)
     check_complete(folder)
@@ -111,48 +118,13 @@ def test_a_plain_folder_is_a_log(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
     folder, _ = bring_in(log, tmp_path, PLAIN)
     check_complete(folder)
-    (log / "wheels.csv").write_text("time_s,left_rad,right_rad\n0.0,0.0,one\n0.1,0.0,0.0\n")
-    with pytest.raises(InputError, match=r"wheels\.csv: line 2 must be time_s,left_rad,right_rad, and is"):
-        bring_in(log, tmp_path / "again", PLAIN)
 
 
-def test_images_named_by_numbers_are_refused_though_one_is_missing(tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
-    images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
-    for number, path in enumerate(images):
-        path.rename(path.with_name(f"{number:06d}x")) if number != 7 else path.unlink()
-    for path in (log / "images").iterdir():
-        path.rename(path.with_name(f"{path.name[:-1]}.png"))
-    with pytest.raises(InputError, match=r"named by their numbers, 000000 to \d+, which are no times"):
-        bring_in(log, tmp_path / "new" / "folder", PLAIN)
-    assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
-
-
-def test_files_that_are_no_images_of_the_log_are_passed_over(tmp_path: Path) -> None:
+@slow
+def test_what_is_odd_in_a_plain_folder_is_passed_over_and_noted(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
     first = min((log / "images").iterdir())
     (log / "images" / f"._{first.name}").write_bytes(b"\0\5\x16\7")
-    folder, _ = bring_in(log, tmp_path, PLAIN)
-    check_complete(folder)
-
-
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (b"\xff" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+ it is not"),
-        (b"1" * 140_000, r"wheels\.csv: line \d+: field larger than field limit"),
-    ],
-)
-def test_where_a_plain_file_cannot_be_read_is_said(more: bytes, message: str, tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
-    with (log / "wheels.csv").open("ab") as file:
-        file.write(more)
-    with pytest.raises(InputError, match=message):
-        bring_in(log, tmp_path, PLAIN)
-
-
-def test_values_that_are_missing_in_plain_files_are_left_out(tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
     head, *rows = (log / "wheels.csv").read_text().splitlines()
     rows[100] = f"{rows[100].partition(',')[0]},nan,"
     (log / "wheels.csv").write_text("\n".join([head, *rows, "33.4,1"]))
@@ -162,25 +134,38 @@ def test_values_that_are_missing_in_plain_files_are_left_out(tmp_path: Path) -> 
     folder, about = bring_in(log, tmp_path, PLAIN)
     check_complete(folder)
     assert any("poses.csv: 3 messages are left out" in note for note in about["notes"])
+    (log / "wheels.csv").write_text("\n".join([head, *rows[: 3 * len(rows) // 4]]))
+    _, about = bring_in(log, tmp_path / "shorter", PLAIN)
+    assert any("images were taken before or after the wheels were logged" in note for note in about["notes"])
 
 
-@pytest.mark.parametrize("first", [0, 1])
-def test_images_that_are_named_by_their_numbers_are_refused(first: int, tmp_path: Path) -> None:
+def test_a_plain_file_that_cannot_be_read_is_named_with_its_line(tmp_path: Path) -> None:
     log = write_plain(tmp_path / "plain")
-    for number, path in enumerate(sorted((log / "images").iterdir(), key=lambda path: float(path.stem)), start=first):
-        path.rename(path.with_name(f"frame{number:06d}.png"))
+    sound = (log / "wheels.csv").read_bytes()
+    for data, message in (
+        (b"time_s,left_rad,right_rad\n0.0,0.0,one\n0.1,0.0,0.0\n", r"wheels\.csv: line 2 must be time_s,left_rad"),
+        (sound + b"\xff" * 9000, r"wheels\.csv must be text in UTF-8: after line \d+"),
+        (sound + b"1" * 140_000, r"wheels\.csv: line \d+: field larger"),
+    ):
+        (log / "wheels.csv").write_bytes(data)
+        with pytest.raises(InputError, match=message):
+            bring_in(log, tmp_path / "new" / "folder", PLAIN)
+        assert not (tmp_path / "new").exists(), "a refused import leaves nothing"
+
+
+@pytest.mark.parametrize(("first", "without"), [(0, ()), (1, ()), (0, (7,))])
+def test_images_that_are_named_by_their_numbers_are_refused(first: int, without: Sequence[int], tmp_path: Path) -> None:
+    log = write_plain(tmp_path / "plain")
+    images = sorted((log / "images").iterdir(), key=lambda path: float(path.stem))
+    for number, path in enumerate(images, start=first):
+        if number in without:
+            path.unlink()
+        else:
+            path.rename(path.with_name(f"frame{number:06d}.png"))
     for path in list((log / "images").iterdir()):
         path.rename(path.with_name(path.name.removeprefix("frame")))
-    with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times; list"):
+    with pytest.raises(InputError, match=r"named by their numbers, 00000\d to 000\d+, which are no times"):
         bring_in(log, tmp_path, PLAIN)
-
-
-def test_images_beyond_the_wheels_are_noted(tmp_path: Path) -> None:
-    log = write_plain(tmp_path / "plain")
-    rows = (log / "wheels.csv").read_text().splitlines()
-    (log / "wheels.csv").write_text("\n".join(rows[: 3 * len(rows) // 4]))
-    _, about = bring_in(log, tmp_path, PLAIN)
-    assert any("images were taken before or after the wheels were logged" in note for note in about["notes"])
 
 
 def rename_images(log: Path, name: Callable[[float], str]) -> None:
@@ -235,15 +220,19 @@ def test_names_may_be_nanoseconds_since_the_robot_started(tmp_path: Path) -> Non
     assert times_of(log) == times
 
 
+@slow
 def test_split_files_in_a_folder_are_one_log(notes: list[Note], tmp_path: Path) -> None:
     (tmp_path / "log").mkdir()
     for number, part in enumerate(np.array_split(np.arange(len(notes)), 11)):
         some = [notes[row] for row in part]
         write_log(tmp_path / "log" / f"drive_{number}", some, "mcap_lz4")
+    (tmp_path / "log" / "drive_11.mcap").touch()
+    (tmp_path / "log" / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
     folder, _ = bring_in(tmp_path / "log", tmp_path)
     check_complete(folder)
 
 
+@slow
 @pytest.mark.parametrize("form", ["bag_lz4", "mcap_lz4", "db3"])
 def test_a_log_that_was_cut_off_gives_what_is_complete_and_says_so(
     form: str, notes: list[Note], tmp_path: Path
@@ -292,133 +281,161 @@ def no_stamp(_: int, note: Note) -> Note:
     return replace(note, stamp_ns=0)
 
 
-@pytest.mark.parametrize(
-    ("topic", "fault", "within_m", "note"),
-    [
-        (JOINTS, swap, 0.003, ""),
-        (JOINTS, prefix, 0.003, ""),
-        (JOINTS, wrap_angle, 0.003, "a counter wrapped around"),
-        (JOINTS, in_bursts, 0.003, ""),
-        (JOINTS, lose_some, 0.004, "messages hold neither wheel"),
-        (CAMERA, no_stamp, 0.005, "most messages have no stamp, so the times of logging count"),
-    ],
-    ids=["swapped", "namespace", "wraps", "out of order", "partial", "zero stamps"],
-)
-def test_habits_of_real_robots_change_nothing(
-    topic: str,
-    fault: Callable[[int, Note], Note],
-    within_m: float,
-    note: str,
-    notes: list[Note],
-    tmp_path: Path,
-) -> None:
-    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
-    folder, about = bring_in(log, tmp_path)
+def late_images(_: int, note: Note) -> Note:
+    return replace(note, stamp_ns=note.stamp_ns + 3_200_000_000)
+
+
+def set_back(_: int, note: Note) -> Note:
+    return replace(note, stamp_ns=note.stamp_ns - 400_000_000 * (seconds(note) > 15.0))
+
+
+def scale(left: float, right: float) -> Change:
+    """The wheels' angles multiplied by a factor for each."""
+    return on(JOINTS, lambda _, note: set_fields(note, position=note.fields["position"] * np.array([left, right])))
+
+
+def on(topic: str, fault: Callable[[int, Note], Note | None]) -> Change:
+    return lambda notes: change(notes, topic, fault)
+
+
+def lose(topic: str, begin_s: float, end_s: float) -> Change:
+    """Without the messages of a topic between two times."""
+    return on(topic, lambda _, note: None if begin_s < seconds(note) < end_s else note)
+
+
+def show(how: Callable[[np.ndarray], np.ndarray]) -> Change:
+    return lambda notes: replace_pixels(notes, how)
+
+
+def add_early_info(notes: list[Note]) -> list[Note]:
+    """A calibration without numbers comes before the true ones."""
+    first = next(note for note in notes if note.topic == CAMERA_INFO)
+    return [set_fields(replace(first, log_ns=first.log_ns - 10**8), focal=0.0), *notes]
+
+
+def begin_small(number: int, note: Note) -> Note:
+    """The camera's first image has another size."""
+    return note if number else replace(note, fields=encode(np.zeros((64, 64, 3), np.uint8), "image/jpeg"))
+
+
+def damage(*numbers: int) -> Change:
+    """The images of these numbers are cut off."""
+    return on(CAMERA, lambda n, note: set_fields(note, data=note.fields["data"][:20]) if n in numbers else note)
+
+
+def add_publisher(notes: list[Note]) -> list[Note]:
+    """Another program publishes zeros for the same joints."""
+    more = [replace(note, log_ns=note.log_ns + 10**7, stamp_ns=note.stamp_ns + 10**7) for note in notes]
+    return sort([*notes, *(set_fields(note, position=np.zeros(2)) for note in more if note.topic == JOINTS)])
+
+
+def restart(notes: list[Note]) -> list[Note]:
+    """The wheels' counter begins at zero again after 14 s."""
+    last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
+    return change(
+        notes,
+        JOINTS,
+        lambda _, note: set_fields(note, position=note.fields["position"] - last * (seconds(note) >= 14.0)),
+    )
+
+
+def freeze(notes: list[Note]) -> list[Note]:
+    """All images after the 150th are the same."""
+    images = [note.fields for note in notes if note.topic == CAMERA]
+    return change(notes, CAMERA, lambda number, note: replace(note, fields=images[min(number, 150)]))
+
+
+def keep(notes: list[Note]) -> list[Note]:
+    return notes
+
+
+MIRRORED, ESTIMATED = {"camera": {"mirrored": True}}, {"wheels": {"lag_s": "estimate"}}
+BORNE: dict[str, tuple[Change, dict[str, Any], float, str]] = {
+    "swapped": (on(JOINTS, swap), {}, 0.003, ""),
+    "namespace": (on(JOINTS, prefix), {}, 0.003, ""),
+    "wraps": (on(JOINTS, wrap_angle), {}, 0.003, "a counter wrapped around"),
+    "out of order": (on(JOINTS, in_bursts), {}, 0.003, ""),
+    "partial": (on(JOINTS, lose_some), {}, 0.004, "messages hold neither wheel"),
+    "zero stamps": (on(CAMERA, no_stamp), {}, 0.005, "most messages have no stamp, so the times of logging count"),
+    "late images": (on(CAMERA, late_images), {"clocks": "align", **ESTIMATED}, 0.005, ""),
+    "mirrored": (show(lambda image: image[:, ::-1]), MIRRORED, 0.003, ""),
+    "dark": (show(lambda image: image * 0), {}, 0.02, ""),
+    "lid": (show(lambda image: make_texture()[:80, :96]), {}, 0.02, ""),
+    "left backward": (scale(-1, 1), {"wheels": {"backward": "left"}}, 0.003, ""),
+    "right backward": (scale(1, -1), {"wheels": {"backward": "right", "lag_s": "estimate"}}, 0.003, ""),
+    "both backward": (scale(-1, -1), {"wheels": {"backward": "both"}}, 0.003, ""),
+    "another size": (on(CAMERA, begin_small), {}, 0.003, ""),
+    "early calibration": (add_early_info, {}, 0.003, ""),
+    "damaged images": (damage(20, 120, 220, 320), {}, 0.003, ""),
+}
+"""What a log's messages may be like: the change, settings, error of lengths [m], and what is noted."""
+
+
+@pytest.mark.parametrize("case", in_tiers(BORNE, "swapped", "partial", "zero stamps"))
+def test_habits_of_real_robots_change_nothing(case: str, notes: list[Note], tmp_path: Path) -> None:
+    how, groups, within_m, note = BORNE[case]
+    folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
     check_complete(folder, within_m)
-    assert note in " ".join(about["notes"])
+    assert note in " ".join(about["notes"]) and not any("backward" in one for one in about["notes"])
 
 
-def test_clocks_that_differ_are_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
-    def late(_: int, note: Note) -> Note:
-        return replace(note, stamp_ns=note.stamp_ns + 3_200_000_000)
-
-    log = write_log(tmp_path / "log", change(notes, CAMERA, late), "mcap_lz4")
-    with pytest.raises(InputError, match=r"clock of /camera/image_raw differs from that of /joint_states by \+3\.1"):
-        bring_in(log, tmp_path)
-    config = configure(clocks="align", wheels={"lag_s": "estimate"})
-    folder, about = bring_in(log, tmp_path, config)
-    assert abs(about["lag_s"] - 0.043) < 0.008  # images are logged 10 ms after their stamps, wheels 3 ms
-    check_complete(folder, 0.005)
-
-
-def test_a_clock_that_is_set_back_is_refused_or_aligned(notes: list[Note], tmp_path: Path) -> None:
-    def set_back(_: int, note: Note) -> Note:
-        back = 400_000_000 if seconds(note) > 15.0 else 0
-        return replace(note, stamp_ns=note.stamp_ns - back)
-
-    changed = change(notes, JOINTS, set_back)
-    log = write_log(tmp_path / "log", changed, "mcap_lz4")
-    with pytest.raises(InputError, match=r"clock of /joint_states is set back by 0\.400 s at 1[45]\.\d s; clocks:"):
-        bring_in(log, tmp_path)
-    folder, _ = bring_in(log, tmp_path, configure(clocks="align"))
-    by_ticks, true = measure(folder)
-    assert len(by_ticks) >= len(LENGTHS_M) - 1
-    np.testing.assert_allclose(by_ticks, true, atol=0.005)
+NOTED: dict[str, tuple[Change, dict[str, Any], str]] = {
+    "clock set back": (on(JOINTS, set_back), {"clocks": "align"}, ""),
+    "wheels lost": (lose(JOINTS, 1.4, 3.18), {}, r"/joint_states at 1\..* no message for 1\.9 s while the robot moved"),
+    "counter restarts": (restart, {}, r"/joint_states at 13\.9.* the counter restarted"),
+    "images lost": (lose(CAMERA, 6.5, 8.3), {}, ""),
+    "camera fails": (lose(CAMERA, 12.0, 18.0), {}, r"images cover 27 of 33 s of the drive, .* 6 s from 1[12]\.\d s on"),
+    "camera stops": (on(CAMERA, lambda n, one: one if n < 250 else None), {}, r"images cover 25 of 33 s of the drive"),
+    "frozen": (freeze, {}, "images do not turn.*is the camera frozen or covered there"),
+    "four damaged": (damage(50, 51, 52, 53), {"drive": {"spacing_m": 0.02}}, ""),
+    "lag": (keep, {"wheels": {"lag_s": 0.3}}, r"wheels\.lag_s is 0\.3 s, but the turns show 0\.0"),
+    "track": (keep, {"wheels": {"track_m": 0.32}}, r"the wheels turn 0\.(49|5|51) times as far: check radius, track"),
+    "view": (
+        keep,
+        {"camera": {"info": None, "circle_px": 240.0, "field_of_view_deg": 185.0}},
+        "black in part.*images reach 15 deg from the optical axis all around it, and polar images 92",
+    ),
+}
+"""What divides or spoils a drive: the change, settings, and what is noted."""
 
 
+@pytest.mark.parametrize("case", in_tiers(NOTED, "wheels lost", "clock set back"))
+def test_what_spoils_a_drive_is_noted_and_lengths_are_right(case: str, notes: list[Note], tmp_path: Path) -> None:
+    how, groups, note = NOTED[case]
+    folder, about = bring_in(write_log(tmp_path / "log", how(notes), "mcap_lz4"), tmp_path, configure(**groups))
+    assert re.search(note, " ".join(about["notes"]))
+    if case not in {"lag", "track", "view"}:
+        by_ticks, true = measure(folder)
+        np.testing.assert_allclose(by_ticks, true, atol=0.005)
+        assert by_ticks[:1] == pytest.approx(LENGTHS_M[:1], abs=0.01) or case == "wheels lost"
+    turns = open_recording(folder).turns
+    assert turns is not None and (case != "counter restarts" or (turns.kind == 2).sum() == 1)
+
+
+@slow
 def test_the_lag_is_measured_from_turns(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    _, about = bring_in(log, tmp_path, configure(**ESTIMATED))
     assert abs(about["lag_s"] - 0.05) <= 0.008
-    _, about = bring_in(log, tmp_path / "again", configure(wheels={"lag_s": 0.3}))
-    assert any("wheels.lag_s is 0.3 s, but the turns show 0.0" in note for note in about["notes"])
+    assert not any("do not turn" in note for note in about["notes"])
+    late = write_log(tmp_path / "late", change(notes, CAMERA, late_images), "mcap_lz4")
+    _, about = bring_in(late, tmp_path / "aligned", configure(clocks="align", **ESTIMATED))
+    assert abs(about["lag_s"] - 0.043) < 0.008  # images are logged 10 ms after their stamps, wheels 3 ms
 
 
+@slow
 def test_a_fast_camera_shows_the_lag_in_slow_turns_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     draw_all = robot_log._draw_all
     monkeypatch.setattr(robot_log, "RATE_RPS", 0.4)
     monkeypatch.setattr(robot_log, "_draw_all", lambda _: draw_all(1 / 30))
     robot_log.make_motion.cache_clear()
-    slow = make_notes("image/jpeg")
+    fast = make_notes("image/jpeg")
     robot_log.make_motion.cache_clear()
-    log = write_log(tmp_path / "log", slow, "mcap_lz4")
-    _, about = bring_in(log, tmp_path, configure(wheels={"lag_s": "estimate"}))
+    _, about = bring_in(write_log(tmp_path / "log", fast, "mcap_lz4"), tmp_path, configure(**ESTIMATED))
     assert abs(about["lag_s"] - 0.05) <= 0.02
 
 
-def test_mirrored_images_are_noticed(notes: list[Note], tmp_path: Path) -> None:
-    mirrored = replace_pixels(notes, lambda image: image[:, ::-1])
-    log = write_log(tmp_path / "log", mirrored, "mcap_lz4")
-    with pytest.raises(InputError, match=r"turn against the wheels: camera\.mirrored is wrong, wheels\.left"):
-        bring_in(log, tmp_path)
-    folder, _ = bring_in(log, tmp_path, configure(camera={"mirrored": True}))
-    check_complete(folder)
-
-
-def test_wheels_in_degrees_are_refused(notes: list[Note], tmp_path: Path) -> None:
-    def turn_into_degrees(_: int, note: Note) -> Note:
-        return set_fields(note, position=np.degrees(note.fields["position"]))
-
-    log = write_log(tmp_path / "log", change(notes, JOINTS, turn_into_degrees), "mcap_lz4")
-    with pytest.raises(InputError, match=r"they turn 5[678] times as far as the images: .* radians"):
-        bring_in(log, tmp_path)
-
-
-def test_a_track_that_is_wrong_is_noticed(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    _, about = bring_in(log, tmp_path, configure(wheels={"track_m": 0.32}))
-    assert any(
-        re.search(r"the wheels turn 0\.(49|5|51) times as far: check radius, track", note) for note in about["notes"]
-    )
-
-
-@pytest.mark.parametrize(("wheel", "sign"), [("left", (-1.0, 1.0)), ("right", (1.0, -1.0))])
-@pytest.mark.parametrize("lag_s", [0.0, "estimate"])
-def test_one_wheel_that_counts_backward_is_named_and_reversed(
-    lag_s: float | str, wheel: str, sign: tuple[float, float], notes: list[Note], tmp_path: Path
-) -> None:
-    def reverse(_: int, note: Note) -> Note:
-        return set_fields(note, position=note.fields["position"] * sign)
-
-    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
-    said = rf"wheels\.left, wheels\.right: they turn against each other in \d+ pairs .* the {wheel} one"
-    with pytest.raises(InputError, match=said):
-        bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s}))
-    folder, about = bring_in(log, tmp_path, configure(wheels={"lag_s": lag_s, "backward": wheel}))
-    check_complete(folder)
-    assert not any("backward" in note for note in about["notes"])
-
-
-def test_two_wheels_that_count_backward_are_refused_and_reversed(notes: list[Note], tmp_path: Path) -> None:
-    def reverse(_: int, note: Note) -> Note:
-        return set_fields(note, position=-note.fields["position"])
-
-    log = write_log(tmp_path / "log", change(notes, JOINTS, reverse), "mcap_lz4")
-    with pytest.raises(InputError, match=r"turn against the wheels: .* both wheels count backward \(wheels\.backward"):
-        bring_in(log, tmp_path)
-    check_complete(bring_in(log, tmp_path, configure(wheels={"backward": "both"}))[0])
-
-
+@slow
 def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note], tmp_path: Path) -> None:
     """Swapped and reversed wheels turn as they should, and only their way is backward."""
     with open_log(write_log(tmp_path / "log", notes, "mcap_lz4")) as log:
@@ -432,121 +449,13 @@ def test_a_robot_that_drove_backward_more_than_forward_is_noted(notes: list[Note
     assert note == f"{JOINTS}: the robot drove {metres}: do both wheels count forward?"
 
 
-@pytest.mark.parametrize("show", [lambda image: image * 0, lambda image: make_texture()[:80, :96]], ids=["dark", "lid"])
-def test_images_that_show_nothing_are_no_sign_of_wheels_that_count_backward(
-    show: Callable[[np.ndarray], np.ndarray], notes: list[Note], tmp_path: Path
-) -> None:
-    log = write_log(tmp_path / "log", replace_pixels(notes, show), "mcap_lz4")
-    check_complete(bring_in(log, tmp_path)[0], 0.02)
-
-
-def test_a_gap_of_the_wheels_divides_a_segment(notes: list[Note], tmp_path: Path) -> None:
-    def lose(_: int, note: Note) -> Note | None:
-        return None if 1.4 < seconds(note) < 3.18 else note
-
-    log = write_log(tmp_path / "log", change(notes, JOINTS, lose), "mcap_lz4")
-    folder, about = bring_in(log, tmp_path)
-    by_ticks, true = measure(folder)
-    np.testing.assert_allclose(by_ticks, true, atol=0.003)
-    assert by_ticks[-4:].sum() == pytest.approx(sum(LENGTHS_M[-4:]), abs=0.01)
-    (note,) = [note for note in about["notes"] if "s while the robot moved" in note]
-    assert note.startswith("/joint_states at 1.") and "no message for 1.9 s" in note
-
-
-def test_a_gap_of_the_camera_leaves_lengths_right(notes: list[Note], tmp_path: Path) -> None:
-    def lose(_: int, note: Note) -> Note | None:
-        return None if 6.5 < seconds(note) < 8.3 else note
-
-    log = write_log(tmp_path / "log", change(notes, CAMERA, lose), "mcap_lz4")
-    folder, _ = bring_in(log, tmp_path)
-    by_ticks, true = measure(folder)
-    np.testing.assert_allclose(by_ticks, true, atol=0.003)
-
-
-def test_a_camera_that_fails_midway_is_noted(notes: list[Note], tmp_path: Path) -> None:
-    some = change(notes, CAMERA, lambda _, note: None if 12.0 < seconds(note) < 18.0 else note)
-    _, about = bring_in(write_log(tmp_path / "log", some, "mcap_lz4"), tmp_path)
-    (note,) = [note for note in about["notes"] if "images cover" in note]
-    assert re.search(r"images cover 27 of 33 s of the drive, from .*, without 6 s from 1[12]\.\d s on; the rest", note)
-
-
-def test_a_frozen_camera_is_noted(notes: list[Note], tmp_path: Path) -> None:
-    images = [note.fields for note in notes if note.topic == CAMERA]
-
-    def freeze(number: int, note: Note) -> Note:
-        return replace(note, fields=images[min(number, 150)])
-
-    log = write_log(tmp_path / "log", change(notes, CAMERA, freeze), "mcap_lz4")
-    for lag_s in (0.05, "estimate"):
-        _, about = bring_in(log, tmp_path / str(lag_s), configure(wheels={"lag_s": lag_s}))
-        (note,) = [note for note in about["notes"] if "images do not turn" in note]
-        assert "is the camera frozen or covered there?" in note
-    _, sound = bring_in(write_log(tmp_path / "sound", notes, "mcap_lz4"), tmp_path / "also")
-    assert not any("do not turn" in note for note in sound["notes"])
-
-
-def test_a_field_of_view_beyond_the_image_is_noted(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", notes, "mcap_lz4")
-    config = configure(camera={"info": None, "circle_px": 240.0, "field_of_view_deg": 185.0})
-    _, about = bring_in(log, tmp_path, config)
-    (note,) = [note for note in about["notes"] if "black in part" in note]
-    assert "images reach 15 deg from the optical axis all around it, and polar images 92" in note
-
-
-def test_a_camera_that_begins_with_another_size_is_read(notes: list[Note], tmp_path: Path) -> None:
-    small = encode(np.zeros((64, 64, 3), np.uint8), "image/jpeg")
-
-    def begin(number: int, note: Note) -> Note:
-        return note if number else replace(note, fields=small)
-
-    folder, _ = bring_in(write_log(tmp_path / "log", change(notes, CAMERA, begin), "mcap_lz4"), tmp_path)
-    check_complete(folder)
-
-
-def test_a_calibration_may_come_late(notes: list[Note], tmp_path: Path) -> None:
-    infos = [note for note in notes if note.topic == CAMERA_INFO]
-    early = set_fields(replace(infos[0], log_ns=infos[0].log_ns - 10**8), focal=0.0)
-    folder, _ = bring_in(write_log(tmp_path / "log", [early, *notes], "mcap_lz4"), tmp_path)
-    check_complete(folder)
-
-
-def test_what_is_left_beside_split_files_is_no_part_of_the_log(notes: list[Note], tmp_path: Path) -> None:
-    folder = tmp_path / "log"
-    folder.mkdir()
-    write_log(tmp_path / "one", notes, "mcap_lz4").rename(folder / "drive_0.mcap")
-    (folder / "drive_1.mcap").touch()
-    (folder / "._drive_0.mcap").write_bytes(b"\0\5\x16\7 of macOS")
-    made, _ = bring_in(folder, tmp_path)
-    check_complete(made)
-
-
-def test_a_bag_of_a_killed_recorder_says_how_it_is_read(notes: list[Note], tmp_path: Path) -> None:
-    write_log(tmp_path / "log", notes, "bag").rename(tmp_path / "log.bag.active")
+def test_a_bag_of_a_killed_recorder_says_how_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "log.bag.active").write_bytes(b"#ROSBAG V2.0\n")
     with pytest.raises(InputError, match=r"a killed recorder left this one: copy it without \.active"):
         bring_in(tmp_path / "log.bag.active", tmp_path)
 
 
-def test_a_camera_that_stops_before_the_drive_ends_is_noted(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", change(notes, CAMERA, lambda n, note: note if n < 250 else None), "mcap_lz4")
-    _, about = bring_in(log, tmp_path)
-    assert any(note.startswith(f"{CAMERA}: images cover 25 of 33 s of the drive, from") for note in about["notes"])
-
-
-def test_a_counter_that_restarts_divides_the_drive(notes: list[Note], tmp_path: Path) -> None:
-    last = [note.fields["position"] for note in notes if note.topic == JOINTS and seconds(note) < 14.0][-1]
-
-    def restart(_: int, note: Note) -> Note:
-        return set_fields(note, position=note.fields["position"] - last * (seconds(note) >= 14.0))
-
-    log = write_log(tmp_path / "log", change(notes, JOINTS, restart), "mcap_lz4")
-    folder, about = bring_in(log, tmp_path)
-    by_ticks, true = measure(folder)
-    np.testing.assert_allclose(by_ticks, true, atol=0.003)
-    assert any(note.startswith("/joint_states at 13.9") and "the counter restarted" in note for note in about["notes"])
-    turns = open_recording(folder).turns
-    assert turns is not None and (turns.kind == 2).sum() == 1
-
-
+@slow
 def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", make_notes("image/jpeg", odometry=True), "mcap_lz4")
     folder, about = bring_in(log, tmp_path)
@@ -560,6 +469,7 @@ def test_an_odometry_can_take_the_place_of_joints(tmp_path: Path) -> None:
         diagnose(recording)
 
 
+@slow
 def test_an_odometry_without_orientation_is_noted(tmp_path: Path) -> None:
     def forget(_: int, note: Note) -> Note:
         return set_fields(note, pose=np.array([*note.fields["pose"][:2], 0.0]))
@@ -576,6 +486,7 @@ def test_a_lag_that_none_can_be_is_refused_in_plain_words(lag_s: str | float, tm
         load_config(tmp_path / "robot.yaml")
 
 
+@slow
 def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
     folder, _ = bring_in(log, tmp_path, configure(pose={"use": "labels"}))
@@ -583,6 +494,7 @@ def test_poses_may_be_labels_instead_of_truth(notes: list[Note], tmp_path: Path)
     assert not has_truth(folder) and labels is not None and np.isfinite(labels.pose).all()
 
 
+@slow
 def test_without_poses_there_is_no_truth_and_with_them_segments_are_held_out(notes: list[Note], tmp_path: Path) -> None:
     log = write_log(tmp_path / "log", notes, "mcap_lz4")
     folder, about = bring_in(log, tmp_path, configure(pose=None, drive={"held_out": 0.3}))
@@ -605,67 +517,66 @@ def count_images(recording: Recording) -> int:
     return len(recording.observation) + (0 if recording.turn_observation is None else len(recording.turn_observation))
 
 
-def test_damaged_images_are_left_out_unless_they_are_many(notes: list[Note], tmp_path: Path) -> None:
-    def damage(every: int) -> Sequence[Note]:
-        def one(number: int, note: Note) -> Note:
-            return set_fields(note, data=note.fields["data"][:20]) if number % every == 20 else note
-
-        return change(notes, CAMERA, one)
-
-    folder, _ = bring_in(write_log(tmp_path / "log", damage(100), "mcap_lz4"), tmp_path)
-    check_complete(folder)
-    with pytest.raises(InputError, match=r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged images: "):
-        bring_in(write_log(tmp_path / "many", damage(21), "mcap_lz4"), tmp_path / "again")
-
-
-def test_several_damaged_images_in_a_row_are_left_out(notes: list[Note], tmp_path: Path) -> None:
-    def damage(number: int, note: Note) -> Note:
-        return set_fields(note, data=note.fields["data"][:20]) if 50 <= number < 54 else note
-
-    log = write_log(tmp_path / "log", change(notes, CAMERA, damage), "mcap_lz4")
-    _, about = bring_in(log, tmp_path, configure(drive={"spacing_m": 0.02}))
-    assert about["segments"] >= len(LENGTHS_M)
-
-
-def test_two_publishers_of_the_wheels_are_refused(notes: list[Note], tmp_path: Path) -> None:
-    zeros = [
-        set_fields(replace(note, log_ns=note.log_ns + 10**7, stamp_ns=note.stamp_ns + 10**7), position=np.zeros(2))
-        for note in notes
-        if note.topic == JOINTS
-    ]
-    log = write_log(tmp_path / "log", sort([*notes, *zeros]), "mcap_lz4")
-    with pytest.raises(InputError, match=r"/joint_states at \d+\.\d\d s: .* more than one program published"):
-        bring_in(log, tmp_path)
-
-
 def info(**fields: Any) -> Callable[[int, Note], Note]:
     return lambda _, note: set_fields(note, **fields)
 
 
-@pytest.mark.parametrize(
-    ("topic", "fault", "message"),
-    [
-        (CAMERA_INFO, info(focal=0.0), "/camera/camera_info: the camera is not calibrated .K is 0.; give camera"),
-        (CAMERA_INFO, info(model="omni"), "/camera/camera_info: distortion model 'omni': must be equidistant"),
-        (CAMERA_INFO, info(height=81), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
-        (CAMERA_INFO, lambda _, note: None, "camera.info /camera/camera_info: .* has no such topic; it has none of"),
-        (CAMERA, lambda _, note: None, "camera.topic /camera/image_raw: .* has no such topic; it has none of"),
-        (JOINTS, info(name=["a", "b"]), "/joint_states has no position of a joint 'wheel_left_joint'; its joints"),
-        (JOINTS, info(position=np.zeros(2)), "no straight segment with two images was found .motions: 0 straight"),
-        (JOINTS, lambda n, note: note if n < 5 else None, "/joint_states has 5 messages with both wheels; a"),
-        (TRUTH, lambda _, note: None, "pose.topic /mocap/pose: .* has no such topic; it has none of type"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_used_is_refused_in_one_line(
-    topic: str, fault: Callable[[int, Note], Note | None], message: str, notes: list[Note], tmp_path: Path
-) -> None:
-    log = write_log(tmp_path / "log", change(notes, topic, fault), "mcap_lz4")
+def none(_: int, note: Note) -> None:
+    return None
+
+
+REFUSED: dict[str, tuple[Change, str]] = {
+    "no calibration": (on(CAMERA_INFO, info(focal=0.0)), "/camera/camera_info: the camera is not calibrated .K is 0."),
+    "model": (on(CAMERA_INFO, info(model="omni")), "/camera/camera_info: distortion model 'omni': must be equidistant"),
+    "size": (on(CAMERA_INFO, info(height=81)), "/camera/camera_info: it is for 96 x 81 px, and images have 96 x 80"),
+    "no info": (on(CAMERA_INFO, none), "camera.info /camera/camera_info: .* has no such topic"),
+    "no camera": (on(CAMERA, none), "camera.topic /camera/image_raw: .* has no such topic"),
+    "no pose": (on(TRUTH, none), "pose.topic /mocap/pose: .* has no such topic"),
+    "joints": (on(JOINTS, info(name=["a", "b"])), "/joint_states has no position of a joint 'wheel_left_joint'"),
+    "few": (on(JOINTS, lambda n, note: note if n < 5 else None), "/joint_states has 5 messages with both wheels"),
+}
+"""Logs that are refused before a picture is unwrapped: the change, and what is said."""
+REFUSED_LATER: dict[str, tuple[Change, str]] = {
+    "still": (on(JOINTS, info(position=np.zeros(2))), "no straight segment with two images was found"),
+    "rare": (on(JOINTS, lambda n, note: None if n % 10 else note), r"[1-9]\d* unknown; .* no message for 0\.5 s while"),
+    "clocks": (on(CAMERA, late_images), r"clock of /camera/image_raw differs from that of /joint_states by \+3\.1"),
+    "clock set back": (on(JOINTS, set_back), r"clock of /joint_states is set back by 0\.400 s at 1[45]\.\d s; clocks:"),
+    "mirrored": (
+        show(lambda image: image[:, ::-1]),
+        r"turn against the wheels: camera\.mirrored is wrong",
+    ),
+    "degrees": (scale(180 / np.pi, 180 / np.pi), r"they turn 5[678] times as far as the images: .* radians"),
+    "left": (scale(-1, 1), r"wheels\.left, wheels\.right: they turn against each other .* the left one"),
+    "right": (scale(1, -1), r"wheels\.left, wheels\.right: they turn against each other .* the right one"),
+    "backward": (scale(-1, -1), r"turn against the wheels: .* both wheels count backward \(wheels\.backward"),
+    "damaged": (
+        damage(*range(20, 334, 21)),
+        r"/camera/image_raw at \d+\.\d+ s: .*picture is damaged; damaged",
+    ),
+    "two publishers": (add_publisher, r"/joint_states at \d+\.\d\d s: .* more than one program published"),
+}
+"""Logs whose drive or pictures are refused."""
+
+
+def check_refused(how: Change, message: str, notes: list[Note], folder: Path) -> None:
+    log = write_log(folder / "log", how(notes), "mcap_lz4")
     with pytest.raises(InputError, match=message) as caught:
-        bring_in(log, tmp_path)
-    assert "\n" not in str(caught.value) and not (tmp_path / "recording").exists()
-    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+        bring_in(log, folder)
+    assert "\n" not in str(caught.value)
+    assert [path.name for path in folder.iterdir()] == ["log.mcap"]
 
 
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_used_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
+    check_refused(*REFUSED[case], notes, tmp_path)
+
+
+@pytest.mark.parametrize("case", in_tiers(REFUSED_LATER, "clocks", "mirrored", "two publishers"))
+def test_what_contradicts_itself_is_refused_in_one_line(case: str, notes: list[Note], tmp_path: Path) -> None:
+    check_refused(*REFUSED_LATER[case], notes, tmp_path)
+
+
+@slow
 def test_a_topic_without_messages_is_refused(notes: list[Note], tmp_path: Path) -> None:
     others = [note for note in notes if note.topic != CAMERA]
     log = write_log(tmp_path / "log", others, "db3", empty=[(CAMERA, COMPRESSED)])
@@ -688,12 +599,6 @@ def test_strange_files_are_refused(tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match=r"holds no log: neither \.bag, \.mcap or \.db3 files nor images"):
         bring_in(tmp_path / "empty", tmp_path)
-
-
-def test_messages_that_are_too_rare_are_named_as_the_cause(notes: list[Note], tmp_path: Path) -> None:
-    log = write_log(tmp_path / "log", change(notes, JOINTS, lambda n, note: None if n % 10 else note), "mcap_lz4")
-    with pytest.raises(InputError, match=r"\d+ rest, 0 arc, 0 back, [1-9]\d* unknown; .* no message for 0\.5 s while"):
-        bring_in(log, tmp_path)
 
 
 def test_a_place_that_cannot_take_a_recording_is_refused_before_the_log_is_read(

@@ -53,18 +53,12 @@ def test_the_proposed_file_imports_the_log(log: Path, tmp_path: Path, capsys: py
     assert ended.value.code == 2 and "is not empty" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--look", "--out", "x"], "takes --look, or --config FILE and --out FOLDER"),
-        ([], "takes --look, or --config FILE and --out FOLDER"),
-        (["--out", "x"], "needs both --config FILE and --out FOLDER"),
-    ],
-)
-def test_the_command_says_what_it_needs(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["import", "log.mcap", *words])
-    assert ended.value.code == 2 and message in capsys.readouterr().err
+def test_the_command_says_what_it_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--look", "--out", "x"], [], ["--out", "x"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["import", "log.mcap", *words])
+        said = capsys.readouterr().err
+        assert ended.value.code == 2 and "--config FILE" in said and "--out FOLDER" in said
 
 
 @pytest.mark.parametrize("kind", ["mcap_lz4", "db3"])
