@@ -36,8 +36,9 @@ def test_a_run_s_diagnosis_lies_in_its_folder_and_its_view_is_made_again(finishe
 
 
 def test_what_is_no_recording_is_refused_in_a_line(small_recording: Path, tmp_path: Path):
-    for name, message in (("nothing", "neither a recording"), (".", "neither a recording")):
-        assert_one_clear_line(deepgps_here("diagnose", name, cwd=tmp_path), 2, message, tmp_path)
+    for name in ("nothing", "."):
+        done = deepgps_here("diagnose", name, cwd=tmp_path)
+        assert_one_clear_line(done, 2, "neither a recording", tmp_path)
 
 
 def test_a_recording_without_turns_is_refused_in_a_line(small_recording: Path, tmp_path: Path):

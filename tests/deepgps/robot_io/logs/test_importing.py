@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import yaml
 
 from deepgps.diagnosis.diagnosis import can_diagnose, diagnose
 from deepgps.robot_io.logs.containers import open_log
@@ -16,7 +15,7 @@ from deepgps.robot_io.logs.drive import find_drive
 from deepgps.robot_io.logs.importing import import_log
 from deepgps.robot_io.logs.messages import open_wheels
 from deepgps.robot_io.logs.pictures import open_images
-from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
+from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.robot_io.logs.sample import explained
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
@@ -477,13 +476,6 @@ def test_an_odometry_without_orientation_is_noted(tmp_path: Path) -> None:
     notes = change(make_notes("image/jpeg", odometry=True), JOINTS, forget)
     _, about = bring_in(write_log(tmp_path / "log", notes, "mcap_lz4"), tmp_path)
     assert any("the odometry goes sideways, as no wheels can" in note for note in about["notes"])
-
-
-@pytest.mark.parametrize("lag_s", ["estimated", 2.0])
-def test_a_lag_that_none_can_be_is_refused_in_plain_words(lag_s: str | float, tmp_path: Path) -> None:
-    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({**CONFIG, "wheels": {**CONFIG["wheels"], "lag_s": lag_s}}))
-    with pytest.raises(InputError, match=rf"wheels\.lag_s: '?{lag_s}'? must be from -1 to 1 s, or estimate$"):
-        load_config(tmp_path / "robot.yaml")
 
 
 @slow

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -109,27 +108,23 @@ def test_a_plain_folder_is_looked_at(tmp_path: Path) -> None:
     assert (config.wheels.topic, config.wheels.left, config.camera.topic) == ("wheels.csv", "left", "images")
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"wheels": {"radius_m": 0.0}}, r"wheels\.radius_m 0\.0: must be greater than 0\.001"),
-        ({"wheels": {"lag_s": 7.0}}, r"wheels.lag_s: 7.0 must be from -1 to 1 s, or estimate"),
+def test_a_wrong_robot_is_refused_in_one_line(tmp_path: Path) -> None:
+    base: dict = {"wheels": {"radius_m": 0.033, "track_m": 0.16}, "camera": {"topic": "/c", "info": "/i"}}
+    path = tmp_path / "robot.yaml"
+    for values, message in (
+        ({"wheels": {**base["wheels"], "radius_m": 0.0}}, r"wheels\.radius_m 0\.0: must be greater than 0\.001"),
+        ({"wheels": {**base["wheels"], "lag_s": 7.0}}, r"wheels.lag_s: 7.0 must be from -1 to 1 s"),
+        ({"wheels": {**base["wheels"], "lag_s": "estimated"}}, r"wheels.lag_s: 'estimated' must be .*estimate"),
         ({"camera": {"topic": "/c"}}, "without info, file or intrinsics, field_of_view_deg and circle_px are needed"),
         ({"camera": {"topic": "/c", "info": "/i", "file": "x.yaml"}}, "info and file: give one of them"),
         ({"pose": {"topic": "/p", "use": "both"}}, r"pose\.use 'both': must be 'truth' or 'labels'"),
         ({"speed": 1}, "speed: there is no such setting"),
         ({"clocks": "guess"}, "clocks 'guess': must be 'refuse' or 'align'"),
-    ],
-)
-def test_a_wrong_robot_is_refused_in_one_line(values: dict, message: str, tmp_path: Path) -> None:
-    base: dict = {"wheels": {"radius_m": 0.033, "track_m": 0.16}, "camera": {"topic": "/c", "info": "/i"}}
-    for name, given in values.items():
-        base[name] = {**base.get(name, {}), **given} if name == "wheels" else given
-    path = tmp_path / "robot.yaml"
-    path.write_text(yaml.safe_dump(base))
-    with pytest.raises(InputError, match=message) as caught:
-        load_config(path)
-    assert "\n" not in str(caught.value)
+    ):
+        path.write_text(yaml.safe_dump({**base, **values}))
+        with pytest.raises(InputError, match=message) as caught:
+            load_config(path)
+        assert "\n" not in str(caught.value)
 
 
 CALIBRATION = {
@@ -141,26 +136,23 @@ CALIBRATION = {
 }
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("image_width", float("inf"), "image_width inf: must be a whole number of pixels"),
-        ("image_width", float("nan"), "image_width nan: must be a whole number of pixels"),
-        ("image_height", 80.5, r"image_height 80\.5: must be a whole number of pixels"),
-        ("image_height", [80], r"image_height \[80\]: must be a whole number of pixels"),
-        ("camera_matrix", {"data": "123456789"}, r"camera_matrix\.data '123456789': must be a list of finite numbers"),
+def test_a_wrong_calibration_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "ost.yaml"
+    for name, value, message in (
+        ("image_width", float("inf"), "image_width inf: must be a whole number"),
+        ("image_width", float("nan"), "image_width nan: must be a whole number"),
+        ("image_height", 80.5, r"image_height 80\.5: must be a whole number"),
+        ("image_height", [80], r"image_height \[80\]: must be a whole number"),
+        ("camera_matrix", {"data": "123456789"}, r"camera_matrix\.data '123456789': must be a list"),
         ("camera_matrix", {"data": [1.0] * 8}, r"camera_matrix\.data has 8 numbers, and must have 9"),
         ("camera_matrix", {"data": [True] * 9}, r"camera_matrix\.data .*: must be a list of finite numbers"),
-        ("distortion_coefficients", {"data": {"a": 1}}, r"distortion_coefficients\.data .* must be a list of finite"),
-        ("distortion_coefficients", None, r"distortion_coefficients\.data None: must be a list of finite numbers"),
-    ],
-)
-def test_a_wrong_calibration_is_refused_in_one_line(name: str, value: Any, message: str, tmp_path: Path) -> None:
-    path = tmp_path / "ost.yaml"
-    path.write_text(yaml.safe_dump({**CALIBRATION, name: value}))
-    with pytest.raises(InputError, match=message) as caught:
-        read_calibration(path)
-    assert "\n" not in str(caught.value)
+        ("distortion_coefficients", {"data": {"a": 1}}, r"distortion_coefficients\.data .* must be a list"),
+        ("distortion_coefficients", None, r"distortion_coefficients\.data None: must be a list"),
+    ):
+        path.write_text(yaml.safe_dump({**CALIBRATION, name: value}))
+        with pytest.raises(InputError, match=message) as caught:
+            read_calibration(path)
+        assert "\n" not in str(caught.value)
 
 
 def test_a_calibration_may_hold_numbers_that_yaml_reads_as_text(tmp_path: Path) -> None:
