@@ -5,6 +5,7 @@ The robot drives straight segments and turns in place below a ceiling with a ran
 
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -244,13 +245,11 @@ def write_log(path: Path, notes: Sequence[Note], form: str = "mcap", empty: Sequ
     topics = {**{note.topic: note.kind for note in notes}, **dict(empty)}
     if form.startswith("bag"):
         return _write_bag(path.with_suffix(".bag"), notes, topics, form.partition("_")[2])
-    if form == "db3_v5":
-        return _write_version_5(path, notes, topics)
     if form == "mcap_lz4":
         return _write_lz4(path.with_suffix(".mcap"), notes)
     store = get_typestore(Stores.ROS2_HUMBLE)
     plugin = StoragePlugin.MCAP if form.startswith("mcap") else StoragePlugin.SQLITE3
-    bag = Bag2(path, version=8 if form.endswith("v8") else 9, storage_plugin=plugin)
+    bag = Bag2(path, version=8 if form.endswith(("v5", "v8")) else 9, storage_plugin=plugin)
     if form.endswith("zstd"):
         mode = CompressionMode.STORAGE if plugin == StoragePlugin.MCAP else CompressionMode.MESSAGE
         bag.set_compression(mode, CompressionFormat.ZSTD)
@@ -258,7 +257,7 @@ def write_log(path: Path, notes: Sequence[Note], form: str = "mcap", empty: Sequ
         links = {topic: bag.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
         for note in notes:
             bag.write(links[note.topic], note.log_ns, store.serialize_cdr(make_message(store, note), note.kind))
-    return path
+    return _take_back(path) if form == "db3_v5" else path
 
 
 def _write_bag(path: Path, notes: Sequence[Note], topics: Mapping[str, str], compression: str) -> Path:
@@ -289,56 +288,19 @@ def _write_lz4(path: Path, notes: Sequence[Note]) -> Path:
     return path
 
 
-def _write_version_5(folder: Path, notes: Sequence[Note], topics: Mapping[str, str]) -> Path:
-    """A bag as Humble writes it: metadata of version 5, no definitions of types."""
-    folder.mkdir()
-    store, numbers = get_typestore(Stores.ROS2_HUMBLE), {topic: number for number, topic in enumerate(topics, 1)}
-    database = sqlite3.connect(folder / f"{folder.name}_0.db3")
-    database.executescript(
-        "CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);"
-        "CREATE TABLE metadata(id INTEGER PRIMARY KEY, metadata_version INTEGER NOT NULL, metadata TEXT NOT NULL);"
-        "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,"
-        " serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);"
-        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,"
-        " data BLOB NOT NULL); CREATE INDEX timestamp_idx ON messages (timestamp ASC);"
-        "INSERT INTO schema VALUES (3, 'humble');"
-    )
-    database.executemany(
-        "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')",
-        [(numbers[topic], topic, kind) for topic, kind in topics.items()],
-    )
-    rows = [
-        (numbers[note.topic], note.log_ns, bytes(store.serialize_cdr(make_message(store, note), note.kind)))
-        for note in notes
-    ]
-    database.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
-    database.commit()
-    database.close()
-    first, last = (edge(note.log_ns for note in notes) for edge in (min, max))
-    about = {
-        "version": 5,
-        "storage_identifier": "sqlite3",
-        "duration": {"nanoseconds": last - first},
-        "starting_time": {"nanoseconds_since_epoch": first},
-        "message_count": len(notes),
-        "topics_with_message_count": [
-            {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": kind,
-                    "serialization_format": "cdr",
-                    "offered_qos_profiles": "",
-                },
-                "message_count": sum(note.topic == topic for note in notes),
-            }
-            for topic, kind in topics.items()
-        ],
-        "compression_format": "",
-        "compression_mode": "",
-        "relative_file_paths": [f"{folder.name}_0.db3"],
-        "files": [],
-    }
-    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}))
+def _take_back(folder: Path) -> Path:
+    """Make a bag of version 8 one as Humble writes it: metadata of version 5, no definitions of types."""
+    about = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    with closing(sqlite3.connect(folder / f"{folder.name}.db3")) as database:
+        database.executescript(
+            "ALTER TABLE topics DROP COLUMN type_description_hash; DROP TABLE message_definitions; "
+            "UPDATE schema SET schema_version = 3, ros_distro = 'humble'; DELETE FROM metadata;"
+        )
+    for topic in about["topics_with_message_count"]:
+        del topic["topic_metadata"]["type_description_hash"]
+    kept = {name: value for name, value in about.items() if name not in {"custom_data", "ros_distro"}}
+    kept |= {"version": 5, "files": []}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": kept}))
     return folder
 
 

@@ -38,7 +38,6 @@ def rename(log: Path, name: str) -> Path:
     """Name a folder and the files in it as if they had been recorded under this name."""
     for path in list(log.iterdir()):
         if path.name == "metadata.yaml":
-            path.write_text(path.read_text().replace(f"{log.name}_0.db3", f"{log.name}.db3"))
             path.write_text(path.read_text().replace(f"{log.name}.db3", f"{name}.db3"))
         else:
             path.rename(log / f"{name}.db3")
@@ -78,11 +77,11 @@ def test_messages_that_a_killed_recorder_left_aside_are_read(notes: list[Note], 
     log = kill_recorder(write_log(tmp_path / "log", notes, "db3_v5"), tmp_path / "killed#1")
     for _ in range(2):
         check_complete(log, notes)
-        check_complete(log / "log_0.db3", notes)
+        check_complete(log / "log.db3", notes)
         (log / "metadata.yaml").unlink(missing_ok=True)
-    with (log / "log_0.db3").open("r+b") as stream:
+    with (log / "log.db3").open("r+b") as stream:
         stream.truncate(100_000)
-    with pytest.raises(InputError, match=r"log_0\.db3-wal does not fit log_0\.db3 .*; move it away to read the rest"):
+    with pytest.raises(InputError, match=r"log\.db3-wal does not fit log\.db3 .*; move it away to read the rest"):
         check_complete(log, notes)
 
 
