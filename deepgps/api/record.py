@@ -185,7 +185,6 @@ def write_aside(folder: Path) -> Iterator[Path]:
 
 
 def _take(values: Any, axes: int, name: str, kind: ObservationKind) -> np.ndarray:
-    """Observations as an array of the type that methods learn from."""
     array = np.asarray(values)
     if array.ndim != axes or 0 in array.shape[1:]:
         raise InputError(f"{name} {array.shape}: observations of kind {kind} have {axes} axes, none of them empty")
@@ -212,7 +211,6 @@ def _take_readings(
 
 
 def _take_tests(values: Any, observation: np.ndarray, axes: int) -> np.ndarray:
-    """Test observations (C, H, ...)."""
     if values is None:
         return np.empty((0, 1, *observation.shape[1:]), observation.dtype)
     test = np.asarray(values)
@@ -222,10 +220,14 @@ def _take_tests(values: Any, observation: np.ndarray, axes: int) -> np.ndarray:
             f"test_observations {test.shape}: must be (C, H, ...) or (C, ...) with observations of shape "
             f"{observation.shape[1:]}, as in observations"
         )
-    check_observations(test, "test_observations")
-    if observation.dtype == np.uint8 and test.dtype != np.uint8:
-        raise InputError(f"test_observations {test.dtype}: must be uint8, as observations")
-    return test.astype(observation.dtype)
+    return _as_observed(test, observation, "test_observations")
+
+
+def _as_observed(array: np.ndarray, observation: np.ndarray, name: str) -> np.ndarray:
+    check_observations(array, name)
+    if observation.dtype == np.uint8 and array.dtype != np.uint8:
+        raise InputError(f"{name} {array.dtype}: must be uint8, as observations are")
+    return array.astype(observation.dtype)
 
 
 def _shaped(values: Any, shape: tuple[int, ...], name: str) -> np.ndarray:
@@ -246,12 +248,9 @@ def _take_turns(
     seen = observation[:0] if turn_observations is None else np.asarray(turn_observations)
     if seen.shape[1:] != observation.shape[1:]:
         raise InputError(f"turn_observations {seen.shape}: must be like observations, (K, ...) {observation.shape[1:]}")
-    check_observations(seen, "turn_observations")
-    if observation.dtype == np.uint8 and seen.dtype != np.uint8:
-        raise InputError(f"turn_observations {seen.dtype}: must be uint8, as observations are")
-    array = np.asarray(turns)
+    seen, array = _as_observed(seen, observation, "turn_observations"), np.asarray(turns)
     check_turns(array, len(observation), len(seen), reading[:, 0])
-    return array.astype(np.int64), seen.astype(observation.dtype)
+    return array.astype(np.int64), seen
 
 
 def _describe(
