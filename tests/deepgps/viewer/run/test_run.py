@@ -1,4 +1,4 @@
-"""The recording: whole, read back as it was written, and one clear line where something is missing."""
+"""A run's recording: whole, read back as it was written, and one clear line where something is missing."""
 
 import re
 import shutil
@@ -53,6 +53,30 @@ def copied(run: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run, tmp_path / "copy"))
 
 
+@pytest.fixture(scope="module")
+def changed(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy with large pictures, a long drive, a wrong track, a method that failed, and no training histories."""
+    folder = Path(shutil.copytree(run, tmp_path_factory.mktemp("changed") / "copy"))
+    observation, poses = choose_views(folder)
+    assert len(observation) == len(poses) <= SAMPLES
+    write_pictures(folder, observation, np.zeros((len(observation), 32, 32, 3), np.uint8))
+    path = folder / "recording" / "time.npy"
+    np.save(path, 1000 * np.load(path))
+    manifest = read_manifest(path.parent).model_dump(by_alias=True)
+    manifest["odometry"]["track_m"] *= 1.1
+    manifest["settings"]["encoder"] = {"track_error": 0.1}
+    finish_recording(path.parent, manifest)
+    metrics = read_json(folder / "metrics.json")
+    metrics["methods"]["deepgps"]["scale"] = 0.5
+    write_json(folder / "metrics.json", metrics)
+    for path in folder.glob("*/history.npz"):
+        path.unlink()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(drive, "IMAGES_AT_MOST", 25)
+        write_run(folder)
+    return folder
+
+
 def rows_by_entity(path: Path) -> dict[str, int]:
     """Rows of each entity over time; static ones count none."""
     counts: dict[str, int] = {}
@@ -62,35 +86,36 @@ def rows_by_entity(path: Path) -> dict[str, int]:
     return counts
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_the_error_field_reads_back_as_it_was_measured(run: Path, method: str) -> None:
-    with np.load(run / "error_field.npz") as arrays:
-        truth, predicted = arrays["truth"], arrays[method]
-    error = np.linalg.norm(predicted - truth[:, None], axis=-1).max(axis=1)
-    field = read_error_field(run / RECORDING, method)
-    np.testing.assert_allclose(field.truth, truth, atol=1e-6)
-    np.testing.assert_allclose(field.error, error, atol=1e-6)
-    np.testing.assert_allclose(field.predicted, read_fields(run)[method].predicted, atol=1e-6)
+def read_flat(path: Path, entity: str, component: str) -> np.ndarray | list:
+    """All values of a component of a static entity."""
+    return read_entity(path, entity)[component].combine_chunks().flatten().to_pylist()
 
 
-def test_the_table_holds_all_error_fields(run: Path) -> None:
+def test_error_fields_read_back_as_they_were_measured_alone_and_in_the_table(run: Path) -> None:
     table = read_error_table(run / RECORDING)
     assert table.column_names == ["x_m", "y_m", "predicted_x_m", "predicted_y_m", "error_m", "heading_deg", "method"]
     with np.load(run / "error_field.npz") as arrays:
-        assert table.num_rows == len(METHODS) * len(arrays["truth"])
-        for method in METHODS:
-            rows = table.filter(pc.field("method") == method)
-            truth, predicted = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
-            error = np.linalg.norm(arrays[method] - arrays["truth"][:, None], axis=-1)
-            worst = arrays[method][np.arange(len(error)), error.argmax(axis=1)]
-            np.testing.assert_allclose(truth, arrays["truth"], atol=1e-6)
-            np.testing.assert_allclose(predicted, worst, atol=1e-6)
-            np.testing.assert_allclose(rows["error_m"], error.max(axis=1), atol=1e-6)
+        truth, measured = arrays["truth"], {method: arrays[method] for method in METHODS}
+    assert table.num_rows == len(METHODS) * len(truth)
+    for method, predicted in measured.items():
+        error = np.linalg.norm(predicted - truth[:, None], axis=-1)
+        worst = predicted[np.arange(len(error)), error.argmax(axis=1)]
+        field = read_error_field(run / RECORDING, method)
+        rows = table.filter(pc.field("method") == method)
+        of_table = (np.column_stack([rows[f"{of}{axis}_m"] for axis in "xy"]) for of in ("", "predicted_"))
+        for shown in ((field.truth, field.predicted, field.error), (*of_table, rows["error_m"])):
+            for one, expected in zip(shown, (truth, worst, error.max(axis=1)), strict=True):
+                np.testing.assert_allclose(one, expected, atol=1e-6)
+        np.testing.assert_allclose(field.predicted, read_fields(run)[method].predicted, atol=1e-6)
 
 
-def test_the_table_of_a_root_that_is_not_there_is_refused(run: Path) -> None:
-    with pytest.raises(InputError, match="has no error field below 'a'"):
+def test_what_is_not_there_is_one_line_with_what_is(run: Path) -> None:
+    with pytest.raises(InputError, match="no error field below 'a'"):
         read_error_table(run / RECORDING, "a")
+    with pytest.raises(InputError, match=r"'drive/tick'.* has .*drive/ticks/left"):
+        read_entity(run / RECORDING, "drive/tick")
+    with pytest.raises(InputError, match=r"'gps'.* has dead_reckoned_labels, deepgps, knn, posenet"):
+        read_error_field(run / RECORDING, "gps")
 
 
 def test_the_examples_of_reading_back_work(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -130,11 +155,6 @@ def test_only_snapshots_of_deepgps_are_turned_over(run: Path, method: str, hand:
     after = np.array(rows["Points3D:positions"].to_pylist()[-1])[:, :2]
     turn = np.linalg.lstsq(before - before.mean(axis=0), after - after.mean(axis=0))[0]
     assert np.linalg.det(turn) == pytest.approx(hand, abs=1e-3)
-
-
-def test_an_entity_that_is_not_there_is_told_with_those_that_are(run: Path) -> None:
-    with pytest.raises(InputError, match=r"no entity 'drive/tick'; it has .*drive/ticks/left"):
-        read_entity(run / RECORDING, "drive/tick")
 
 
 def test_drive_and_training_are_there_row_by_row(run: Path) -> None:
@@ -195,30 +215,23 @@ def test_every_arrow_and_dot_says_its_error_in_the_tooltip(run: Path, method: st
 def test_each_heading_can_be_switched_on(run: Path) -> None:
     with np.load(run / "error_field.npz") as arrays:
         truth, heading, predicted = arrays["truth"], arrays["heading"], arrays["deepgps"]
+    hidden = [entity for entity, seen in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(seen)]
     for number, one in enumerate(heading):
         path = f"world/error_field/deepgps/heading/{round(np.degrees(one)) % 360:03d}_deg"
-        rows = read_entity(run / RECORDING, f"{path}/arrows")
-        strips = np.array(rows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())
+        strips = np.array(read_flat(run / RECORDING, f"{path}/arrows", "LineStrips3D:strips"))
         np.testing.assert_allclose(strips[:, 0, :2], truth, atol=1e-6)
         np.testing.assert_allclose(strips[:, 1, :2], predicted[:, number], atol=1e-6)
-        hidden = [
-            entity for entity, values in read_layout(run / RECORDING, "EntityBehavior:visible") if not all(values)
-        ]
         assert any(entity.endswith(f"{path}/visualizers") for entity in hidden)
 
 
-def test_the_density_counts_every_training_image(run: Path) -> None:
-    rows = read_entity(run / RECORDING, DENSITY)
-    assert sum(rows["images"].combine_chunks().flatten().to_pylist()) == SAMPLES
-
-
-def test_coverage_and_density_are_drawn_between_the_floor_plan_and_the_arrows(run: Path) -> None:
-    floor = read_entity(run / RECORDING, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
-    arrows = read_entity(run / RECORDING, "world/error_field/deepgps/heading/000_deg/arrows")
-    above = np.array(arrows["LineStrips3D:strips"].combine_chunks().flatten().to_pylist())[..., 2].min()
+def test_density_counts_every_image_and_lies_with_coverage_between_floor_plan_and_arrows(run: Path) -> None:
+    path = run / RECORDING
+    assert sum(read_flat(path, DENSITY, "images")) == SAMPLES
+    floor = read_entity(path, "world/floor_plan")["GridMap:translation"].to_pylist()[0][0][2]
+    arrows = read_flat(path, "world/error_field/deepgps/heading/000_deg/arrows", "LineStrips3D:strips")
+    above = np.array(arrows)[..., 2].min()
     for layer in (COVERAGE, DENSITY):
-        rows = read_entity(run / RECORDING, layer)
-        middle, half = (np.array(rows[f"Boxes3D:{part}"].to_pylist()[0])[:, 2] for part in ("centers", "half_sizes"))
+        middle, half = (np.array(read_flat(path, layer, f"Boxes3D:{part}"))[:, 2] for part in ("centers", "half_sizes"))
         # a gap of 3.5 mm was too small: the viewer drew the floor plan over the layer
         assert len(middle) and (floor + 0.009 < middle - half).all() and (middle + half + 0.009 < above).all()
 
@@ -270,141 +283,6 @@ def test_worst_places_are_apart_and_in_order(run: Path) -> None:
         assert pdist(field.truth[cells]).min() > 0.25
 
 
-def test_large_pictures_are_shown_where_they_were_drawn(copied: Path) -> None:
-    observation, poses = choose_views(copied)
-    assert len(observation) == len(poses) <= SAMPLES
-    picture = np.zeros((32, 32, 3), np.uint8)
-    write_pictures(copied, observation, np.repeat(picture[None], len(observation), axis=0))
-    counts = rows_by_entity(write_run(copied))
-    assert counts["/drive/large"] == len(observation)
-    assert find_missing(copied / RECORDING) == []
-
-
-def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(copied: Path) -> None:
-    body = read_entity(copied / RECORDING, f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
-    path = copied / "recording" / "manifest.json"
-    manifest = read_json(path)
-    manifest["odometry"]["track_m"] *= 1.1
-    manifest["settings"]["encoder"] = {"track_error": 0.1}
-    write_json(path, manifest)
-    again = read_entity(write_run(copied), f"{ROBOT}/body")["Cylinders3D:radii"].to_pylist()
-    np.testing.assert_allclose(again, body)
-
-
-def test_the_timelines_hold_no_wall_clock(run: Path) -> None:
-    reader = RrdReader(run / RECORDING)
-    names = {name for chunk in reader.stream() for name in chunk.timeline_names}
-    assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
-
-
-def test_a_blueprint_is_embedded(run: Path) -> None:
-    assert len(RrdReader(run / RECORDING).blueprints()) >= 1
-
-
-def test_every_view_shows_what_was_logged(run: Path, copied: Path) -> None:
-    assert find_missing(run / RECORDING) == []
-    for path in copied.glob("*/history.npz"):
-        path.unlink()
-    assert find_missing(write_run(copied)) == []
-
-
-def test_the_last_minutes_are_as_long_on_the_timeline_of_all(copied: Path) -> None:
-    path = copied / "recording" / "time.npy"
-    np.save(path, 1000 * np.load(path))
-    finish_recording(path.parent, read_manifest(path.parent).model_dump(by_alias=True))
-    drive_s = np.ptp(np.load(path))
-    assert drive_s > 3600
-    starts = set()
-    for _, ranges in read_layout(write_run(copied), "VisibleTimeRanges:ranges"):
-        begins = {one["timeline"]: one["range"]["start"] for one in ranges}
-        if begins[DRIVE_TIME] is not None:
-            starts.add(begins[DRIVE_TIME] / 1e9)
-            assert begins[PROGRESS] / 1e9 / PROGRESS_END_S * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
-    assert starts == {-60, -120}
-
-
-def test_equal_runs_give_equal_contents(run: Path, copied: Path) -> None:
-    write_run(copied)
-    pair = [str(folder / RECORDING) for folder in (run, copied)]
-    ids = [RrdReader(path).recordings()[0].recording_id for path in pair]
-    assert ids[0] == ids[1]
-    compared = subprocess.run(
-        [find_viewer(), "rrd", "compare", "--unordered", *pair], check=False, capture_output=True, text=True
-    )
-    assert compared.returncode == 0, compared.stderr
-
-
-def test_the_file_verifies(run: Path) -> None:
-    command = [find_viewer(), "rrd", "verify", str(run / RECORDING)]
-    verified = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert verified.returncode == 0, verified.stderr
-
-
-def test_images_of_a_long_drive_are_thinned(copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drive, "IMAGES_AT_MOST", 25)
-    counts = rows_by_entity(write_run(copied))
-    assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
-    assert counts[f"/{ROBOT}"] == SAMPLES
-
-
-def test_a_method_that_is_not_there_is_told_with_those_that_are(run: Path) -> None:
-    with pytest.raises(InputError, match="no method 'gps'; it has dead_reckoned_labels, deepgps, knn, posenet"):
-        read_error_field(run / RECORDING, "gps")
-
-
-def test_a_missing_recording_is_written_when_it_is_looked_for(copied: Path) -> None:
-    (copied / RECORDING).unlink()
-    assert find_recording(copied).is_file()
-
-
-@pytest.mark.parametrize("keep", [0.0, 0.3, 0.999])
-def test_a_cut_off_recording_is_one_clear_line(copied: Path, keep: float) -> None:
-    path = copied / RECORDING
-    content = path.read_bytes()
-    path.write_bytes(content[: int(keep * len(content))])
-    (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
-    with pytest.raises(InputError, match=r"run.rrd is truncated or no recording") as caught:
-        view([copied])
-    assert "\n" not in str(caught.value)
-
-
-def test_a_damaged_recording_is_made_again_and_said(copied: Path, caplog: pytest.LogCaptureFixture) -> None:
-    path = copied / RECORDING
-    before = path.read_bytes()
-    path.write_bytes(before[:-7] + b"x" + before[-6:])
-    assert find_recording(copied) == path
-    assert read_error_table(path).num_rows
-    assert f"{path} is damaged" in caplog.text
-
-
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"is not a run: it has no metrics\.json"):
-        view([tmp_path])
-
-
-def test_a_run_half_there_leaves_nothing_half_written(copied: Path) -> None:
-    (copied / RECORDING).unlink()
-    (copied / "recording" / "scene.glb").write_bytes(b"half")
-    with pytest.raises(InputError, match=r"scene.glb is damaged"):
-        view([copied])
-    assert not (copied / RECORDING).exists()
-
-
-def test_a_viewer_without_a_display_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
-        monkeypatch.delenv(name, raising=False)
-    with pytest.raises(WorkError, match="without a display, copy") as caught:
-        view([run])
-    assert "\n" not in str(caught.value)
-
-
-def test_a_missing_viewer_is_one_clear_line(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "executable", "/nonexistent/python")
-    monkeypatch.setenv("PATH", "/nonexistent")
-    with pytest.raises(WorkError, match="the Rerun viewer is missing"):
-        view([run])
-
-
 def test_radii_are_circles_around_the_predictions_of_what_is_accepted(run: Path) -> None:
     for method, field in read_all_headings(run).items():
         if method not in REFUSING:
@@ -443,14 +321,89 @@ def test_a_worst_place_shows_its_radii_and_says_whether_it_was_refused(run: Path
         assert not told or f"within {100 * np.asarray(field.radius)[at]:.1f} cm (68 %)" in text
 
 
-def test_the_first_page_begins_with_what_is_wrong(copied: Path) -> None:
-    metrics = read_json(copied / "metrics.json")
-    metrics["methods"]["deepgps"]["scale"] = 0.5
-    write_json(copied / "metrics.json", metrics)
+def test_the_recording_is_whole_without_wall_clock_and_the_same_for_equal_runs(run: Path, copied: Path) -> None:
     write_run(copied)
-    (text,) = read_entity(copied / RECORDING, "report/figures")["TextDocument:text"].combine_chunks().flatten()
+    pair = [folder / RECORDING for folder in (run, copied)]
+    assert len({RrdReader(path).recordings()[0].recording_id for path in pair}) == 1
+    for words in (["compare", "--unordered", *map(str, pair)], ["verify", str(pair[0])]):
+        done = subprocess.run([find_viewer(), "rrd", *words], check=False, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+    names = {name for chunk in RrdReader(pair[0]).stream() for name in chunk.timeline_names}
+    assert names == {DRIVE_TIME, STEP, PLACE, PROGRESS}
+    assert find_missing(pair[0]) == []
+
+
+def test_a_long_drive_has_fewer_pictures_and_large_ones_where_they_were_drawn(changed: Path) -> None:
+    counts = rows_by_entity(changed / RECORDING)
+    assert counts["/drive/fisheye"] == counts["/drive/polar"] == 20  # every third of 60
+    assert counts[f"/{ROBOT}"] == SAMPLES
+    assert counts["/drive/large"] == len(choose_views(changed)[0])
+    assert find_missing(changed / RECORDING) == []
+
+
+def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(run: Path, changed: Path) -> None:
+    radii = [read_flat(folder / RECORDING, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
+    np.testing.assert_allclose(*radii)
+
+
+def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> None:
+    drive_s = np.ptp(np.load(changed / "recording" / "time.npy"))
+    assert drive_s > 3600
+    starts = set()
+    for _, ranges in read_layout(changed / RECORDING, "VisibleTimeRanges:ranges"):
+        begins = {one["timeline"]: one["range"]["start"] for one in ranges}
+        if begins[DRIVE_TIME] is not None:
+            starts.add(begins[DRIVE_TIME] / 1e9)
+            assert begins[PROGRESS] / 1e9 / PROGRESS_END_S * drive_s == pytest.approx(begins[DRIVE_TIME] / 1e9, abs=2)
+    assert starts == {-60, -120}
+
+
+def test_the_first_page_begins_with_what_is_wrong(changed: Path) -> None:
+    (text,) = read_flat(changed / RECORDING, "report/figures", "TextDocument:text")
     lines = str(text).splitlines()
     (wrong,) = (place for place, line in enumerate(lines) if line.startswith("- **Not converged: DeepGPS (scale 0.50)"))
-    first = lines.index(f"- {describe(metrics)[0]}")
-    assert wrong < first
+    assert wrong < lines.index(f"- {describe(read_json(changed / 'metrics.json'))[0]}")
     assert any("% accepted" in line for line in lines[:wrong])
+
+
+@pytest.mark.parametrize("keep", [0.0, 0.3, 0.999])
+def test_a_cut_off_recording_is_one_clear_line(copied: Path, keep: float) -> None:
+    path = copied / RECORDING
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    (copied / f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
+    with pytest.raises(InputError, match=r"run.rrd is truncated or no recording") as caught:
+        view([copied])
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_or_damaged_recording_is_made_again(copied: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = copied / RECORDING
+    before = path.read_bytes()
+    path.write_bytes(before[:-7] + b"x" + before[-6:])
+    assert find_recording(copied) == path
+    assert read_error_table(path).num_rows
+    assert f"{path} is damaged" in caplog.text
+    path.unlink()
+    assert find_recording(copied).is_file()
+
+
+def test_a_folder_that_is_no_run_or_half_a_run_is_refused_and_left_alone(copied: Path, tmp_path: Path) -> None:
+    (copied / RECORDING).unlink()
+    (copied / "recording" / "scene.glb").write_bytes(b"half")
+    for folder, message in ((tmp_path, r"metrics\.json"), (copied, r"scene.glb is damaged")):
+        with pytest.raises(InputError, match=message):
+            view([folder])
+    assert not (copied / RECORDING).exists()
+
+
+def test_no_display_and_no_viewer_are_one_clear_line_each(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(WorkError, match="without a display, copy") as caught:
+        view([run])
+    assert "\n" not in str(caught.value)
+    monkeypatch.setattr(sys, "executable", "/nonexistent/python")
+    monkeypatch.setenv("PATH", "/nonexistent")
+    with pytest.raises(WorkError, match="the Rerun viewer is missing"):
+        view([run])
