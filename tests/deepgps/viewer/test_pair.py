@@ -17,7 +17,6 @@ from deepgps.viewer.read import read_entity, read_error_table
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError
-
 from sim.files.checksums import sha256, write_lines
 from tests.helpers.blueprints import find_missing
 from tests.helpers.command import deepgps_here

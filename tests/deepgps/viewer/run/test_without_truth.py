@@ -3,6 +3,8 @@
 import shutil
 from pathlib import Path
 
+import pytest
+
 from deepgps.viewer.run.recording import RECORDING, find_recording
 from sim.recording.format import check_recording, finish_recording, open_recording, read_manifest
 from tests.deepgps.viewer.run.test_run import rows_by_entity
@@ -39,6 +41,7 @@ def test_the_drive_and_the_maps_are_viewed(tmp_path: Path):
     assert not any("truth" in path or "error" in path for path in counts)
 
 
+@pytest.mark.slow
 def test_it_trains_and_what_needs_the_truth_says_so(tmp_path: Path):
     (tmp_path / "mine.yaml").write_text(SCENARIO)
 
