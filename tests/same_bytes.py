@@ -27,9 +27,12 @@ UNCOMPARED_KEYS = {
     "git",
     "seconds",
     "checksum",
+    "schema",
+    "format",
 }
 """Keys of JSON files and columns of tables with seconds, checksums (of seconds too), or the machine and packages."""
-UNCOMPARED_FILES = {"timing.json", "inputs.json", "complete.json"}
+UNCOMPARED_FILES = {"timing.json", "inputs.json", "complete.json", "manifest.json"}
+"""A manifest lists settings, of which there are fewer in format 2; the recording's arrays are compared."""
 SUFFIXES = {".npy", ".npz", ".safetensors", ".parquet", ".json"}
 
 
