@@ -4,7 +4,7 @@ export PYTHON TORCH_INDEX
 # One worker a file: what its tests share is made once.
 PYTEST := $(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations=15
 
-.PHONY: setup setup-dev demo tiny test test-all docs faults check format dist clean
+.PHONY: setup setup-dev demo tiny test test-all bench docs faults check format dist clean
 
 setup:  ## .venv with this project and what running needs; system packages where something is missing
 	@.ci/setup
@@ -23,6 +23,9 @@ test: setup-dev  ## every law, quickly
 
 test-all: setup-dev  ## all tests: whole runs and studies, killed ones too, examples, every command of the documentation
 	$(PYTEST)
+
+bench: setup  ## how fast this machine runs the demo, draws, trains and positions: 5 to 20 minutes
+	PYTHONPATH=. $(BIN)/python tests/bench.py
 
 docs: setup-dev  ## the documentation, in build/docs; warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs

@@ -33,7 +33,7 @@ ORDER = (
     ("deepgps.methods", "deepgps.tracking"),
     ("deepgps.evaluation",),
     ("deepgps.reports",),
-    ("deepgps.studies", "deepgps.bench"),
+    ("deepgps.studies",),
     ("deepgps.viewer",),
     ("deepgps.run",),
     ("deepgps.api",),

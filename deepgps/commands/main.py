@@ -8,27 +8,12 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from pkgutil import resolve_name
+from typing import Any
 
 from deepgps.commands.begin import IS_WORKER
-from deepgps.commands.bench import BenchArguments, bench_command
-from deepgps.commands.command import Command
-from deepgps.commands.completion import CompletionArguments, completion_command
-from deepgps.commands.diagnose import DiagnoseArguments, diagnose_command
-from deepgps.commands.doctor import doctor_command
-from deepgps.commands.export import ExportArguments, export_command
-from deepgps.commands.import_log import ImportArguments, import_command
-from deepgps.commands.locate import LocateArguments, locate_command
-from deepgps.commands.parse import HELP
-from deepgps.commands.rooms import RoomsArguments, rooms_command
-from deepgps.commands.run import run_command, stage_command
-from deepgps.commands.runs import RunsArguments, runs_command
-from deepgps.commands.scenario import RunArguments
-from deepgps.commands.study import StudyArguments, study_command
-from deepgps.commands.track import TrackArguments, track_command
-from deepgps.commands.view import ViewArguments, view_command
-from deepgps.config.scenario import names_in
-from deepgps.config.spelling import find_like, suggest
 from deepgps.terminal.console import console, print_error, say, show_warnings, warn_plainly
 from deepgps.terminal.failures import explain, find_version
 from deepgps.terminal.signals import ignore_signals, stop_at_signals
@@ -41,32 +26,42 @@ if IS_WORKER:
     warn_plainly()  # a worker has no progress bars
 
 
-def _stage(name: str, summary: str) -> Command:
-    return Command(stage_command(name, f"{summary.capitalize()}."), summary, RunArguments)
+@dataclass(frozen=True)
+class Command:
+    """A command; its module is imported when it is carried out, so that the help and an error come at once.
+
+    Attributes:
+        module: Module of ``deepgps.commands`` with the function ``<name>_command``.
+        arguments: Name of the type of its arguments there.
+        summary: What the command does, in a few words.
+    """
+
+    module: str
+    arguments: str
+    summary: str
+
+    def find(self, name: str) -> Any:
+        """What has this name in the command's module."""
+        return resolve_name(f"deepgps.commands.{self.module}:{name}")
 
 
 COMMANDS = {
-    "run": Command(run_command, "run a scenario: drive, see, learn, measure, show", RunArguments),
-    "collect": _stage("collect", "only drive and look: make the recording"),
-    "train": _stage("train", "collect, and train the methods"),
-    "evaluate": _stage("evaluate", "collect, train, and measure the methods"),
-    "study": Command(study_command, "run a study: many scenarios, one table", StudyArguments),
-    "view": Command(view_command, "open a run or a study in Rerun, or two runs with their difference", ViewArguments),
-    "import": Command(import_command, "make a recording from the log of a robot", ImportArguments),
-    "diagnose": Command(diagnose_command, "say what is wrong with the wheels, and what to set", DiagnoseArguments),
-    "track": Command(track_command, "track the robot through a drive, by images and odometry", TrackArguments),
-    "export": Command(export_command, "write trajectories for other tools, or a method for a robot", ExportArguments),
-    "locate": Command(locate_command, "say where images were taken, as they come", LocateArguments),
-    "runs": Command(runs_command, "list runs by what they change, with their errors", RunsArguments),
-    "rooms": Command(rooms_command, "draw a contact sheet of generated rooms", RoomsArguments),
-    "bench": Command(bench_command, "measure speed, latency and memory beside naive baselines", BenchArguments),
-    "completion": Command(
-        lambda words: completion_command(words, COMMANDS),
-        "print the completion script for bash, zsh or fish",
-        CompletionArguments,
-    ),
-    "doctor": Command(doctor_command, "check this machine and say how to fix what is missing"),
+    "run": Command("run", "RunArguments", "run a scenario: drive, see, learn, measure, show"),
+    "collect": Command("run", "RunArguments", "only drive and look: make the recording"),
+    "train": Command("run", "RunArguments", "collect, and train the methods"),
+    "evaluate": Command("run", "RunArguments", "collect, train, and measure the methods"),
+    "study": Command("study", "StudyArguments", "run a study: many scenarios, one table"),
+    "view": Command("results", "ViewArguments", "open a run or a study in Rerun, or two runs with their difference"),
+    "import": Command("robot", "ImportArguments", "make a recording from the log of a robot"),
+    "diagnose": Command("results", "DiagnoseArguments", "say what is wrong with the wheels, and what to set"),
+    "track": Command("results", "TrackArguments", "track the robot through a drive, by images and odometry"),
+    "export": Command("robot", "ExportArguments", "write trajectories for other tools, or a method for a robot"),
+    "locate": Command("robot", "LocateArguments", "say where images were taken, as they come"),
+    "runs": Command("results", "RunsArguments", "list runs by what they change, with their errors"),
+    "rooms": Command("machine", "RoomsArguments", "draw a contact sheet of generated rooms"),
+    "doctor": Command("machine", "DoctorArguments", "check this machine and say how to fix what is missing"),
 }
+COMPLETIONS = ("--tyro-print-completion", "--tyro-write-completion")
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -100,20 +95,29 @@ def main(words: Sequence[str] | None = None) -> None:
 def _dispatch(words: Sequence[str]) -> None:
     first = words[0] if words else "help"
     if first in COMMANDS:
-        COMMANDS[first].carry_out(words[1:])
+        COMMANDS[first].find(f"{first}_command")(words[1:])
     elif first == "help" and words[1:]:
         _dispatch([*words[1:], "--help"])
-    elif first in {"help", *HELP}:
+    elif first in {"help", "-h", "--help", "--help-all"}:
         _print_help()
+    elif first in COMPLETIONS:
+        _write_completion(words)
     elif first in {"-V", "--version"}:
         console.print(f"deepgps {find_version()}")
     elif first.startswith("-"):
         raise InputError(f"deepgps has no option {shorten(first)}; deepgps --help lists the commands")
-    elif first in names_in(SCENARIOS) or Path(first).suffix in {".yaml", ".yml"}:
-        raise InputError(f"command {quote(first)} does not exist, did you mean deepgps run {shorten(first)}?")
     else:
-        hint = suggest([find_like(first, COMMANDS)]) or f"; there are {', '.join(COMMANDS)}"
-        raise InputError(f"command {quote(first)} does not exist{hint}")
+        _refuse_command(first)
+
+
+def _refuse_command(first: str) -> None:
+    from deepgps.config.scenario import names_in
+    from deepgps.config.spelling import find_like, suggest
+
+    if first in names_in(SCENARIOS) or Path(first).suffix in {".yaml", ".yml"}:
+        raise InputError(f"command {quote(first)} does not exist, did you mean deepgps run {shorten(first)}?")
+    hint = suggest([find_like(first, COMMANDS)]) or f"; there are {', '.join(COMMANDS)}"
+    raise InputError(f"command {quote(first)} does not exist{hint}")
 
 
 def _print_help() -> None:
@@ -121,6 +125,20 @@ def _print_help() -> None:
     for name, command in COMMANDS.items():
         say(f"  {name:<11} {command.summary}")
     console.print("\ndeepgps COMMAND --help shows the options of a command.")
+    console.print("deepgps --tyro-print-completion SHELL prints a script for bash, zsh or fish.")
+
+
+def _write_completion(words: Sequence[str]) -> None:
+    """Print or write the script that completes commands, options and settings in a shell, and exit."""
+    import tyro
+
+    from deepgps.commands.parse import CONFIG
+    from deepgps.commands.scenario import ScenarioArguments
+
+    app = tyro.extras.SubcommandApp()
+    for name, command in COMMANDS.items():
+        app.command(ScenarioArguments if command.module == "run" else command.find(command.arguments), name=name)
+    app.cli(prog="deepgps", args=words, config=CONFIG)
 
 
 if __name__ == "__main__":

@@ -17,15 +17,15 @@ from deepgps.terminal.progress import Report, show_progress
 
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive and record, train, evaluate, show."""
+    arguments, source = parse_scenario("run", words, run_command.__doc__)
+    scenario, folder = source.scenario, source.folder
+    _check_before_work(arguments, source)
+    # These import torch, which takes longer than all checks.
     from deepgps.evaluation.measure import NO_TESTS
-    from deepgps.reports.run_report import print_report
     from deepgps.run import run
     from deepgps.runs.collect import write_log
     from deepgps.runs.run_folder import find_place
 
-    arguments, source = parse_scenario("run", words, run_command.__doc__)
-    scenario, folder = source.scenario, source.folder
-    _check_before_work(arguments, source)
     place = find_place(folder, arguments.fresh)
     with (
         working_in(folder),
@@ -38,6 +38,8 @@ def run_command(words: Sequence[str]) -> None:
     if metrics is None:
         say(f"{folder}: {NO_TESTS}")
         return
+    from deepgps.reports.run_report import print_report
+
     print_report(folder, console, time.monotonic() - BEGUN)
     say(f"\nlook at it: deepgps view {quote_path(folder)}")
 
@@ -46,6 +48,9 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
     """Make the command that runs one stage and the stages it needs; ``about`` describes it."""
 
     def command(words: Sequence[str]) -> None:
+        arguments, source = parse_scenario(stage, words, about)
+        scenario, folder = source.scenario, source.folder
+        _check_before_work(arguments, source)
         from deepgps.evaluation.measure import NO_TESTS
         from deepgps.methods.train import ask_for_device
         from deepgps.run import STAGES
@@ -53,9 +58,6 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
         from deepgps.runs.collect import write_log
         from deepgps.runs.run_folder import claim, find_place
 
-        arguments, source = parse_scenario(stage, words, about)
-        scenario, folder = source.scenario, source.folder
-        _check_before_work(arguments, source)
         place, done = find_place(folder, arguments.fresh), None
         with (
             working_in(folder),
@@ -79,6 +81,11 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
             say(f"{stage} is done: {folder}")
 
     return command
+
+
+collect_command = stage_command("collect", "Only drive and look: make the recording.")
+train_command = stage_command("train", "Collect, and train the methods.")
+evaluate_command = stage_command("evaluate", "Collect, train, and measure the methods.")
 
 
 def _check_before_work(arguments: RunArguments, source: Source) -> None:

@@ -51,6 +51,13 @@ class RunArguments:
     """Files of plugins, with methods and encoder faults of your own."""
 
 
+@dataclass(frozen=True)
+class ScenarioArguments(RunArguments):
+    """The same with every setting."""
+
+    settings: Annotated[Scenario, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = Scenario()  # noqa: RUF009 (frozen)
+
+
 def parse_scenario(command: str, words: Sequence[str], about: str | None) -> tuple[RunArguments, Source]:
     """Parse a command's own arguments and its scenario with overrides; ``--help`` shows a short help and exits,
     ``--help GROUP`` the settings of a group, ``--help-all`` every setting."""
@@ -118,7 +125,7 @@ def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -
     asked = next(place for place, word in enumerate(words) if word in HELP)
     topic = from_option(next(iter(words[asked + 1 :]), ""))
     if words[asked] == "--help-all" or topic == "all":
-        _show_settings(command, about)
+        show_arguments(ScenarioArguments, command, about)
     if not topic or words[asked + 1].startswith("-"):
         print(write_help(command, about))
         raise SystemExit(0)
@@ -129,11 +136,3 @@ def _help_with_scenario(command: str, words: Sequence[str], about: str | None) -
     shown = Annotated[groups[topic], tyro.conf.arg(name=topic), tyro.conf.FlagConversionOff]
     settings = make_dataclass("Settings", [("group", shown, groups[topic]())])
     show_arguments(settings, command, f"Settings of the group {topic}.")
-
-
-def _show_settings(command: str, about: str | None) -> None:
-    @dataclass(frozen=True)
-    class Everything(RunArguments):
-        settings: Annotated[Scenario, tyro.conf.arg(name=""), tyro.conf.FlagConversionOff] = Scenario()  # noqa: RUF009 (frozen)
-
-    show_arguments(Everything, command, about)

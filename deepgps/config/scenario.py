@@ -45,8 +45,6 @@ GIVEN_BY: dict[ObservationKind, str] = {
     "scan": "scans, which world obstacles or, in a room, sensor lidar gives",
     "vector": "distances to landmarks, which world landmarks alone gives",
 }
-MOST_VALUES = 1000
-"""Limit of keys and values in a scenario's file; all existing settings together make 250."""
 LONGEST_NAME = 64
 NAME = rf"^[A-Za-z0-9_-]{{1,{LONGEST_NAME}}}$"
 """Pattern of the names of scenarios and studies, which name folders."""
@@ -135,7 +133,7 @@ def load_scenario(source: str, overrides: Mapping[str, Any], spell: Spell = as_k
         InputError: A setting is wrong; the message names the field, the value and what is allowed.
     """
     path = find_settings("scenario", SCENARIOS, source)
-    return override_scenario(read_yaml(path, MOST_VALUES), path, overrides, spell)
+    return override_scenario(read_yaml(path), path, overrides, spell)
 
 
 def override_scenario(

@@ -12,7 +12,6 @@ from typing import Any
 from deepgps.config.methods import find_method
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import (
-    MOST_VALUES,
     Scenario,
     find_settings,
     flatten,
@@ -102,7 +101,7 @@ def _make_planner(study: Study) -> Callable[[int, Point], Plan]:
     def read(source: str) -> tuple[Path, dict[str, Any]] | InputError:
         try:
             path = find_settings("scenario", SCENARIOS, source)
-            return path, read_yaml(path, MOST_VALUES)
+            return path, read_yaml(path)
         except InputError as error:
             return error
 

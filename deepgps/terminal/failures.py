@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from deepgps.terminal.signals import describe_signal, is_interrupt
+from deepgps.terminal.signals import describe_signal
 from sim.errors import InputError, WorkError, one_line
 from sim.plugins import locate_failure
 
@@ -58,7 +58,7 @@ def explain(error: BaseException, words: Sequence[str], number: int | None = Non
     folder = None
     if isinstance(error, Fault) and error.__cause__:
         folder, error = error.folder, error.__cause__
-    if number or is_interrupt(error):
+    if number or isinstance(error, KeyboardInterrupt):
         number = number or signal.SIGINT
         return 128 + number, "", describe_signal(number, words)
     if isinstance(error, InputError):

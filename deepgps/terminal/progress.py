@@ -6,12 +6,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-
 if TYPE_CHECKING:
+    import numpy as np
     from rich.console import Console
 
-Look = Callable[[], Mapping[str, np.ndarray]]
+Look = Callable[[], "Mapping[str, np.ndarray]"]
 """Return the results so far as arrays; only a callback that shows them calls this."""
 
 

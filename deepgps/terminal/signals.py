@@ -1,14 +1,8 @@
-"""Ending a command by a signal: one line, no process left behind, and an exit code of 128 plus the signal's number.
+"""Signals that end a command: one line, exit code 128 plus the signal's number, and no process that is left."""
 
-Python by default raises an exception anywhere and prints a traceback from each process. Here only the main process of a
-command responds. Until its packages are imported it exits at once; after that, the handler raises ``Stopped``.
-"""
-
-import _thread
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from multiprocessing import active_children
@@ -16,13 +10,8 @@ from types import FrameType
 
 from sim.processes import ENDINGS
 
-AGAIN_S = 0.2
-"""Interval at which a signal is repeated until it is noticed: some packages continue after any exception in their
-imports."""
-PATIENCE_S = 10.0
-"""Time for cleaning up after which a further signal ends the process at once."""
-LIMIT_S = 20.0
-"""Time limit for cleaning up: every file is intact at any time, and a package may wait for ever."""
+PATIENCE_S = 2.0
+"""Time for cleaning up after which a further signal ends the process at once; every file is intact at any time."""
 CONTINUED = ("run", "collect", "train", "evaluate", "study")
 WORDS = {signal.SIGINT: "interrupted", signal.SIGTERM: "terminated", signal.SIGHUP: "hung up"}
 
@@ -65,7 +54,7 @@ def describe_signal(number: int, words: Sequence[str]) -> str:
 
 
 class Stop:
-    """The signal handler: kills the worker processes and raises ``Stopped``, repeatedly until it is noticed.
+    """The signal handler: kills the worker processes and raises ``Stopped``; a late second signal ends the process.
 
     Attributes:
         number: The first signal that was received.
@@ -73,52 +62,21 @@ class Stop:
 
     def __init__(self) -> None:
         self.number: int | None = None
-        self._first = 0.0
+        self._first_s = 0.0
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
-        now = time.monotonic()
-        if self.number is None:
-            self.number, self._first = number, now
-            threading.Thread(target=_repeat, args=(number,), daemon=True).start()
-            threading.Thread(target=_end_late, args=(number,), daemon=True).start()
-        if is_interrupt(sys.exception()):  # it was noticed, and cleaning up is in progress
-            if now - self._first > PATIENCE_S:
+        if self.number is not None:  # cleaning up is in progress, unless a package has swallowed the exception
+            if time.monotonic() - self._first_s > PATIENCE_S:
                 _leave(self.number, frame)
             return
+        self.number, self._first_s = number, time.monotonic()
         for worker in active_children():
             worker.kill()  # what they have written is intact, and waiting for the rest may take long
         raise Stopped(number)
 
 
-def is_interrupt(error: BaseException | None) -> bool:
-    """Whether a signal led to an exception, directly or through its chain of causes."""
-    seen: set[int] = set()
-    while error is not None and id(error) not in seen:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        seen.add(id(error))
-        error = error.__cause__ or error.__context__
-    return False
-
-
-def _repeat(number: int) -> None:
-    while isinstance(signal.getsignal(number), Stop):
-        time.sleep(AGAIN_S)
-        _thread.interrupt_main(
-            signal.Signals(number)
-        )  # a real signal could reach a handler that a library has set meanwhile
-
-
-def _end_late(number: int) -> None:
-    """End the process if cleaning up takes too long; print the message unless it was printed before."""
-    time.sleep(LIMIT_S)
-    if isinstance(signal.getsignal(number), Stop):
-        _leave(number, None)
-    os._exit(128 + number)
-
-
 def _report_unraisable(lost: "sys.UnraisableHookArgs") -> None:
-    """Report exceptions in finalisers, except that of a signal, which is raised again."""
+    """Report exceptions in finalisers, except that of a signal."""
     if not isinstance(lost.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(lost)
 

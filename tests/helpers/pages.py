@@ -104,17 +104,17 @@ def check_command(words: Sequence[str], place: str, finished: Path) -> None:
         subprocess.run(["make", "-n", *words], cwd=ROOT, check=True, stdout=subprocess.DEVNULL)
     elif program == "deepgps":
         name, *words = words
-        if any(word.startswith("--help") for word in words):
+        if name.startswith("--tyro-") or any(word.startswith("--help") for word in words):
             assert deepgps_here(name, *words, cwd=Path()).returncode == 0, place
         elif name in STAGES:
             if is_folder(words):
                 words[0] = str(finished / "recording" if words[0] == IMPORTED else finished)
             parse_scenario(name, words, None)
         elif name == "study":
-            arguments = parse(COMMANDS[name].arguments, name, words, None)
+            arguments = parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
             plan_runs(load_study(arguments.study, arguments.tiny, arguments.full), ignore)
         else:
-            parse(COMMANDS[name].arguments, name, words, None)
+            parse(COMMANDS[name].find(COMMANDS[name].arguments), name, words, None)
     else:
         assert [program, *words] in FREE, f"{place}: {program} is not known"
 
@@ -123,7 +123,7 @@ def check_settings(block: Block) -> None:
     """Check a settings file as the command does: a study with all its runs, a robot's file, or a scenario."""
     path = Path("block.yaml")
     path.write_text(block.text)
-    if "wheels" in (values := read_yaml(path, 1000)):
+    if "wheels" in (values := read_yaml(path)):
         load_config(path)
     elif "scenario" in values:
         plan_runs(load_study(str(path), tiny=False, full=False), ignore)

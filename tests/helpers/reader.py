@@ -143,7 +143,7 @@ class Reader:
     def write_small_study(self, path: str) -> None:
         """A study of one's own, of the small scenario, with one case and seed, and two values of its last axis."""
         if path.endswith(".yaml"):
-            values = dict(read_yaml(Path(path), 1000))
+            values = dict(read_yaml(Path(path)))
             axes = {name: list(some)[:2] for name, some in values.get("axes", {}).items()}
             small = {"scenario": SMALL, "methods": values["methods"][:1], "axes": axes, "report": values["report"]}
             Path("small_study.yaml").write_text(yaml.safe_dump(small))

@@ -86,64 +86,6 @@ def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, 
     assert "collect" in (tmp_path / "run" / "timing.json").read_text()
 
 
-SWALLOWING = """
-import os, signal, sys, time
-sys.argv[0] = "deepgps"
-from deepgps.commands import begin
-from deepgps.terminal.signals import stop_at_signals
-
-class Loud:
-    def __del__(self):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.01)
-
-stop_at_signals()
-{swallow}
-try:
-    while True:
-        time.sleep(0.01)
-except KeyboardInterrupt as stopped:
-    print("heard", *stopped.args)
-"""
-
-
-@pytest.mark.parametrize(
-    "swallow",
-    [
-        "try:\n    os.kill(os.getpid(), signal.SIGTERM)\n    time.sleep(1)\nexcept BaseException:\n    pass",
-        "loud = Loud()\ndel loud",
-    ],
-)
-def test_a_signal_that_is_swallowed_is_repeated(swallow: str) -> None:
-    command = [sys.executable, "-c", SWALLOWING.format(swallow=swallow)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "heard 15\n", "")
-
-
-WAITING = """
-import os, signal, sys, time
-sys.argv[0] = "deepgps"
-from deepgps.commands import begin
-from deepgps.terminal import signals
-
-signals.LIMIT_S = 0.5
-signals.stop_at_signals()
-try:
-    os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(1)
-finally:
-    {said}
-    time.sleep(60)
-"""
-
-
-@pytest.mark.parametrize(("said", "line"), [("pass", "terminated\n"), ("signals.ignore_signals()", "")])
-def test_clearing_up_that_never_ends_is_ended(said: str, line: str) -> None:
-    command = [sys.executable, "-c", WAITING.format(said=said)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=30)
-    assert (done.returncode, done.stderr) == (143, line)
-
-
 READERS = [
     (["--help"], ">&-", 0),
     (["--help"], "| true", 0),
@@ -197,9 +139,9 @@ def test_what_ends_a_command_is_said_in_one_line(error: BaseException, code: int
     assert found == code and said.startswith(text) and "\n" not in said
 
 
-@pytest.mark.parametrize("error", [Stopped(2), KeyboardInterrupt(), TypeError("half imported"), WorkError("died")])
-def test_the_signal_counts_and_not_what_became_of_its_exception(error: BaseException) -> None:
-    assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
+def test_the_signal_counts_and_not_what_became_of_its_exception() -> None:
+    for error in (Stopped(2), KeyboardInterrupt(), TypeError("half imported"), WorkError("died")):
+        assert explain(error, ["run"], signal.SIGTERM)[::2] == (143, "terminated" + AGAIN)
 
 
 def test_a_full_disk_names_the_folder_and_what_is_free(tmp_path: Path) -> None:

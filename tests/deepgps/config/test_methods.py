@@ -13,6 +13,7 @@ from sim.errors import InputError
 from sim.recording.format import open_recording
 
 EXPLICIT = sorted(name for name, method in METHODS.items() if method.observes == "vector")
+QUICK = ("deepgps", "knn")
 IMAGES = sorted(name for name, method in METHODS.items() if method.observes in {None, "polar_image"})
 
 
@@ -21,7 +22,9 @@ def test_a_method_that_does_not_exist_is_refused_with_those_that_do():
         load_scenario("tiny", {"methods": ["deepgps", "posent"]})
 
 
-@pytest.mark.parametrize("name", IMAGES)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in IMAGES]
+)
 def test_a_real_recording_of_images_is_learned_and_loaded(name: str, small_recording: Path, tmp_path: Path):
     recording = open_recording(small_recording)
     settings = LearnSettings.model_validate({"train": {"steps": 20}, "network": {"width": 32}, "fold": {"restarts": 0}})

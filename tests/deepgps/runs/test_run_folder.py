@@ -27,12 +27,12 @@ OURS = ("recording/reading.npy", "knn/weights.safetensors", "metrics.json", "fig
 MINE = ("notes.txt", "figures/mine.png", "knn/notes.txt", "movie.part", "a.1.part", "recording/data.csv", "study.yaml")
 NAMES = (
     *("scenario.yaml", "study.yaml", "metrics.json", "recording", "deepgps", "figures", "movie.part", "x.123.part"),
-    *(".lock", "complete.json", "rooms.png", "bench.json", "table.md", "thesis.txt", "run", "weights.safetensors"),
+    *(".lock", "complete.json", "rooms.png", "table.md", "thesis.txt", "run", "weights.safetensors"),
 )
 """What a user may call files and folders."""
 WORDS = (
     *("run landmarks", "collect tiny", "train landmarks", "evaluate lidar", "study noise_w", "study mds --tiny"),
-    *("rooms --kinds lab --seeds 0", "bench --tiny", "view", "run scenario.yaml", "study study.yaml", "run nothing"),
+    *("rooms --kinds lab --seeds 0", "view", "run scenario.yaml", "study study.yaml", "run nothing"),
 )
 MORE = ("--fresh", "--room.mjcf typo.xml", "--room.seed -1", "--nonsense 1", "--methods", "--seeds x", "--port 9")
 
@@ -229,7 +229,6 @@ def test_every_byte_of_a_user_s_survives_every_command(
     monkeypatch.setitem(STAGES, "collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
     monkeypatch.setattr("sim.tools.gallery.draw_gallery", stop)
-    monkeypatch.setattr("deepgps.bench.bench.run_bench", stop)
     monkeypatch.setattr("deepgps.viewer.window.show.view", stop)
     monkeypatch.chdir(home)
     with suppress(SystemExit):

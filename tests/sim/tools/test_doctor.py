@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.commands.doctor import doctor_command
+from deepgps.commands.machine import doctor_command
 from sim.errors import WorkError
 from sim.tools import doctor
 from sim.tools.doctor import (

@@ -1,4 +1,4 @@
-"""The command that draws generated rooms."""
+"""The commands about this machine and the rooms that it can draw: doctor, rooms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,11 +8,36 @@ from typing import Annotated, Any, get_args
 import tyro
 
 from deepgps.commands.parse import File, parse
-from deepgps.terminal.console import errors, say
+from deepgps.terminal.console import console, errors, say
 from deepgps.terminal.progress import show_progress
-from sim.errors import InputError
+from sim.errors import InputError, WorkError
 from sim.files.atomic import check_overwrite
 from sim.settings import RoomKind
+
+
+@dataclass(frozen=True)
+class DoctorArguments:
+    pass
+
+
+def doctor_command(words: Sequence[str]) -> None:
+    """Check this machine's renderer, packages, processor and device, and say how to fix what is missing."""
+    parse(DoctorArguments, "doctor", words, doctor_command.__doc__)
+    from rich.markup import escape
+
+    from deepgps.learning.trainer import describe_device
+    from sim.tools.doctor import check_all
+
+    checks = check_all()
+    for check in checks:
+        mark = "[green]ok[/green]  " if check.ok else "[red]fail[/red]"
+        console.print(f"{mark} {check.name:<12} {escape(check.text)}", soft_wrap=True)
+        if not check.ok:
+            console.print(f"     {'':<12} fix: {escape(check.fix)}", soft_wrap=True)
+    console.print(f"[green]ok[/green]   {'device':<12} {describe_device()}")
+    if not all(check.ok for check in checks):
+        raise WorkError("something is missing; the remedies are listed above")
+
 
 MOST_SEEDS = 100
 

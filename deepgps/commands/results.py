@@ -1,0 +1,137 @@
+"""The commands that look at what runs have made: view, track, diagnose, runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from deepgps.commands.parse import OptionalFile, OptionalFolder, OptionalMethod, Plugins, RunFolder, parse
+from deepgps.config.plugins import load_plugins
+from deepgps.terminal.console import console, errors, say
+from deepgps.terminal.progress import show_progress
+from sim.errors import InputError
+from sim.files.atomic import check_overwrite
+
+
+@dataclass(frozen=True)
+class ViewArguments:
+    runs: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN [RUN]"), tyro.conf.Positional]
+    """The folder of a run or of a study, or those of two runs to compare."""
+    web: bool = False
+    """Serve the viewer and the recording to a browser on this machine, until Ctrl-C."""
+    port: Annotated[int | None, tyro.conf.arg(metavar="PORT")] = None
+    """Port of the page that --web serves; its data comes from the next port. None: free ports."""
+    plugin: Plugins = ()
+    """Files of plugins, whose methods then have their titles and colours."""
+    screenshot: Path | None = None
+    """Write a picture of the first tab as PNG instead of opening a window; needs Chromium, a display or xvfb-run."""
+
+
+def view_command(words: Sequence[str]) -> None:
+    """Open a run or a study in the Rerun viewer or a browser, or two runs with the difference of their error fields."""
+    from deepgps.runs.run_folder import is_study, open_run
+
+    arguments = parse(ViewArguments, "view", words, view_command.__doc__)
+    folders = arguments.runs
+    if len(folders) not in {1, 2}:
+        raise InputError(f"deepgps view takes one folder, or two to compare, not {len(folders)}")
+    if arguments.port is not None and not arguments.web:
+        raise InputError("--port needs --web")
+    load_plugins(arguments.plugin)
+    if arguments.screenshot is not None and arguments.web:
+        raise InputError("--screenshot writes one picture and ends; leave out --web")
+    for folder in folders:
+        if len(folders) == 2 or not is_study(folder):
+            open_run(folder)
+    # These import Rerun and torch, which takes longer than checking the folders.
+    from deepgps.viewer.window.show import view
+    from deepgps.viewer.window.web import choose_ports, serve
+
+    if arguments.screenshot is not None:
+        from deepgps.viewer.window.screenshot import is_screenshot, write_screenshot
+
+        check_overwrite(arguments.screenshot, is_screenshot)
+        write_screenshot(folders, arguments.screenshot)
+        say(f"wrote {arguments.screenshot}")
+    elif arguments.web:
+        serve(folders, choose_ports(arguments.port), say)
+    else:
+        view(folders)
+
+
+@dataclass(frozen=True)
+class TrackArguments:
+    run: RunFolder
+    """The folder of a run."""
+    method: OptionalMethod = None
+    """A method that is trained in it; none: its first."""
+    drive: OptionalFolder = None
+    """The folder of another recording of the same robot and room; none: the drive in use."""
+    tum: OptionalFolder = None
+    """Write the paths as TUM files, which evo reads, to this folder; also the truth, if it is known."""
+    plugin: Plugins = ()
+    """Files of plugins, with methods of your own."""
+
+
+def track_command(words: Sequence[str]) -> None:
+    """Track the robot through the drive in use, or another recording, by single images and odometry together."""
+    arguments = parse(TrackArguments, "track", words, track_command.__doc__)
+    load_plugins(arguments.plugin)
+    from deepgps.evaluation.track_run import track_run, write_tums
+    from deepgps.reports.track_page import draw_track, print_track
+
+    with show_progress(errors) as progress:
+        tracked = track_run(arguments.run, arguments.method, arguments.drive, progress)
+    print_track(tracked, console)
+    written = [tracked.path.with_suffix(".npz"), tracked.path.with_suffix(".json"), draw_track(tracked)]
+    if arguments.tum is not None:
+        written += write_tums(arguments.tum, tracked)
+    say(f"\nwrote {', '.join(str(path) for path in written if path)}")
+
+
+@dataclass(frozen=True)
+class DiagnoseArguments:
+    recording: Annotated[Path, tyro.conf.arg(metavar="RECORDING"), tyro.conf.Positional]
+    """The folder of a recording or of a run."""
+    out: OptionalFile = None
+    """The file to write; default: diagnosis.json in the run's folder; for a recording of no run, no file."""
+
+
+def diagnose_command(words: Sequence[str]) -> None:
+    """Say what is wrong with the wheels of a recording, how sure that is, and what to set; no ground truth is used."""
+    arguments = parse(DiagnoseArguments, "diagnose", words, diagnose_command.__doc__)
+    from deepgps.diagnosis.store import diagnose_folder, is_diagnosis
+    from deepgps.reports.wheels_page import print_diagnosis
+
+    if arguments.out is not None:
+        check_overwrite(arguments.out, is_diagnosis)
+    with show_progress(errors) as progress:
+        diagnosis, written = diagnose_folder(arguments.recording, arguments.out, progress)
+    print_diagnosis(diagnosis, console)
+    if written is not None:
+        say(f"\nwrote {written}")
+
+
+@dataclass(frozen=True)
+class RunsArguments:
+    folder: Annotated[Path, tyro.conf.arg(metavar="FOLDER"), tyro.conf.Positional] = Path("runs")
+    """The folder whose runs are listed, with those one level further down; a study's folder, too."""
+    empty_drives: bool = False
+    """Remove the drives that are kept for later runs to share; the runs that exist keep theirs."""
+
+
+def runs_command(words: Sequence[str]) -> None:
+    """List runs: what each changes in its scenario, its errors, and its age."""
+    arguments = parse(RunsArguments, "runs", words, runs_command.__doc__)
+    from deepgps.runs.run_table import tabulate_runs
+    from deepgps.runs.shared_drive import STORE, empty_store, measure_store
+    from sim.files.atomic import write_size
+
+    if arguments.empty_drives:
+        return empty_store(arguments.folder)
+    print(tabulate_runs(arguments.folder))
+    if size := measure_store(arguments.folder):
+        print(f"{write_size(size)} in {arguments.folder / STORE}: drives that later runs share, as these runs do")
+        print("deepgps runs --empty-drives removes them; the runs keep theirs")
