@@ -3,7 +3,8 @@
     python tests/same_bytes.py OLD NEW
 
 Compared are all .npy and .npz arrays (also of recordings), .safetensors weights, .parquet tables, and every value of
-JSON files but seconds and the environment. Exit 0: all the same. Else one line for each difference.
+JSON files but seconds and the environment. Folders of a study's runs are named by hashes of all settings, so the runs
+of two studies are paired by the rows of their tables. Exit 0: all the same. Else one line for each difference.
 """
 
 import json
@@ -29,8 +30,10 @@ UNCOMPARED_KEYS = {
     "checksum",
     "schema",
     "format",
+    "run",
+    "recording",
 }
-"""Keys of JSON files and columns of tables with seconds, checksums (of seconds too), or the machine and packages."""
+"""Keys of JSON files and columns of tables: seconds, checksums (of seconds too), the machine, packages, hashes."""
 UNCOMPARED_FILES = {"timing.json", "inputs.json", "complete.json", "manifest.json"}
 """A manifest lists settings, of which there are fewer in format 2; the recording's arrays are compared."""
 SUFFIXES = {".npy", ".npz", ".safetensors", ".parquet", ".json"}
@@ -72,7 +75,20 @@ def is_same(one: Any, other: Any) -> bool:
 
 
 def list_files(folder: Path) -> dict[str, Path]:
-    """The compared files below a folder by relative path; links to recordings are followed."""
+    """The compared files below a folder by relative path; links to recordings are followed.
+
+    The runs of a study are named by their place in its table; its shared recordings and trainings are theirs too.
+    """
+    if not (folder / "table.parquet").is_file():
+        return _walk(folder)
+    runs = dict.fromkeys(pq.read_table(folder / "table.parquet")["run"].to_pylist())
+    found = {"table.parquet": folder / "table.parquet"}
+    for place, run in enumerate(runs):
+        found |= {f"run {place}: {name}": path for name, path in _walk(folder / "runs" / run).items()}
+    return found
+
+
+def _walk(folder: Path) -> dict[str, Path]:
     paths = (Path(home) / name for home, _, names in os.walk(folder, followlinks=True) for name in names)
     return {
         str(path.relative_to(folder)): path
