@@ -34,8 +34,8 @@ from deepgps.reports.style import PAPER, count_by_decades, to_png
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.scene import colours_of_places
 from sim.alignment import fit_alignment
-from sim.files.arrays import read_arrays
 from sim.files.atomic import write_bytes
+from sim.files.checksums import read_arrays
 from sim.occupancy import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from sim.sensors.camera.gl import choose_backend

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.files.arrays import read_arrays, write_arrays
-from sim.files.checksums import damaged
+from sim.files.checksums import damaged, read_arrays, write_arrays
 
 
 @dataclass(frozen=True)

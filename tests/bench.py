@@ -23,7 +23,7 @@ from deepgps.config.scenario import Scenario  # noqa: E402
 from deepgps.learning.trainer import use_threads  # noqa: E402
 from deepgps.positioner.stored_positioner import load_positioner  # noqa: E402
 from deepgps.runs.run_folder import METRICS, open_run  # noqa: E402
-from sim.files.json_files import read_json  # noqa: E402
+from sim.files.checksums import read_json  # noqa: E402
 from sim.recording.format import open_recording  # noqa: E402
 from sim.robot.world import RoomWorld  # noqa: E402
 from sim.sensors.camera.fisheye import Fisheye  # noqa: E402

@@ -21,7 +21,7 @@ from docs.generate import (
     describe_study,
     list_groups,
 )
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from sim.paths import SCENARIOS, STUDIES
 from sim.settings import EncoderSettings
 from tests.helpers.command import deepgps_here

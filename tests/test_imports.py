@@ -80,7 +80,7 @@ WITHOUT_MUJOCO = {
         "sim.sensors.encoder_faults",
         "sim.sensors.camera.faults",
     ),
-    *(f"sim.files.{name}" for name in ("arrays", "atomic", "checksums", "folders", "json_files")),
+    *(f"sim.files.{name}" for name in ("atomic", "checksums")),
     *(f"sim.settings.{name}" for name in ("group", "robot", "sensors", "world")),
     *(
         "sim.robot_log.mcap_file",

@@ -27,10 +27,8 @@ from deepgps.config.learning import FeatureSettings, PixelValues
 from deepgps.data.light import rank_values, relight
 from deepgps.data.segments import Segments, subsample_learned
 from sim.errors import DamagedError, InputError
-from sim.files.atomic import write_atomic
-from sim.files.checksums import check_sha256, sha256
-from sim.files.folders import only_process
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import only_process, write_atomic
+from sim.files.checksums import check_sha256, read_json, sha256, write_json
 
 log = logging.getLogger(__name__)
 CHUNK = 64  # fits a processor's cache

@@ -21,8 +21,7 @@ from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, is_study
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError
-from sim.files.checksums import FORMAT, drop_sum
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import FORMAT, drop_sum, read_json, write_json
 from sim.recording.format import Recording, open_recording
 from sim.user_input import shorten
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sim.errors import DamagedError, InputError
-from sim.files.arrays import read_arrays, write_arrays
-from sim.files.checksums import damaged
+from sim.files.checksums import damaged, read_arrays, write_arrays
 from sim.geometry import wrap
 
 OPTIONAL = ("yaw", "yaw_std", "yaw_weight", "expected", "novelty", "radius", "radius_95", "accepted")

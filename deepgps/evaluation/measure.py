@@ -11,9 +11,7 @@ from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
 from deepgps.runs.timing import stage_times, timed
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError
-from sim.files.arrays import read_arrays
-from sim.files.checksums import drop_sum
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import drop_sum, read_arrays, read_json, write_json
 from sim.recording.format import has_truth, open_recording
 
 log = logging.getLogger(__name__)

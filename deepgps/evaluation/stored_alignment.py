@@ -12,8 +12,7 @@ import numpy as np
 from deepgps.positioner.stored_positioner import INDEX
 from sim.alignment import Alignment, AlignmentKind
 from sim.errors import InputError
-from sim.files.checksums import damaged
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import damaged, read_json, write_json
 
 FILE = "alignment.json"
 

@@ -22,7 +22,7 @@ from deepgps.tracking.track import Track, is_tum, track_drive, write_track, writ
 from sim.alignment import Alignment
 from sim.errors import InputError
 from sim.files.atomic import check_overwrite
-from sim.files.json_files import write_json
+from sim.files.checksums import write_json
 from sim.occupancy import FreeSpace
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE

@@ -28,7 +28,7 @@ from deepgps.positioner.stored_positioner import load_positioner, read_training
 from deepgps.runs.run_folder import WITHOUT_TRUTH
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import DamagedError, InputError, WorkError
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from sim.geometry import wrap
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import from_array

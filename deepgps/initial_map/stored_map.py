@@ -11,8 +11,7 @@ import numpy as np
 from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.compass_map import CompassMap
-from sim.files.arrays import read_arrays, write_arrays
-from sim.files.checksums import damaged
+from sim.files.checksums import damaged, read_arrays, write_arrays
 
 FILE = "map.npz"
 

@@ -26,7 +26,7 @@ from deepgps.learning.checkpoint import load_checkpoint, save_checkpoint
 from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, WorkError
-from sim.files.arrays import write_arrays
+from sim.files.checksums import write_arrays
 from sim.rng import derive_seed
 
 SNAPSHOT_SAMPLES = 2000

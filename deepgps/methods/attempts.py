@@ -10,8 +10,7 @@ import numpy as np
 from deepgps.initial_map.distances.folding import FoldScore
 from deepgps.learning.checkpoint import NAME as CHECKPOINT
 from deepgps.positioner.positioner import NetworkPositioner
-from sim.files.atomic import write_bytes
-from sim.files.folders import remove_files
+from sim.files.atomic import remove_files, write_bytes
 
 HISTORY = "history.npz"
 FOLDER = re.compile(r"attempt\d+")

@@ -31,8 +31,7 @@ from deepgps.positioner.positioner import (
 from deepgps.positioner.trilateration import LandmarkPositioner
 from sim.errors import DamagedError, InputError, WorkError, one_line
 from sim.files.atomic import write_bytes
-from sim.files.checksums import FORMAT, check_sha256, damaged, refuse_format
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, write_json
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.mount import Upright
 

@@ -17,8 +17,8 @@ from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headin
 from deepgps.reports.field_plot import add_scale, draw_field, draw_room, explain_refused
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.style import smooth, to_png
-from sim.files.arrays import read_arrays
 from sim.files.atomic import write_bytes
+from sim.files.checksums import read_arrays
 from sim.occupancy import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 

@@ -14,7 +14,7 @@ from deepgps.reports.without_truth import print_without_truth, write_hundredths
 from deepgps.runs.run_folder import METRICS
 from deepgps.tracking.causes import describe_causes
 from sim.errors import DamagedError, InputError
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 
 Row = tuple[str, ...]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from deepgps.config.scenario import Scenario
 from deepgps.config.scenario_digest import list_own_files, read_room
 from sim.errors import InputError
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 from sim.user_input import shorten
 
 FILE, RECORDING = "inputs.json", "recording"

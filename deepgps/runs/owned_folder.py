@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sim.errors import InputError
-from sim.files.folders import list_files, lock, remove_empty, remove_files
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import list_files, lock, remove_empty, remove_files
+from sim.files.checksums import read_json, write_json
 
 MARK = ".deepgps"
 FRESH = ".deepgps-fresh"

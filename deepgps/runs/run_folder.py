@@ -13,8 +13,8 @@ from deepgps.config.scenario_digest import digest
 from deepgps.runs.inputs import check_inputs, list_inputs, note_inputs
 from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, replace
 from sim.errors import DamagedError, InputError
+from sim.files.atomic import remove_empty, remove_files, sweep
 from sim.files.checksums import check_lines, write_lines
-from sim.files.folders import remove_empty, remove_files, sweep
 from sim.recording.format import COLLECTING, RECORDING, is_whole
 
 TRAINED_FILES = r"positioner\.json|training\.json|weights\.safetensors|history\.npz|map\.npz|checkpoint\.pt"

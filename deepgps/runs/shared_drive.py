@@ -15,8 +15,7 @@ from pathlib import Path
 from deepgps.config.scenario import Scenario
 from deepgps.config.scenario_digest import digest_drive, digest_recording
 from sim.errors import DamagedError, InputError
-from sim.files.atomic import PART, link_file
-from sim.files.folders import list_files, remove_files
+from sim.files.atomic import PART, link_file, list_files, remove_files
 from sim.recording.derive import choose_drive, explain_misfit
 from sim.recording.format import RECORDING, check_recording
 from sim.recording.manifest import PACKAGES

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sim.errors import DamagedError
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 
 TIMED = ("collect", "train", "evaluate")
 """The stages whose seconds ``metrics.json`` holds."""

@@ -19,8 +19,8 @@ from deepgps.tracking.filter import State, estimate, weigh
 from deepgps.tracking.fix import Fix, take_fixes
 from deepgps.tracking.motion import Motion, mirror, move, rotate
 from deepgps.tracking.smoother import run_forward, smooth
-from sim.files.arrays import read_arrays, write_arrays
 from sim.files.atomic import write_text
+from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import Recording
 from sim.recording.turns import NO_IMAGE
 

@@ -27,7 +27,7 @@ from deepgps.viewer.run.training import History, lay_upon, log_loss, log_snapsho
 from deepgps.viewer.scene import log_room
 from deepgps.viewer.timeline import put_text, run_clock
 from sim.errors import DamagedError
-from sim.files.arrays import read_arrays
+from sim.files.checksums import read_arrays
 from sim.recording.format import Truth, chunk_files, has_truth, open_recording, open_truth, work_folder
 from sim.settings import CameraSettings
 

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from sim.errors import DamagedError
-from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import open_recording, open_truth
 from sim.sensors.camera.lens import make_lens, project_polar, round_rays
 from sim.settings import CameraSettings

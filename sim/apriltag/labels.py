@@ -12,7 +12,7 @@ import numpy as np
 from sim.apriltag.bundle_adjustment import TagMap, reconstruct, solve_views
 from sim.apriltag.detector import Detections
 from sim.errors import WorkError
-from sim.files.arrays import write_array, write_arrays
+from sim.files.checksums import write_array, write_arrays
 
 
 def write_labels(

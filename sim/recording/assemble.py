@@ -11,7 +11,7 @@ import numpy as np
 from sim.apriltag.detector import Detections
 from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
-from sim.files.arrays import read_arrays, write_array, write_blocks
+from sim.files.checksums import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
 from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file, turn_file
 from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files

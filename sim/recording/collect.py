@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 
 from sim.errors import DamagedError, InputError, WorkError
-from sim.files.arrays import write_array, write_arrays
-from sim.files.atomic import check_space
-from sim.files.folders import list_files, remove_files
+from sim.files.atomic import check_space, list_files, remove_files
+from sim.files.checksums import write_array, write_arrays
 from sim.geometry import spread_headings
 from sim.occupancy import save_free_space
 from sim.recording.assemble import (

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from sim.errors import InputError
-from sim.files.arrays import write_array, write_blocks
 from sim.files.atomic import link_file
+from sim.files.checksums import write_array, write_blocks
 from sim.recording.format import (
     OF_USE,
     Recording,

@@ -17,10 +17,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from sim.errors import DamagedError, InputError, one_line
-from sim.files.arrays import write_array
-from sim.files.checksums import FORMAT, check_sha256, damaged, refuse_format, sha256
-from sim.files.folders import list_files, remove_files
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import list_files, remove_files
+from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, sha256, write_array, write_json
 from sim.occupancy import FreeSpace, load_free_space
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.recording.manifest import DIMENSIONS, SENSOR, Manifest, ObservationKind, describe_problem

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sim.files.arrays import write_arrays
+from sim.files.checksums import write_arrays
 from sim.recording.mixed_light import STATES
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld

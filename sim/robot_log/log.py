@@ -18,10 +18,8 @@ import numpy as np
 import yaml
 
 from sim.errors import DamagedError, InputError
-from sim.files.atomic import PART, check_overwrite, check_space
-from sim.files.checksums import check_lines, write_lines
-from sim.files.folders import list_files, lock, remove_files
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import PART, check_overwrite, check_space, list_files, lock, remove_files
+from sim.files.checksums import check_lines, read_json, write_json, write_lines
 from sim.recording.assemble import read_part
 from sim.recording.format import Report, open_truth
 from sim.recording.renderers import Part, Renderers, count_renderers

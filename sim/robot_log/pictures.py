@@ -9,7 +9,7 @@ import cv2
 import mujoco
 import numpy as np
 
-from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld
 from sim.sensors.camera.fisheye import Fisheye

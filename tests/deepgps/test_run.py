@@ -17,7 +17,7 @@ from deepgps.runs.run_folder import RUN, claim, open_run
 from deepgps.runs.timing import stage_times, timed
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 from sim.recording.format import work_folder
 from sim.settings import SimSettings
 

@@ -9,9 +9,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from deepgps.evaluation.acceptance import summarise_acceptance
 from deepgps.evaluation.error_field import ErrorField, write_fields
-from sim.files.arrays import write_arrays
-from sim.files.checksums import write_lines
-from sim.files.json_files import write_json
+from sim.files.checksums import write_arrays, write_json, write_lines
 from sim.geometry import wrap
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import write_files

@@ -8,9 +8,7 @@ from deepgps.config.scenario import write_out as write_scenario
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Study, write_out
-from sim.files.arrays import write_arrays
-from sim.files.checksums import write_lines
-from sim.files.json_files import write_json
+from sim.files.checksums import write_arrays, write_json, write_lines
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import write_files
 from tests.helpers.synthetic_run import make_free_space, make_grid, make_metrics, make_predictions

@@ -11,11 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import DamagedError, InputError, WorkError
-from sim.files.arrays import read_arrays, write_array, write_arrays, write_blocks
-from sim.files.atomic import check_overwrite, check_space, write_atomic
-from sim.files.checksums import check_sum, write_sum
-from sim.files.folders import remove_files, sweep
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import check_overwrite, check_space, remove_files, sweep, write_atomic
+from sim.files.checksums import (
+    check_sum,
+    read_arrays,
+    read_json,
+    write_array,
+    write_arrays,
+    write_blocks,
+    write_json,
+    write_sum,
+)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):

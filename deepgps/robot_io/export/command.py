@@ -11,8 +11,8 @@ from deepgps.robot_io.export.trajectories import WRITE, Format, find_trajectorie
 from deepgps.runs.owned_folder import Kind, hold
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
-from sim.files.folders import sweep
-from sim.files.json_files import read_json, write_json
+from sim.files.atomic import sweep
+from sim.files.checksums import read_json, write_json
 from sim.sensors.camera.unwrap import RoundImage
 
 FILES = re.compile(

@@ -19,9 +19,8 @@ from deepgps.positioner.positioner import NetworkPositioner, Positioner
 from deepgps.robot_io.export.deployed import Deployed
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
-from sim.files.arrays import write_arrays
 from sim.files.atomic import write_atomic, write_size, write_text
-from sim.files.json_files import write_json
+from sim.files.checksums import write_arrays, write_json
 from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
 

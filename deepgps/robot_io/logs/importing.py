@@ -26,7 +26,7 @@ from deepgps.robot_io.logs.summary import describe, note_cover, note_reach
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.files.atomic import check_space
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from sim.recording.format import finish_recording
 from sim.recording.in_use import FOLDER as IN_USE
 from sim.settings import CameraSettings

@@ -27,8 +27,8 @@ from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study, write_out
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
+from sim.files.atomic import sweep
 from sim.files.checksums import write_lines
-from sim.files.folders import sweep
 from sim.recording.format import COLLECTING, RECORDING
 from sim.user_input import shorten
 

@@ -20,8 +20,7 @@ from deepgps.methods.train import training_seed
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training
 from deepgps.runs.run_folder import FEATURE_FILES, TRAINED_FILES
 from sim.errors import InputError
-from sim.files.atomic import PART, link_file
-from sim.files.folders import list_files, remove_files
+from sim.files.atomic import PART, link_file, list_files, remove_files
 from sim.recording.derive import NOT_LEARNED
 from sim.recording.format import Recording, open_recording
 

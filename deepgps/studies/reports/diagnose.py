@@ -13,7 +13,7 @@ from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, median_of, share_of
 from deepgps.studies.plan import Plan
 from deepgps.studies.table import Row, read_setting
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 
 FAULTS = ("radius", "wheel", "track", "slip", "step_noise", "ticks", "dropout", "stuck")
 ALIKE, NONE = "both radii alike", "none"

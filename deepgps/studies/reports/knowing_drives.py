@@ -27,7 +27,7 @@ from deepgps.studies.table import LEVELS, Row
 from deepgps.tracking.causes import Causes, make_monitor
 from deepgps.tracking.rules import TITLES
 from sim.errors import InputError
-from sim.files.arrays import read_arrays
+from sim.files.checksums import read_arrays
 from sim.recording.format import Recording, open_recording
 from sim.recording.turns import KINDS, NO_IMAGE, Turns, from_array
 

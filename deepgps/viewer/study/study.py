@@ -42,8 +42,7 @@ from deepgps.viewer.study.sliders import Slider, Step, find_sliders
 from deepgps.viewer.timeline import put, put_text
 from deepgps.viewer.views import STILL, arrange, text_view
 from sim.errors import DamagedError, InputError
-from sim.files.arrays import read_arrays
-from sim.files.checksums import check_lines, check_sum, is_intact
+from sim.files.checksums import check_lines, check_sum, is_intact, read_arrays
 from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 

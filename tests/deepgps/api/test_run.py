@@ -8,8 +8,7 @@ import pytest
 
 import deepgps
 from deepgps.evaluation.error_field import read_all_headings
-from sim.files.arrays import read_arrays
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_arrays, read_json, write_json
 from sim.recording.format import open_truth
 from tests.helpers.synthetic_run import write_synthetic_run
 

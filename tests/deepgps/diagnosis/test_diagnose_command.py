@@ -5,7 +5,7 @@ import shutil
 from pathlib import Path
 
 from deepgps.diagnosis.store import FILE
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from tests.helpers.command import assert_one_clear_line, deepgps_here
 
 

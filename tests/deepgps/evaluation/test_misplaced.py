@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from deepgps.evaluation.evaluate import FAR_M, measure_misplaced
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 
 
 def test_only_what_is_farther_off_than_the_limit_is_misplaced():

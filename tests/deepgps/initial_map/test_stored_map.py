@@ -8,7 +8,7 @@ import pytest
 from deepgps.initial_map.compass.compass_map import STAGES
 from deepgps.initial_map.stored_map import FILE, read_map, write_map
 from sim.errors import DamagedError
-from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 from tests.deepgps.initial_map.compass.test_compass_map import drive, error, find_map
 
 

@@ -12,7 +12,7 @@ from deepgps.evaluation.evaluate import evaluate
 from deepgps.methods.fit import fit_method
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError, WorkError
-from sim.files.arrays import write_array
+from sim.files.checksums import write_array
 from sim.recording.format import finish_recording, open_recording
 from tests.helpers.synthetic_run import make_images
 from tests.helpers.toy import ODOMETRY, make_toy

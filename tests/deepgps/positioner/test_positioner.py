@@ -15,7 +15,7 @@ from deepgps.positioner.positioner import NeighbourPositioner, NetworkPositioner
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training, save_positioner
 from sim.alignment import Alignment
 from sim.errors import DamagedError, InputError
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 
 SHAPE = (4, 16, 3)
 

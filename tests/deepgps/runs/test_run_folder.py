@@ -19,7 +19,7 @@ from deepgps.runs.owned_folder import FRESH, MARK
 from deepgps.runs.run_folder import RUN, claim, open_run
 from deepgps.runs.source import find_source
 from sim.errors import DamagedError, InputError
-from sim.files.json_files import write_json
+from sim.files.checksums import write_json
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 OTHER = Scenario(world="landmarks", methods=("posenet",))

@@ -10,7 +10,7 @@ import pytest
 from deepgps.config.scenario import Scenario, load_scenario
 from deepgps.runs.run_folder import WITHOUT_TRUTH, claim, default_folder, describe_work, list_runs
 from deepgps.runs.run_table import list_differences, write_age
-from sim.files.json_files import write_json
+from sim.files.checksums import write_json
 from tests.helpers.command import deepgps_here
 
 

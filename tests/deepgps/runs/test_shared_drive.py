@@ -10,7 +10,7 @@ from deepgps.config.spelling import from_option
 from deepgps.runs.collect import list_undriven
 from deepgps.runs.run_folder import default_folder
 from deepgps.runs.shared_drive import find_base
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here
 

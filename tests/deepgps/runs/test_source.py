@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.runs.run_folder import open_run
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from tests.helpers.command import deepgps_here
 from tests.helpers.toy import make_toy
 

@@ -23,8 +23,7 @@ from deepgps.studies.table import gather, varied_in
 from deepgps.terminal.progress import Report
 from deepgps.viewer.run.recording import find_recording
 from sim.errors import InputError, WorkError
-from sim.files.arrays import write_arrays
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_arrays, write_json
 from sim.recording.format import check_recording
 from tests.helpers.command import deepgps_here, drop_progress, wait_until
 from tests.helpers.small_study import STUDY, do_here, run_all_here, start, write_study

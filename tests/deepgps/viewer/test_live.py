@@ -30,7 +30,7 @@ from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.timeline import RUN_TIME
 from deepgps.viewer.window.connect import find_url, open_viewer
 from sim.errors import InputError, WorkError
-from sim.files.arrays import write_arrays
+from sim.files.checksums import write_arrays
 from sim.recording.format import chunk_files, open_truth, work_folder
 from sim.settings import CameraSettings
 from tests.helpers.blueprints import find_missing

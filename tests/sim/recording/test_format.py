@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError
-from sim.files.arrays import write_array
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_array, write_json
 from sim.occupancy import FreeSpace, load_free_space, save_free_space
 from sim.recording.format import check_recording, finish_recording, open_recording, open_truth
 from sim.recording.manifest import name_sensors

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError
-from sim.files.checksums import FORMAT
-from sim.files.json_files import write_json
+from sim.files.checksums import FORMAT, write_json
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
 from sim.recording.derive import OF_IMAGES, explain_misfit

@@ -10,8 +10,7 @@ import yaml
 from rosbags.highlevel import AnyReader
 
 from sim.errors import InputError
-from sim.files.arrays import write_arrays
-from sim.files.json_files import write_json
+from sim.files.checksums import write_arrays, write_json
 from sim.recording.collect import collect
 from sim.recording.format import open_recording, open_truth
 from sim.robot.model import WHEEL_RADIUS_M

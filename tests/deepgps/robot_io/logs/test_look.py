@@ -13,8 +13,7 @@ from deepgps.robot_io.logs.look import look
 from deepgps.robot_io.logs.robot_config import RobotConfig, load_config
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
-from sim.files.checksums import sha256
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json, sha256
 from sim.recording.format import check_recording
 from tests.helpers.robot_log import (
     CAMERA,

@@ -24,7 +24,7 @@ from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from deepgps.tracking.rules import TITLES
 from sim.errors import InputError
-from sim.files.json_files import write_json
+from sim.files.checksums import write_json
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.recording.turns import KINDS, NO_IMAGE, check_turns
 

@@ -16,7 +16,7 @@ from deepgps.terminal.progress import ignore
 from deepgps.viewer.read import open_rrd, read_error_field
 from deepgps.viewer.run.recording import RECORDING
 from sim.errors import InputError
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 
 SHORT = ("learn.train.steps=20", "learn.train.segments=4", "learn.network.width=16", "learn.fold.restarts=0")
 LANDMARKS = ("landmarks.count=40", "landmarks.segments=25", "landmarks.reach_m=1.2", "drive.spacing_m=0.05")

@@ -12,7 +12,7 @@ from deepgps.viewer.read import read_entity
 from deepgps.viewer.run.making import ELLIPSES, MAKING, SEEN_M, SIGMAS, enlarge, outline_ellipses
 from deepgps.viewer.run.recording import RECORDING, write_run
 from deepgps.viewer.timeline import MAKING as TIMELINE
-from sim.files.arrays import read_arrays, write_arrays
+from sim.files.checksums import read_arrays, write_arrays
 from tests.helpers.blueprints import find_missing, read_layout
 from tests.helpers.synthetic_run import write_synthetic_run
 

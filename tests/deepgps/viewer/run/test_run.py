@@ -28,7 +28,7 @@ from deepgps.viewer.timeline import DRIVE_TIME, PLACE, PROGRESS, PROGRESS_END_S,
 from deepgps.viewer.window.connect import find_viewer
 from deepgps.viewer.window.show import view
 from sim.errors import InputError, WorkError
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 from sim.recording.format import finish_recording, read_manifest
 from sim.sensors.camera.lens import make_lens, project_polar
 from sim.settings import CameraSettings
