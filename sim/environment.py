@@ -20,8 +20,7 @@ from sim.robot.world import RoomWorld
 from sim.rooms.spec import PREFIX
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.gl import choose_backend
-from sim.sensors.encoder import Constants, count_ticks, describe_odometry
-from sim.sensors.encoder_faults import scale_wheels
+from sim.sensors.encoder import Constants, count_ticks, describe_odometry, scale_wheels
 from sim.settings import NO_FAULTS, SimSettings
 
 try:

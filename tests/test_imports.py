@@ -48,7 +48,6 @@ WITHOUT_MUJOCO = {
         "sim",
         "sim.settings",
         "sim.plugins",
-        "sim.user_input",
         "sim.errors",
         "sim.paths",
         "sim.rng",
@@ -68,24 +67,18 @@ WITHOUT_MUJOCO = {
     ),
     *(
         "sim.sensors.catalog",
-        "sim.sensors.compass.compass",
-        "sim.sensors.compass.compass",
-        "sim.sensors.compass.lean",
-        "sim.sensors.compass.fit",
+        "sim.sensors.compass",
+        "sim.sensors.compass_fit",
         "sim.sensors.camera.lens",
         "sim.sensors.camera.mount",
         "sim.sensors.camera.unwrap",
         "sim.sensors.camera.raw_camera",
         "sim.sensors.encoder",
-        "sim.sensors.encoder_faults",
         "sim.sensors.camera.faults",
     ),
     *(f"sim.files.{name}" for name in ("atomic", "checksums")),
     *(f"sim.settings.{name}" for name in ("group", "robot", "sensors", "world")),
-    *(
-        "sim.robot_log.mcap_file",
-        "sim.robot_log.mcap_file",
-    ),
+    "sim.robot_log.mcap_file",
 }
 ENTRY_POINTS = ("deepgps.commands", "deepgps.runs.collect", "deepgps.run")
 STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "sim.sensors.camera.gl", "sim.robot_log")

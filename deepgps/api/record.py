@@ -14,7 +14,7 @@ from deepgps.config.scenario import Scenario
 from deepgps.config.setting_problems import describe_problems
 from deepgps.data.checks import check_readings
 from deepgps.data.features import check_observations
-from sim.errors import InputError
+from sim.errors import InputError, quote, shorten
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (
     Truth,
@@ -32,7 +32,6 @@ from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import check_turns
 from sim.sensors.encoder import check_odometry, ticks_to_distance
 from sim.settings import CameraSettings
-from sim.user_input import quote, shorten
 
 Values = np.ndarray | Sequence[Any]
 """An array, or nested sequences of numbers or arrays."""

@@ -15,10 +15,9 @@ from deepgps.config.plugins import load_plugins
 from deepgps.config.scenario import Scenario
 from deepgps.runs.run_folder import open_run
 from deepgps.terminal.progress import ignore
-from sim.errors import InputError
+from sim.errors import InputError, quote
 from sim.recording.format import Recording, has_truth, open_recording, read_manifest
 from sim.recording.manifest import DIMENSIONS, ObservationKind
-from sim.user_input import quote
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -18,9 +18,8 @@ from deepgps.terminal.console import console, print_error, say, show_warnings, w
 from deepgps.terminal.failures import explain, find_version
 from deepgps.terminal.signals import ignore_signals, stop_at_signals
 from deepgps.terminal.streams import flush_streams
-from sim.errors import InputError
+from sim.errors import InputError, quote, shorten
 from sim.paths import SCENARIOS
-from sim.user_input import quote, shorten
 
 if IS_WORKER:
     warn_plainly()  # a worker has no progress bars

@@ -11,8 +11,7 @@ from typing import Annotated, Any, get_args, get_type_hints
 import tyro
 
 from deepgps.config.spelling import as_option, find_like, suggest
-from sim.errors import InputError
-from sim.user_input import shorten
+from sim.errors import InputError, shorten
 
 OptionalFolder = Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")]
 File = Annotated[Path, tyro.conf.arg(metavar="FILE")]

@@ -29,10 +29,9 @@ from deepgps.config.spelling import (
     suggest,
 )
 from deepgps.runs.source import Source, find_source
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.paths import SCENARIOS
 from sim.settings import Group
-from sim.user_input import shorten
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,7 @@ from typing import Any
 
 import yaml
 
-from sim.errors import InputError
-from sim.user_input import quote, read_file, shorten
+from sim.errors import InputError, quote, read_file, shorten
 
 LARGEST_FILE = 200_000  # bytes; a scenario has a few hundred
 RAISED_BY_VALUES = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError)

@@ -13,10 +13,9 @@ from types import ModuleType
 
 from deepgps.config.methods import METHODS, Method
 from deepgps.config.scenario import Scenario
-from sim.errors import InputError
+from sim.errors import InputError, quote, read_file, shorten
 from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD, MODULE_PREFIX, EncoderFault
 from sim.settings import EncoderSettings
-from sim.user_input import quote, read_file, shorten
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
 TAKEN = {"features", "recording", "figures", "pairs", "truth", "heading"}

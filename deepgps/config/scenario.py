@@ -23,13 +23,12 @@ from deepgps.config.methods import METHODS
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.setting_problems import DEEPEST, describe_first, describe_problems
 from deepgps.config.spelling import as_key, find_like, suggest
-from sim.errors import InputError
+from sim.errors import InputError, quote, shorten
 from sim.paths import SCENARIOS
 from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import SimSettings
 from sim.settings.group import Seed
-from sim.user_input import quote, shorten
 
 STORED = "stored"
 """The context in which a stored run's scenario is checked: it can be opened without its plugins, not continued."""

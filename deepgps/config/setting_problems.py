@@ -9,8 +9,8 @@ from pydantic import (
 from pydantic_core import ErrorDetails
 
 from deepgps.config.spelling import find_group, find_like, find_settings_like, find_type, suggest
+from sim.errors import quote, shorten
 from sim.settings import Group
-from sim.user_input import quote, shorten
 
 DEEPEST = 8
 """Limit of nested groups in the name of a setting."""

@@ -16,8 +16,7 @@ import torch
 
 from deepgps.data.segments import Segments, find_runs, travel
 from sim.recording.format import Recording
-from sim.sensors.encoder import check_odometry, measure_tick
-from sim.sensors.encoder_faults import expect_bias, expect_variance
+from sim.sensors.encoder import check_odometry, expect_bias, expect_variance, measure_tick
 from sim.settings import EncoderSettings
 
 DISAGREEMENT = 4.0
@@ -46,7 +45,7 @@ def expect_errors(recording: Recording, segments: Segments) -> Segments:
 def predict_rms(segments: Segments, encoder: EncoderSettings) -> float:
     """Predict the RMS error of the lengths of complete segments [m]; ``segments`` must have expected errors.
 
-    It includes noise and the faults that are in no data sheet: wrong radii and a stuck encoder (``encoder_faults``).
+    It includes noise and the faults that are in no data sheet: wrong radii and a stuck encoder (``FAULTS``).
     """
     way, noise = _measure_complete(segments)
     return float((noise + expect_bias(encoder, way)).mean().sqrt())

@@ -11,7 +11,7 @@ from scipy import fft
 
 from deepgps.data.segments import Segments
 from sim.geometry import wrap
-from sim.sensors.compass.compass import find_highest
+from sim.sensors.compass import find_highest
 
 RINGS = 8
 WAVES = 24

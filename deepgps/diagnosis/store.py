@@ -20,10 +20,9 @@ from deepgps.diagnosis.gaps import mend_stuck
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, is_study
 from deepgps.terminal.progress import Report
-from sim.errors import DamagedError, InputError
+from sim.errors import DamagedError, InputError, shorten
 from sim.files.checksums import FORMAT, drop_sum, read_json, write_json
 from sim.recording.format import Recording, open_recording
-from sim.user_input import shorten
 
 FILE = "diagnosis.json"
 

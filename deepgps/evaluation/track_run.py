@@ -20,13 +20,12 @@ from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
 from deepgps.tracking.track import Track, is_tum, track_drive, write_track, write_tum
 from sim.alignment import Alignment
-from sim.errors import InputError
+from sim.errors import InputError, quote
 from sim.files.atomic import check_overwrite
 from sim.files.checksums import write_json
 from sim.occupancy import FreeSpace
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
-from sim.user_input import quote
 
 FOLDER = "tracking"
 """Folder of tracked drives in a run's folder."""

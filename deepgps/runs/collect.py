@@ -101,7 +101,7 @@ def draw_views(scenario: Scenario, poses: np.ndarray) -> np.ndarray | None:
 
     try:
         choose_backend()
-        from sim.tools.pictures import draw_round
+        from sim.tools.gallery import draw_round
 
         return draw_round(scenario.sim, poses)
     except (InputError, WorkError) as error:

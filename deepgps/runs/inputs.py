@@ -8,9 +8,8 @@ from pathlib import Path
 
 from deepgps.config.scenario import Scenario
 from deepgps.config.scenario_digest import list_own_files, read_room
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.files.checksums import read_json, write_json
-from sim.user_input import shorten
 
 FILE, RECORDING = "inputs.json", "recording"
 

@@ -10,9 +10,8 @@ from deepgps.config.scenario import Scenario, Spell, load_scenario, names_in, ov
 from deepgps.config.spelling import as_option
 from deepgps.runs.adopted_recording import DEFAULT_METHODS, MANIFEST, choose_folder, describe_recording, find_adopted
 from deepgps.runs.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.paths import SCENARIOS
-from sim.user_input import shorten
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,8 @@ from deepgps.config.setting_problems import MOST_PROBLEMS, join_problems
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
 from deepgps.terminal.progress import Report, ignore
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.paths import SCENARIOS
-from sim.user_input import shorten
 
 MOST_RUNS = 10_000
 MOST_WRONG = 500

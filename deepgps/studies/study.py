@@ -20,11 +20,10 @@ from deepgps.config.scenario import (
 )
 from deepgps.config.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
-from sim.errors import InputError
+from sim.errors import InputError, quote, shorten
 from sim.paths import STUDIES
 from sim.settings import Group
 from sim.settings.group import Seed
-from sim.user_input import quote, shorten
 
 ReportName = Annotated[str, one_of(REPORTS)]
 Point = Annotated[dict[str, Any], AfterValidator(flatten)]

@@ -25,7 +25,7 @@ from deepgps.diagnosis.gaps import mend_stuck
 from deepgps.tracking.motion import STILL, Motion, compose, make_motion, rotate
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS, NO_IMAGE
-from sim.sensors.encoder_faults import expect_variance
+from sim.sensors.encoder import expect_variance
 
 WAY = 0.005
 """Standard deviation of a way by the wheels, as a part of it, beside the errors of encoders."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from sim.recording.turns import KINDS
 from sim.robot.drive import DriveMode, Segment, next_segment
-from sim.robot.visits import Visits
+from sim.robot.headings import Visits
 from sim.robot.world import RoomWorld
 from sim.settings import SimSettings
 

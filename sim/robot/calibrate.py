@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.robot.chassis import Chassis
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, TRACK_M, WHEEL_RADIUS_M, Body, wheel_speeds
 from sim.robot.own import describe_own
 from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import empty_room
 from sim.settings import TURN_RATE_RPS, DriveSettings, RobotSettings, SimSettings
-from sim.user_input import shorten
 
 RAMP_S = 0.5
 """Time in which a test drive speeds up and slows down [s]."""

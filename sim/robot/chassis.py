@@ -5,12 +5,11 @@ import math
 import mujoco
 import numpy as np
 
-from sim.errors import InputError, WorkError
+from sim.errors import InputError, WorkError, shorten
 from sim.robot.model import CONTROL_PERIOD_S, TIMESTEP_S, WHEELS, Body
 from sim.robot.scene import compile_scene
 from sim.rooms.spec import PREFIX, empty_room
 from sim.settings import SimSettings
-from sim.user_input import shorten
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 _SETTLE_S = 1.0

@@ -19,7 +19,7 @@ import numpy as np
 
 from sim.errors import WorkError
 from sim.geometry import planar_pose
-from sim.robot.headings import SHORTEST_M, DriveMode, Gaps, is_staler_aside, turn_to_clear
+from sim.robot.headings import SHORTEST_M, DriveMode, Gaps, Visits, is_staler_aside, turn_to_clear
 from sim.robot.model import CONTROL_PERIOD_S, wheel_speeds
 from sim.robot.motion import (
     ACCELERATION_MPS2,
@@ -33,7 +33,6 @@ from sim.robot.motion import (
     ramp,
     travelled,
 )
-from sim.robot.visits import Visits
 from sim.settings import DriveSettings
 
 Ended = Literal["length", "gap", "range", "contact", "stall"]

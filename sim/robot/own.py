@@ -6,12 +6,11 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from sim.errors import InputError, one_line
+from sim.errors import InputError, one_line, shorten
 from sim.robot.model import BASE, BUMPER, CAMERA, CAMERA_SITE, WHEELS, Body
 from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import drop_claims
 from sim.settings import RobotSettings
-from sim.user_input import shorten
 
 DIRECTIONS = 720
 

@@ -5,11 +5,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from sim.errors import InputError, one_line
+from sim.errors import InputError, one_line, quote, shorten
 from sim.rooms.free_space import collides
 from sim.rooms.mjcf_files import list_files
 from sim.rooms.spec import PREFIX, make_static
-from sim.user_input import quote, shorten
 
 FLOOR = "floor"
 _SUPPORT_M, _BELOW_M = 0.001, 0.002

@@ -9,8 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
 
-from sim.errors import InputError
-from sim.user_input import shorten
+from sim.errors import InputError, shorten
 
 Kind = Literal["room", "robot"]
 LONGEST_S = 60.0

@@ -4,6 +4,7 @@ import math
 
 from pydantic import model_validator
 
+from sim.errors import shorten
 from sim.settings.group import Group
 from sim.settings.robot import EncoderSettings, RobotSettings
 from sim.settings.sensors import (
@@ -29,7 +30,6 @@ from sim.settings.world import (
     RoomShape,
     WorldName,
 )
-from sim.user_input import shorten
 
 __all__ = [
     "NO_FAULTS",

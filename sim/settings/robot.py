@@ -4,9 +4,9 @@ from typing import Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, field_validator, model_serializer, model_validator
 
+from sim.errors import shorten
 from sim.plugins import ENCODER_FAULTS
 from sim.settings.group import Group
-from sim.user_input import shorten
 
 NAMES_OF_OWN = ("left_joint", "right_joint", "camera_site")
 """Settings that name parts of a user's own robot."""

@@ -1,4 +1,5 @@
-"""A contact sheet of rooms: for each a corner view, a top view with the reachable floor tinted, fisheye, polar."""
+"""Pictures of rooms for people: round ones, larger than those that a robot learns from, and a contact sheet, which has
+for each room a corner view, a top view with the reachable floor tinted, the fisheye and the polar image."""
 
 from collections.abc import Callable, Sequence
 from io import BytesIO
@@ -17,7 +18,7 @@ from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.sensors.camera import gl
 from sim.sensors.camera.fisheye import Fisheye
-from sim.settings import CameraSettings, RoomKind, RoomSettings, RoomShape, SimSettings
+from sim.settings import CameraSettings, DeploymentSettings, RoomKind, RoomSettings, RoomShape, SimSettings
 from sim.settings.world import SMALLEST_M
 
 MARK = ("Software", "deepgps")
@@ -26,6 +27,7 @@ ROW_PX = 330
 PERSPECTIVE_PX = 560
 TOP_PX = 430
 POLAR_PX = 520
+ROUND_PX = 512
 LABEL_PX = 26
 MARGIN_PX = 6
 CEILING_FROM_M = 1.8
@@ -211,3 +213,23 @@ def _label(row: np.ndarray, text: str) -> np.ndarray:
     strip = np.full((LABEL_PX, row.shape[1], 3), 255, np.uint8)
     cv2.putText(strip, text, (MARGIN_PX, LABEL_PX - 7), cv2.FONT_HERSHEY_SIMPLEX, 0.55, (20, 20, 20), 1, cv2.LINE_AA)
     return np.vstack([strip, row])
+
+
+def draw_round(settings: SimSettings, poses: np.ndarray, size_px: int = ROUND_PX) -> np.ndarray:
+    """Draw what the robot sees at rest at poses (n, 3) x, y [m], yaw [rad], in the room as it is in training.
+
+    Returns:
+        Round pictures (n, size_px, size_px, 3) uint8 RGB, black outside the rim.
+
+    Raises:
+        InputError: The room cannot be built.
+        WorkError: No OpenGL context can be opened.
+    """
+    world = RoomWorld(settings.model_copy(update={"deployment": DeploymentSettings()}))
+    pictures = np.empty((len(poses), size_px, size_px, 3), np.uint8)
+    with Fisheye(world.model, settings.camera.model_copy(update={"face_px": size_px // 2})) as camera:
+        for picture, state in zip(pictures, world.rest_states(poses), strict=True):
+            world.data.qpos[:] = state
+            mujoco.mj_kinematics(world.model, world.data)
+            picture[:] = camera.round(world.data, size_px)
+    return pictures

@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sim.user_input import quote, shorten
+from sim.errors import quote, shorten
 
 
 @given(text=st.text(max_size=300), most=st.integers(10, 120))

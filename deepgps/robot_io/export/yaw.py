@@ -25,7 +25,7 @@ from deepgps.positioner.headings import (
     choose_parts,
     filter_frequencies,
 )
-from sim.sensors.compass.compass import LEAST_CONTRAST, MATCH_FLOOR
+from sim.sensors.compass import LEAST_CONTRAST, MATCH_FLOOR
 
 
 class FoundYaw(NamedTuple):

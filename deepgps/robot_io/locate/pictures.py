@@ -12,9 +12,8 @@ import cv2
 import numpy as np
 
 from deepgps.robot_io.logs.pictures import decode_file
-from sim.errors import InputError, one_line
+from sim.errors import InputError, one_line, read_file, shorten
 from sim.sensors.camera.unwrap import RoundImage, draw_polar
-from sim.user_input import read_file, shorten
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp")
 LOGS = (".bag", ".db3", ".mcap")

@@ -13,10 +13,9 @@ from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.pictures import take_images
 from deepgps.robot_io.logs.robot_config import CameraConfig
 from deepgps.terminal.progress import Report
-from sim.errors import InputError
+from sim.errors import InputError, quote
 from sim.sensors.camera.lens import Lens
 from sim.sensors.camera.raw_camera import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
-from sim.user_input import quote
 
 INFO = "sensor_msgs/msg/CameraInfo"
 LEAST = np.radians(30.0)

@@ -26,9 +26,8 @@ from deepgps.robot_io.logs.plain_folder import PlainFolder, is_plain
 from deepgps.robot_io.logs.sample import Part, Sample, explained, read_stamp
 from deepgps.robot_io.logs.truncated import is_truncated, salvage, unpack
 from deepgps.terminal.progress import Report
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.files.atomic import check_space
-from sim.user_input import shorten
 
 SUFFIXES = (".bag", ".mcap", ".db3")
 SPECIAL = re.compile(r"[#?%]")

@@ -14,8 +14,7 @@ from deepgps.robot_io.logs.drive import APART_S, compare, find_starts, take_time
 from deepgps.robot_io.logs.messages import GAP_S, JOINT_STATE, ODOMETRY, POSE_KINDS
 from deepgps.robot_io.logs.pictures import COMPRESSED, RAW, decoder
 from deepgps.terminal.progress import Report
-from sim.errors import InputError
-from sim.user_input import shorten
+from sim.errors import InputError, shorten
 
 FIRST = 50
 """Messages of a topic that are decoded."""

@@ -11,9 +11,8 @@ import numpy as np
 from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.robot_config import WheelConfig
 from deepgps.robot_io.logs.sample import Part, Sample
-from sim.errors import InputError
+from sim.errors import InputError, quote
 from sim.geometry import wrap
-from sim.user_input import quote
 
 JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 WHEEL_KINDS = (JOINT_STATE, ODOMETRY)

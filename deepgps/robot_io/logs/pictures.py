@@ -10,8 +10,7 @@ import numpy as np
 
 from deepgps.robot_io.logs.containers import Log
 from deepgps.robot_io.logs.sample import Part, Sample
-from sim.errors import InputError, one_line
-from sim.user_input import quote
+from sim.errors import InputError, one_line, quote
 
 RAW, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 MAGIC = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n")

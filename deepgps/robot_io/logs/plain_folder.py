@@ -14,8 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from deepgps.robot_io.logs.sample import Sample
-from sim.errors import InputError
-from sim.user_input import quote
+from sim.errors import InputError, quote
 
 IMAGES, WHEELS, POSES, TIMES = "images", "wheels.csv", "poses.csv", "images.csv"
 TYPES = {

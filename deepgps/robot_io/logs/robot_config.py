@@ -7,9 +7,8 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.setting_problems import describe_problems
-from sim.errors import InputError
+from sim.errors import InputError, quote, shorten
 from sim.settings import Group
-from sim.user_input import quote, shorten
 
 
 class WheelConfig(Group):

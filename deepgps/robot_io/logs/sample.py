@@ -8,8 +8,7 @@ from typing import Any, NamedTuple, Protocol
 
 from rosbags.typesys.store import Typestore
 
-from sim.errors import InputError, WorkError, one_line
-from sim.user_input import shorten
+from sim.errors import InputError, WorkError, one_line, shorten
 
 HEADER = "std_msgs/msg/Header"
 FOREIGN = ("jsonschema", "protobuf", "flatbuffer", "ros1msg")

@@ -26,11 +26,10 @@ from deepgps.studies.engine.runs import diagnose_all, run_all
 from deepgps.studies.plan import Plan
 from deepgps.studies.study import Study, write_out
 from deepgps.terminal.progress import Report
-from sim.errors import InputError
+from sim.errors import InputError, shorten
 from sim.files.atomic import sweep
 from sim.files.checksums import write_lines
 from sim.recording.format import COLLECTING, RECORDING
-from sim.user_input import shorten
 
 _HASH = "[0-9a-f]{8}"
 

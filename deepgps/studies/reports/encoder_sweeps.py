@@ -7,7 +7,7 @@ from deepgps.config.methods import title_of
 from deepgps.reports.targets import Figure, compare_means, mean_of
 from deepgps.studies.reports.columns import is_folded
 from deepgps.studies.table import Row, split_by, split_by_label, varied_in
-from sim.sensors.encoder_faults import FAULTS
+from sim.sensors.encoder import FAULTS
 from sim.settings import EncoderSettings, RobotSettings
 
 Names = tuple[str, ...]

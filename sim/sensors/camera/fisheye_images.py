@@ -1,13 +1,20 @@
-"""The fisheye camera as a sensor: images of the robot's states, with what is different in use."""
+"""The fisheye camera as a sensor: images of the robot's states, with what is different in use.
 
+A person, and a lamp that was switched on, are drawn only; physics knows neither of them.
+"""
+
+import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import mujoco
 import numpy as np
 
 from sim.errors import InputError
+from sim.geometry import planar_pose
 from sim.occupancy import FreeSpace
+from sim.rng import stream
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room
 from sim.rooms.free_space import START, find_free_space
@@ -15,16 +22,115 @@ from sim.sensors.camera.faults import decode, encode
 from sim.sensors.camera.fisheye import Dress, Fisheye
 from sim.sensors.camera.illumination import KINDS, Illumination, Sources, expose, find_sources, hang_lamp, mix
 from sim.sensors.camera.mount import drive_on
-from sim.sensors.camera.visitors import (
-    PERSON_HEIGHT_M,
-    PERSON_RADIUS_M,
-    add_shapes,
-    draw_lamp,
-    place_lamp,
-    place_person,
-)
 from sim.sensors.catalog import Opened
 from sim.settings import SimSettings
+
+PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.75
+NEAREST_M = 0.5
+"""A person's middle is at least this far from the camera [m]: more than the person's radius and the robot's."""
+LAMP_M, LAMP_RADIUS_M = 2.0, 0.08
+"""Largest height of a lamp above the floor, and its radius [m]."""
+BELOW_CEILING_M = 0.1
+"""How far a lamp's middle is below what is above it [m]."""
+SKIN = ((0.96, 0.8, 0.69), (0.78, 0.57, 0.44), (0.45, 0.3, 0.22))
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape to draw.
+
+    Attributes:
+        kind: Its geometry.
+        size: As of a geom of this kind (3,) [m].
+        place: Its middle (3,) [m].
+        turn: Its axes as columns (3, 3).
+        colour: Red, green, blue.
+        glow: Fraction of the colour that it emits.
+    """
+
+    kind: mujoco.mjtGeom
+    size: tuple[float, float, float]
+    place: np.ndarray
+    turn: np.ndarray
+    colour: tuple[float, float, float]
+    glow: float = 0.0
+
+
+def add_shapes(scene: mujoco.MjvScene, shapes: list[Shape]) -> None:
+    """Add shapes to a scene."""
+    for shape in shapes:
+        geom = scene.geoms[scene.ngeom]
+        colour = np.array([*shape.colour, 1.0], np.float32)
+        mujoco.mjv_initGeom(geom, shape.kind, np.array(shape.size), shape.place, shape.turn.ravel(), colour)
+        geom.emission, geom.specular, geom.shininess = shape.glow, 0.0, 0.0
+        scene.ngeom += 1
+
+
+def place_person(space: FreeSpace, state: np.ndarray, seed: int = 0) -> list[Shape]:
+    """A person at a random free place, for the state (nq,) in which an image is taken; none if no place is free.
+
+    The draw depends on the seed and on the state alone, not on which other images are taken.
+
+    Args:
+        space: Where a person has room.
+        state: Full position of the simulation.
+        seed: Seed of all such draws.
+    """
+    rng = stream(seed, "person", zlib.crc32(np.ascontiguousarray(state).tobytes()))
+    places = _list_free(space)
+    places = places[np.linalg.norm(places - planar_pose(state)[:2], axis=1) > NEAREST_M]
+    return _draw_person(places[rng.integers(len(places))], rng) if len(places) else []
+
+
+def place_lamp(space: FreeSpace, room: mujoco.MjModel, seed: int = 0) -> np.ndarray:
+    """Place (3,) [m] of a lamp above a random place where a person has room, below the ceiling if the room has one.
+
+    Args:
+        space: Where a person has room.
+        room: The room without the robot.
+        seed: Seed of the draw.
+    """
+    places = _list_free(space)
+    place = np.array([*places[stream(seed, "lamp").integers(len(places))], PERSON_HEIGHT_M / 2])
+    data = mujoco.MjData(room)
+    mujoco.mj_kinematics(room, data)
+    above = mujoco.mj_ray(room, data, place, np.array([0.0, 0.0, 1.0]), None, 1, -1, np.zeros(1, np.int32))
+    place[2] = LAMP_M if above < 0 else min(LAMP_M, place[2] + above - BELOW_CEILING_M)
+    return place
+
+
+def draw_lamp(place: np.ndarray) -> list[Shape]:
+    """A glowing lamp at a place (3,) [m]."""
+    size = (LAMP_RADIUS_M, LAMP_RADIUS_M, LAMP_RADIUS_M)
+    return [Shape(mujoco.mjtGeom.mjGEOM_SPHERE, size, place, np.eye(3), (1.0, 1.0, 1.0), 1.0)]
+
+
+def _list_free(space: FreeSpace) -> np.ndarray:
+    """Middles (n, 2) [m] of the free cells that can be reached."""
+    row, column = np.nonzero(space.reachable)
+    return space.origin + space.cell_m * np.stack([column, row], axis=1)
+
+
+def _draw_person(place: np.ndarray, rng: np.random.Generator) -> list[Shape]:
+    """A standing person of random size, in random clothes, turned at random: legs, hips, trunk, arms, head."""
+    tall, yaw = rng.uniform(0.88, 1.0) * PERSON_HEIGHT_M, rng.uniform(-np.pi, np.pi)
+    trousers, shirt = (tuple(rng.uniform(0.05, 0.9, 3).tolist()) for _ in range(2))
+    skin = SKIN[rng.integers(len(SKIN))]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    ellipsoid, capsule = mujoco.mjtGeom.mjGEOM_ELLIPSOID, mujoco.mjtGeom.mjGEOM_CAPSULE
+    parts = [  # ahead, aside and height of the middle, as parts of the height
+        *((capsule, (0.045, 0.045, 0.2), (0.0, side, 0.245), trousers) for side in (-0.055, 0.055)),
+        (ellipsoid, (0.07, 0.095, 0.1), (0.0, 0.0, 0.45), trousers),
+        (ellipsoid, (0.075, 0.11, 0.24), (0.0, 0.0, 0.63), shirt),
+        *((capsule, (0.028, 0.028, 0.14), (0.0, side, 0.63), shirt) for side in (-0.125, 0.125)),
+        (ellipsoid, (0.06, 0.048, 0.075), (0.0, 0.0, 0.925), skin),
+    ]
+    return [
+        Shape(kind, tuple(tall * np.array(size)), np.array([*place, 0.0]) + turn @ np.array(at) * tall, turn, colour)
+        for kind, size, at, colour in parts
+    ]
+
 
 NEW_LAMP = "new lamp"
 Relight = Callable[[np.ndarray, mujoco.MjData, np.ndarray | None, Dress], np.ndarray]

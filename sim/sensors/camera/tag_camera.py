@@ -11,8 +11,7 @@ import mujoco
 import numpy as np
 
 from sim.rooms.spec import PREFIX
-from sim.sensors.camera.cube_faces import Face
-from sim.sensors.camera.fisheye import UNSEEN, aim, make_scene, update_scene
+from sim.sensors.camera.fisheye import UNSEEN, Face, aim, make_scene, update_scene
 from sim.sensors.camera.offscreen import Offscreen
 from sim.sensors.catalog import Opened
 from sim.settings import SimSettings, TagCameraSettings

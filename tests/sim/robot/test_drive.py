@@ -10,11 +10,10 @@ from deepgps.evaluation.measures import find_seen
 from sim.errors import WorkError
 from sim.robot.drive import TOUCHED, UNCERTAIN_M, Segment, _go_straight, drive
 from sim.robot.drive import next_segment as drive_segment
-from sim.robot.headings import STOP_DISTANCE_M, DriveMode
+from sim.robot.headings import STOP_DISTANCE_M, DriveMode, Visits
 from sim.robot.model import BURGER, CONTROL_PERIOD_S, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.motion import drive_arc
 from sim.robot.range_finder import ANGLE
-from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import DriveSettings, RoomSettings, SimSettings

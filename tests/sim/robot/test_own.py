@@ -12,11 +12,10 @@ from deepgps.config.scenario_digest import digest
 from sim.errors import InputError
 from sim.robot.calibrate import run
 from sim.robot.drive import TOUCHED, next_segment
-from sim.robot.headings import DriveMode
+from sim.robot.headings import DriveMode, Visits
 from sim.robot.model import CAMERA, CAMERA_SITE, RADIUS_M, TRACK_M, WHEEL_RADIUS_M
 from sim.robot.own import describe_own
 from sim.robot.range_finder import clear_length
-from sim.robot.visits import Visits
 from sim.robot.world import RoomWorld
 from sim.robot_log.log import check_log
 from sim.rooms.spec import PREFIX, empty_room

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from sim.robot.headings import NEVER_M, Visits
 from sim.robot.model import BURGER
-from sim.robot.visits import NEVER_M, Visits
 
 SHORT_M = 1.0
 

@@ -4,8 +4,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from sim.sensors.encoder import count_ticks, read_encoders, ticks_to_distance
-from sim.sensors.encoder_faults import disturb_gaps, scale_wheels, slip_wheels, stick_wheel
+from sim.sensors.encoder import (
+    count_ticks,
+    disturb_gaps,
+    read_encoders,
+    scale_wheels,
+    slip_wheels,
+    stick_wheel,
+    ticks_to_distance,
+)
 from sim.settings import EncoderSettings
 
 RADIUS = 0.033

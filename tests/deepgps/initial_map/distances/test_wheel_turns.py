@@ -13,7 +13,7 @@ from deepgps.initial_map.distances.wheel_turns import find_chirality, read_turns
 from deepgps.methods.fit import fit_method
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, open_truth
-from sim.sensors.encoder_faults import slip_wheels
+from sim.sensors.encoder import slip_wheels
 from tests.helpers.toy import M_PER_TICK, ODOMETRY, QUICK, make_toy
 
 SETTINGS = LearnSettings.model_validate(QUICK)

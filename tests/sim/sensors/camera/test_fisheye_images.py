@@ -17,8 +17,8 @@ from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.sensors.camera.faults import decode
+from sim.sensors.camera.fisheye_images import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
 from sim.sensors.camera.illumination import GREY, MOST, _set_lights, expose, find_sources, hang_lamp, mix
-from sim.sensors.camera.visitors import PERSON_HEIGHT_M, PERSON_RADIUS_M, place_lamp, place_person
 from sim.settings import CameraSettings, DeploymentSettings, RoomSettings, SimSettings
 
 ROOM = RoomSettings(kind="bedroom", width_m=3.6, depth_m=3.2, seed=3)

@@ -8,7 +8,7 @@ from scipy import ndimage
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens, polar_rays, project_round
 from sim.sensors.camera.mount import FRAMES, draw_leans, drive_on, tilt
-from sim.settings import CameraMountSettings, DeploymentMountSettings
+from sim.settings import CameraMountSettings
 from tests.sim.sensors.camera.test_fisheye import CAMERA, build_room, find_hits, place
 
 
@@ -96,15 +96,6 @@ def test_an_optical_centre_that_is_off_shifts_the_round_image():
     np.testing.assert_allclose((seen - assumed)[known], np.broadcast_to([24.0, 0.0], (known.sum(), 2)), atol=1e-6)
     assert 0.85 < known.mean() < 0.98
     assert known[-1].tolist()[0] and not known[-1].tolist()[sectors // 2], "dark where nothing falls on the sensor"
-
-
-def test_settings_that_came_later_are_not_written_unless_they_are_given():
-    assert set(CameraMountSettings().model_dump()) == {"roll_deg", "pitch_deg", "wobble_deg", "driven_m"}
-    assert set(DeploymentMountSettings().model_dump(mode="json")) == {"roll_deg", "pitch_deg"}
-    given = CameraMountSettings(left_m=0.02)
-    assert given.model_dump()["left_m"] == 0.02
-    assert CameraMountSettings.model_validate(given.model_dump()) == given
-    assert DeploymentMountSettings(ahead_m=0.0).model_dump()["ahead_m"] == 0.0, "which is not as in training"
 
 
 def test_the_way_driven_has_its_middle_at_the_state_and_leads_ahead():

@@ -12,8 +12,7 @@ from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import develop
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
-from sim.sensors.compass.compass import Hypotheses, disambiguate, find_turns, follow
-from sim.sensors.compass.lean import _correct, find_lean
+from sim.sensors.compass import Hypotheses, _correct, disambiguate, find_highest, find_lean, find_turns, follow
 from sim.settings import CameraSettings, DeploymentSettings, ImageFaultSettings, RoomKind, RoomSettings, SimSettings
 
 LENS = make_lens(CameraSettings())
@@ -243,3 +242,24 @@ def test_headings_along_a_segment_add_up() -> None:
     images[20] = 127.0
     assert np.isnan(follow(images, LENS)[0]).tolist() == [False] * 20 + [True] * 20
     assert follow(images[:1], LENS)[0].tolist() == [0.0]
+
+
+SAMPLES = 64
+
+
+def waves(angle: np.ndarray) -> np.ndarray:
+    """A curve with two peaks, the higher one at zero."""
+    return np.cos(2.0 * angle) + 0.3 * np.cos(angle)
+
+
+@pytest.mark.parametrize("turned", [0.0, 0.03, 1.0, np.pi, 6.27])
+def test_peaks_turn_with_the_circle(turned: float):
+    around = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
+    angle, height = find_highest(waves(around - turned)[None], 3)
+    assert np.abs(wrap(angle[0, :2] - turned - [0.0, np.pi])).max() < 1e-3
+    assert height[0, :2] == pytest.approx([1.3, 0.7], abs=0.01)
+    assert height[0, 2] == -np.inf, "there are two only"
+
+
+def test_a_flat_curve_has_no_peak():
+    assert (find_highest(np.ones((2, SAMPLES)), 1)[1] == -np.inf).all()

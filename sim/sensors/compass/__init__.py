@@ -1,1 +1,0 @@
-"""The visual compass: the turn between two polar images."""
