@@ -7,10 +7,10 @@ from typing import Any
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.measure import evaluate
 from deepgps.methods.train import ask_for_device, train
-from deepgps.runs.adopted_recording import link_recording
 from deepgps.runs.collect import collect, draw_views
+from deepgps.runs.provenance import timed
 from deepgps.runs.run_folder import claim
-from deepgps.runs.timing import timed
+from deepgps.runs.source import link_recording
 from deepgps.terminal.progress import Report
 from sim.files.checksums import is_intact
 from sim.recording.format import has_truth, read_manifest

@@ -12,10 +12,15 @@ from deepgps.config.scenario import Scenario, load_scenario, override_scenario
 from deepgps.config.spelling import as_key
 from deepgps.evaluation.measure import evaluate
 from deepgps.methods.train import train as train_methods
-from deepgps.runs.adopted_recording import DEFAULT_METHODS, choose_folder, describe_recording, link_recording
 from deepgps.runs.collect import choose_renderer_for, list_undriven
 from deepgps.runs.run_folder import claim, default_folder, join_methods
-from deepgps.runs.source import refuse_settings_of_drive
+from deepgps.runs.source import (
+    DEFAULT_METHODS,
+    choose_folder,
+    describe_recording,
+    link_recording,
+    refuse_settings_of_drive,
+)
 from deepgps.terminal.progress import Report, ignore, show_progress
 
 

@@ -54,9 +54,9 @@ def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
         from deepgps.evaluation.measure import NO_TESTS
         from deepgps.methods.train import ask_for_device
         from deepgps.run import STAGES
-        from deepgps.runs.adopted_recording import link_recording
         from deepgps.runs.collect import write_log
         from deepgps.runs.run_folder import claim, find_place
+        from deepgps.runs.source import link_recording
 
         place, done = find_place(folder, arguments.fresh), None
         with (

@@ -6,9 +6,8 @@ from typing import Any
 
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.stored_alignment import has_alignment
-from deepgps.runs.provenance import describe_environment
+from deepgps.runs.provenance import describe_environment, stage_times, timed
 from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
-from deepgps.runs.timing import stage_times, timed
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError
 from sim.files.checksums import drop_sum, read_arrays, read_json, write_json

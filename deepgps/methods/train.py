@@ -5,7 +5,7 @@ from pathlib import Path
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.methods.side_by_side import Training, choose_networks, count_processes, train_side_by_side
-from deepgps.runs.timing import timed
+from deepgps.runs.provenance import timed
 from deepgps.terminal.progress import Report
 from sim.recording.format import is_whole, open_recording
 

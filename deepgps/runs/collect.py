@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.config.scenario import Scenario
-from deepgps.config.scenario_digest import digest_recording
-from deepgps.runs.adopted_recording import find_adopted
+from deepgps.runs.inputs import digest_recording
+from deepgps.runs.provenance import timed
 from deepgps.runs.run_folder import find_place
 from deepgps.runs.shared_drive import find_base, find_training_drive, keep_drive
-from deepgps.runs.timing import timed
+from deepgps.runs.source import find_adopted
 from deepgps.terminal.progress import Report
 from sim.errors import DamagedError, InputError, WorkError
 from sim.recording.derive import derive

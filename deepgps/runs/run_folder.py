@@ -9,8 +9,7 @@ from pathlib import Path
 from deepgps.config.methods import METHODS
 from deepgps.config.plugins import check_plugins
 from deepgps.config.scenario import Scenario, check_scenario, read_yaml, write_out
-from deepgps.config.scenario_digest import digest
-from deepgps.runs.inputs import check_inputs, list_inputs, note_inputs
+from deepgps.runs.inputs import check_inputs, digest, list_inputs, note_inputs
 from deepgps.runs.owned_folder import COMPLETE, FRESH, Kind, choose_place, discard, hold, replace
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import remove_empty, remove_files, sweep

@@ -13,13 +13,12 @@ from importlib.metadata import version
 from pathlib import Path
 
 from deepgps.config.scenario import Scenario
-from deepgps.config.scenario_digest import digest_drive, digest_recording
+from deepgps.runs.inputs import digest_drive, digest_recording
 from sim.errors import DamagedError, InputError
 from sim.files.atomic import PART, link_file, list_files, remove_files
-from sim.recording.derive import choose_drive, explain_misfit
+from sim.recording.derive import choose_drive, explain_misfit, has_same_training_drive, keep_training_settings
 from sim.recording.format import RECORDING, check_recording
 from sim.recording.manifest import PACKAGES
-from sim.recording.training_drive import has_same_training_drive, keep_training_settings
 
 STORE = "drives"
 """Folder of the store in ``runs``."""

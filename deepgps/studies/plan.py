@@ -17,8 +17,8 @@ from deepgps.config.scenario import (
     flatten,
     override_scenario,
 )
-from deepgps.config.scenario_digest import digest, digest_recording, read_room
 from deepgps.config.setting_problems import MOST_PROBLEMS, join_problems
+from deepgps.runs.inputs import digest, digest_recording, read_room
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
 from deepgps.terminal.progress import Report, ignore

@@ -33,14 +33,13 @@ from sim.recording.assemble import (
     write_tests,
 )
 from sim.recording.chunks import CHUNK, drive_chunk
+from sim.recording.conditions import FOLDER as IN_USE
+from sim.recording.conditions import NO_TESTS, choose_drive_in_use, light_part, seed_in_use, set_in_use
+from sim.recording.derive import link_training
 from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
-from sim.recording.in_use import FOLDER as IN_USE
-from sim.recording.in_use import NO_TESTS, choose_drive_in_use, seed_in_use, set_in_use
 from sim.recording.manifest import PACKAGES, name_sensors
-from sim.recording.mixed_light import light_part
 from sim.recording.renderers import Part, Renderers, count_renderers
 from sim.recording.sensing import part_files, sense_part
-from sim.recording.training_drive import link_training
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes

@@ -3,6 +3,8 @@
 Recordings whose settings differ only in the encoder share the drive and its images; only the ticks are computed again
 from the wheel angles. If they differ in faults of finished images, these are applied to the other's images. And a drive
 does not depend on its length: a shorter one is the beginning of a longer one.
+
+Recordings that differ in deployment or test grid alone share the training drive and its observations.
 """
 
 import time
@@ -14,6 +16,8 @@ import numpy as np
 from sim.errors import InputError
 from sim.files.atomic import link_file
 from sim.files.checksums import write_array, write_blocks
+from sim.recording.conditions import FOLDER as IN_USE
+from sim.recording.conditions import choose_drive_in_use, seed_in_use
 from sim.recording.format import (
     OF_USE,
     Recording,
@@ -29,23 +33,33 @@ from sim.recording.format import (
     remove_recording,
     turn_file,
 )
-from sim.recording.in_use import FOLDER as IN_USE
-from sim.recording.in_use import choose_drive_in_use, seed_in_use
 from sim.recording.manifest import Manifest, read_settings
-from sim.recording.training_drive import OF_TESTS
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream
 from sim.sensors.camera.faults import make_measures
 from sim.sensors.catalog import Measure
 from sim.sensors.encoder import describe_odometry, read_encoders
-from sim.settings import EncoderSettings, ImageFaultSettings, SimSettings
+from sim.settings import DeploymentSettings, EncoderSettings, GridSettings, ImageFaultSettings, SimSettings
 
 PER_SAMPLE = ("truth/pose.npy", "truth/state.npy")
 OBSERVATIONS = "observations/"
 PER_READING = ("truth/reading.npy", "truth/wheel_angle.npy")
 READ_AGAIN = ("reading.npy", "time.npy", TURNS)
 """Files that depend on the encoder settings."""
+OF_TESTS = ("test/", "truth/test_pose.npy", OF_USE)
+"""Beginnings of the names of files that depend on deployment or test grid."""
+COUNTED = (
+    "samples",
+    "segments",
+    "readings",
+    "readings_lost",
+    "samples_dropped",
+    "times_relocated",
+    "distance_driven_m",
+    "gl_renderer",
+)
+"""Entries of the manifest that tell of the training drive."""
 NOT_LEARNED = (*READ_AGAIN, *OF_TESTS)
 """Beginnings of the names of files that do not affect a training without ticks."""
 OF_IMAGES = ("images_drawn_twice", "images_that_differed")
@@ -207,3 +221,44 @@ def _develop_again(source: Path, target: Path, fault: Measure, count: int | None
     flat = images.reshape(-1, *images.shape[-3:])
     blocks = (fault(np.asarray(flat[first : first + AT_ONCE])) for first in range(0, len(flat), AT_ONCE))
     write_blocks(target, images.shape, images.dtype, blocks)
+
+
+def keep_training_settings(settings: SimSettings) -> SimSettings:
+    """The settings without deployment and test grid, which do not affect the training drive."""
+    return settings.model_copy(update={"deployment": DeploymentSettings(), "grid": GridSettings()})
+
+
+def can_share(settings: SimSettings) -> bool:
+    """Whether recordings of these settings can share a training drive at all.
+
+    Held-out tests are driven after it, and labels from tags are fitted to training and test images together.
+    """
+    return settings.world == "room" and not (settings.grid.held_out or settings.tag_camera.mounted)
+
+
+def has_same_training_drive(base: Path, settings: SimSettings, seed: int) -> bool:
+    """Whether the training drive of a recording has the bytes that these settings and this seed would give.
+
+    Raises:
+        InputError: The recording's manifest cannot be read.
+    """
+    manifest = read_manifest(base)
+    if manifest.seed != seed:
+        return False
+    other = read_settings(manifest)
+    shared = can_share(other) and can_share(settings)
+    return shared and keep_training_settings(other) == keep_training_settings(settings)
+
+
+def link_training(base: Path, folder: Path) -> dict[str, Any]:
+    """Link the files of a recording's training drive, or copy them where links are impossible.
+
+    Returns:
+        Their entries of the manifest.
+    """
+    manifest = read_manifest(base)
+    for name in manifest.sha256:
+        if not (name.startswith(OF_TESTS) or (folder / name).is_file()):
+            link_file(base / name, folder / name)
+    known = manifest.model_dump(by_alias=True, exclude_unset=True)
+    return {name: known[name] for name in COUNTED if name in known} | {"derived_from": name_source(base)}

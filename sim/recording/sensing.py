@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 
 from sim.files.checksums import write_arrays
-from sim.recording.mixed_light import STATES
+from sim.recording.conditions import STATES
 from sim.recording.renderers import Part, UnsteadyError
 from sim.robot.world import RoomWorld
 from sim.sensors.catalog import SENSORS, Opened, list_carried, load

@@ -13,8 +13,8 @@ from deepgps.config.scenario import Scenario, write_out
 from deepgps.run import run
 from deepgps.runs import collect as stages
 from deepgps.runs.owned_folder import MARK
+from deepgps.runs.provenance import stage_times, timed
 from deepgps.runs.run_folder import RUN, claim, open_run
-from deepgps.runs.timing import stage_times, timed
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.files.checksums import read_json, write_json

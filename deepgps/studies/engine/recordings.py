@@ -12,15 +12,21 @@ from functools import partial
 from pathlib import Path
 
 from deepgps.config.scenario import Scenario
-from deepgps.config.scenario_digest import digest_recording
 from deepgps.runs.collect import make_recording
+from deepgps.runs.inputs import digest_recording
 from deepgps.studies.engine.pool import Failures, Tell, attempt, do_all
 from deepgps.studies.plan import Plan
 from deepgps.terminal.progress import Look, Report
 from sim.processes import usable_cores
-from sim.recording.derive import can_be_cut, choose_drive, derive
+from sim.recording.derive import (
+    can_be_cut,
+    can_share,
+    choose_drive,
+    derive,
+    has_same_training_drive,
+    keep_training_settings,
+)
 from sim.recording.format import is_whole
-from sim.recording.training_drive import can_share, has_same_training_drive, keep_training_settings
 
 PER_PROCESS = 1000
 """Samples for which it pays to start one more process that drives."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import deepgps
-from deepgps.runs.adopted_recording import choose_folder
+from deepgps.runs.source import choose_folder
 from deepgps.viewer.run.recording import find_recording
 from sim.recording.format import check_recording, has_truth, open_recording, open_truth
 from sim.recording.manifest import ObservationKind

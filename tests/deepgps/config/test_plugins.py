@@ -13,7 +13,7 @@ import deepgps
 from deepgps.config.methods import METHODS
 from deepgps.config.plugins import check_plugins, load_plugins
 from deepgps.config.scenario import load_scenario, write_out
-from deepgps.config.scenario_digest import digest, digest_recording
+from deepgps.runs.inputs import digest, digest_recording
 from deepgps.runs.run_folder import claim, open_run
 from sim.errors import InputError
 from sim.plugins import ENCODER_FAULTS

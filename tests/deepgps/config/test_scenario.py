@@ -8,8 +8,8 @@ from pydantic import ValidationError
 
 from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.scenario import Scenario, check_scenario, load_scenario, names_in, write_out
-from deepgps.config.scenario_digest import digest, digest_recording
 from deepgps.config.spelling import list_settings
+from deepgps.runs.inputs import digest, digest_recording
 from sim.errors import InputError
 from sim.paths import SCENARIOS
 from sim.settings.group import _list_types

@@ -14,10 +14,9 @@ from deepgps.commands.main import main
 from deepgps.config.scenario import Scenario, write_out
 from deepgps.run import STAGES
 from deepgps.runs import owned_folder
-from deepgps.runs.adopted_recording import find_adopted, link_recording
 from deepgps.runs.owned_folder import FRESH, MARK
 from deepgps.runs.run_folder import RUN, claim, open_run
-from deepgps.runs.source import find_source
+from deepgps.runs.source import find_adopted, find_source, link_recording
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import write_json
 

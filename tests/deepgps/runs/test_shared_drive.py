@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from deepgps.config.scenario import load_scenario
-from deepgps.config.scenario_digest import digest_drive
 from deepgps.config.spelling import from_option
 from deepgps.runs.collect import list_undriven
+from deepgps.runs.inputs import digest_drive
 from deepgps.runs.run_folder import default_folder
 from deepgps.runs.shared_drive import find_base
 from sim.files.checksums import read_json

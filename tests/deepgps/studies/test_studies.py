@@ -12,8 +12,8 @@ import pytest
 import yaml
 
 from deepgps.config.scenario import Scenario, load_scenario
-from deepgps.config.scenario_digest import digest, digest_recording
 from deepgps.runs.collect import make_recording
+from deepgps.runs.inputs import digest, digest_recording
 from deepgps.studies.engine.engine import claim_study, list_undriven
 from deepgps.studies.engine.pool import Failures
 from deepgps.studies.engine.recordings import find_drives

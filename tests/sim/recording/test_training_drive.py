@@ -9,9 +9,8 @@ from sim.errors import InputError
 from sim.files.checksums import FORMAT, write_json
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.derive import OF_IMAGES, explain_misfit
+from sim.recording.derive import OF_IMAGES, explain_misfit, has_same_training_drive
 from sim.recording.format import check_recording, open_recording, read_manifest
-from sim.recording.training_drive import has_same_training_drive
 from sim.settings import SimSettings
 
 MAKING = {"collect_s", "derived_from", "renderer_deaths", "sha256", *OF_IMAGES}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.config.scenario import load_scenario
-from deepgps.config.scenario_digest import digest
+from deepgps.runs.inputs import digest
 from sim.errors import InputError
 from sim.robot.calibrate import run
 from sim.robot.drive import TOUCHED, next_segment

@@ -1,17 +1,32 @@
-"""The drive in use: a second drive of the same robot after training, in the room and with the camera as they are then.
+"""Conditions of what is sensed: light that changes during the training drive, and the drive in use.
 
+The drive in use is a second drive of the same robot after training, in the room and with the camera as they are then.
 It is a recording of its own, in a folder inside the recording of the training drive; it has no test positions.
 """
 
 import numpy as np
 
 from sim.rng import derive_seed
-from sim.settings import DeploymentMountSettings, SimSettings
+from sim.settings import DeploymentMountSettings, DeploymentSettings, SimSettings
 
+STATES = (
+    DeploymentSettings(),
+    DeploymentSettings(daylight=0.3),
+    DeploymentSettings(daylight=1.0, lamps=0.0),
+    DeploymentSettings(daylight=0.0),
+)
+"""Light of consecutive parts of the drive, in turn: as usual, little daylight, lamps off, night."""
 FOLDER = "use"
 """Folder of the drive in use, in the recording's folder and in that of its parts."""
 NO_TESTS = np.empty((0, 1, 3))
 """Poses of the test positions of a recording without any."""
+
+
+def light_part(settings: SimSettings, number: int) -> SimSettings:
+    """Settings of what is sensed in the drive's part with a number, which are the drive's if the light is constant."""
+    if not settings.drive.mixed_light:
+        return settings
+    return settings.model_copy(update={"deployment": STATES[number % len(STATES)]})
 
 
 def set_in_use(settings: SimSettings) -> SimSettings:
