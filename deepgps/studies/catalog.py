@@ -110,7 +110,7 @@ REPORTS: dict[str, StudyReport] = {
     "encoder": StudyReport(
         "encoder:report",
         {"encoder": "encoder:draw", "near": "encoder:draw_near"},
-        "encoder_sweeps:measure",
+        "encoder:measure",
         (
             *_combine("- aware_", "rms_w ticks_16 ticks_4"),
             *_combine("compass_", "w radius slip stuck_rms_m stuck_folded curves_1 curves_3"),
@@ -141,7 +141,7 @@ REPORTS: dict[str, StudyReport] = {
             *("drives_right", "images_right"),
             *("clean_refused", "moved_refused", "other_room_refused", "covered_refused"),
         ),
-        "knowing_drives:add_drives",
+        "knowing:add_drives",
         sets=("deployment.drive_samples",),
     ),
     "corridors": StudyReport(

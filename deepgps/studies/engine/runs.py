@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from deepgps.config.methods import METHODS
 from deepgps.config.plugins import list_plugins, load_plugins
 from deepgps.config.scenario import Scenario
-from deepgps.evaluation.measure import evaluate
 from deepgps.methods.train import train
 from deepgps.runs.run_folder import claim, list_trained
 from deepgps.studies.engine.pool import Failures, Tell, attempt, do_all
@@ -121,6 +120,7 @@ def do_run(
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
     os.environ["OMP_NUM_THREADS"] = "1"
     try:
+        from deepgps.evaluation.measure import evaluate
         from deepgps.studies.engine.trainings import leave_trainings, take_trainings
 
         load_plugins(plugins)

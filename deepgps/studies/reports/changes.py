@@ -4,14 +4,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 from matplotlib.lines import Line2D
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.config.scenario import Scenario
+from deepgps.reports.style import count_by_decades
 from deepgps.reports.targets import Figure, compare_means
 from deepgps.studies.reports.columns import FOLDED, RATIOS, RUNS, Column, Line, form, tabulate_lines
-from deepgps.studies.reports.pictures import add_methods, finish_lines, spread_methods
 from deepgps.studies.table import Row, find_methods, is_seed, mean, read_setting, split_by, split_by_label
 from sim.sensors.camera.faults import FAULTS
 
@@ -117,7 +118,7 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     picture = Picture(figsize=(7.4, 1.5 + 0.3 * len(faults)), layout="constrained")
     axes = picture.add_subplot()
     for place, group in enumerate(faults.values()):
-        places = spread_methods(place, methods, 0.5)
+        places = _spread_methods(place, methods, 0.5)
         for method, ours in split_by(group, "method").items():
             at, colour = places[method], colour_of(method)
             for name, inside in (("rms_m", colour), ("median_m", "white")):
@@ -136,8 +137,8 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     axes.set_xlabel(
         "error of the worst heading [cm]\nfilled: RMS, open: median, means over seeds\nlines: without faults"
     )
-    finish_lines(axes, len(faults))
-    add_methods(picture, methods, {})
+    _finish_lines(axes, len(faults))
+    _add_methods(picture, methods, {})
     return picture
 
 
@@ -189,7 +190,7 @@ def draw_changes(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pi
     panels = picture.subplots(1, len(lights), sharex=True, sharey=True, squeeze=False)[0]
     for axes, (light, some) in zip(panels, lights.items(), strict=True):
         for change, group in group_changes(some, varied).items():
-            places = spread_methods(titles.index(change), methods, 0.6)
+            places = _spread_methods(titles.index(change), methods, 0.6)
             for method, ours in split_by(group, "method").items():
                 for values, same in split_values(ours).items():
                     colour = colour_of(method)
@@ -197,10 +198,10 @@ def draw_changes(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Pi
                     axes.plot(100 * mean(same, "median_m"), places[method], "o", color=colour, mfc=inside, ms=5)
         axes.set_title(f"trained in {LIGHTS[light]}", fontsize=9)
         axes.set_xlabel("median error [cm]")
-        finish_lines(axes, len(titles))
+        _finish_lines(axes, len(titles))
     panels[0].set_yticks(range(len(titles)), titles, fontsize=8)
     mark = {"filled: ranks, open: pixels": Line2D([], [], color="grey", marker="o", ls="")}
-    add_methods(picture, methods, mark if VALUES in rows[0] else {}, fontsize=8)
+    _add_methods(picture, methods, mark if VALUES in rows[0] else {}, fontsize=8)
     return picture
 
 
@@ -222,6 +223,32 @@ def group_changes(rows: Iterable[Row], varied: Sequence[str]) -> Mapping[str, Se
     """Rows by what changed in deployment, in words."""
     faults = group_faults(rows, [name for name in varied if name.startswith("deployment.")])
     return {NO_CHANGE if fault.title == CLEAN else fault.title: group for fault, group in faults.items()}
+
+
+def _spread_methods(place: int, methods: Sequence[str], width: float) -> dict[str, float]:
+    """Where the dots of each method are, side by side around a line's place."""
+    return {method: place + width * ((number + 0.5) / len(methods) - 0.5) for number, method in enumerate(methods)}
+
+
+def _finish_lines(axes: Axes, count: int) -> None:
+    """Scale the axes of dots on so many lines, without a frame."""
+    axes.set(xscale="log", ylim=(count - 0.5, -0.5))
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.2, which="major", axis="x")
+    axes.tick_params(axis="y", length=0)
+    axes.spines[["top", "right", "left"]].set_visible(False)
+
+
+def _add_methods(picture: Picture, methods: Iterable[str], also: Mapping[str, Line2D], **style: float) -> None:
+    """Add a legend of the methods' colours, and of other marks by their words."""
+    marks = {title_of(name): _mark(colour_of(name)) for name in methods} | dict(also)
+    picture.legend(
+        list(marks.values()), list(marks), loc="outside upper right", ncols=len(marks), frameon=False, **style
+    )
+
+
+def _mark(colour: str) -> Line2D:
+    return Line2D([], [], color=colour, marker="o", ls="")
 
 
 def _compare(groups: Mapping[tuple[str, ...], Sequence[Row]], clean: Sequence[Row]) -> Iterator[Line]:

@@ -1,16 +1,17 @@
 """The reports "plain", "compare", "networks" and "strategies": runs side by side, or means over their seeds."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure as Picture
 
-from deepgps.config.methods import folder_of, title_of
+from deepgps.config.methods import colour_of, folder_of, title_of
 from deepgps.evaluation.evaluate import measure_heading_spread
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.reports.field_plot import add_scale, print_error_field
+from deepgps.reports.style import count_by_decades
 from deepgps.reports.targets import Figure, compare_means, mean_of
 from deepgps.studies.reports.columns import (
     FOLDED,
@@ -26,8 +27,7 @@ from deepgps.studies.reports.columns import (
     tabulate_lines,
     write_worst,
 )
-from deepgps.studies.reports.pictures import draw_dots
-from deepgps.studies.table import Row, choices, describe_group, group_rows, is_seed, shorten, split_by
+from deepgps.studies.table import Row, choices, describe_group, find_methods, group_rows, is_seed, shorten, split_by
 from sim.recording.format import open_recording
 
 NOTE = (
@@ -77,6 +77,24 @@ def draw(rows: Sequence[Row], varied: Sequence[str], folder: Path) -> Picture:
     groups = {describe_group(key, names): group for key, group in group_rows(rows, names).items()}
     picture = draw_dots(groups, (7.6, 1.2 + 0.32 * len(groups)))
     picture.axes[0].set_xlabel("error of the worst heading [cm]\nfilled: RMS, open: median")
+    return picture
+
+
+def draw_dots(lines: Mapping[str, Sequence[Row]], size: tuple[float, float]) -> Picture:
+    """Draw RMS (filled) and median (open) of every method, with a line for each label."""
+    picture = Picture(figsize=size, layout="constrained")
+    axes = picture.add_subplot()
+    placed = [(place, row) for place, rows in enumerate(lines.values()) for row in rows]
+    for method in find_methods(row for _, row in placed):
+        colour, title = colour_of(method), title_of(method)
+        places = [place for place, row in placed if row["method"] == method]
+        for name, inside, word in (("rms_m", colour, "RMS"), ("median_m", "none", "median")):
+            values = [100 * row[name] for _, row in placed if row["method"] == method]
+            axes.plot(values, places, "o", color=colour, mfc=inside, label=f"{title}, {word}")
+    axes.set_yticks(range(len(lines)), list(lines))
+    axes.set(xscale="log", xlabel="error of the worst heading [cm]", ylim=(len(lines) - 0.5, -0.5))
+    count_by_decades(axes.xaxis)
+    axes.grid(alpha=0.25, which="both")
     return picture
 
 

@@ -24,7 +24,7 @@ from deepgps.studies.reports.columns import (
     of_accepted,
     tabulate_lines,
 )
-from deepgps.studies.reports.pictures import draw_dots
+from deepgps.studies.reports.compare import draw_dots
 from deepgps.studies.table import LEVELS, Row, split_by, split_by_label
 
 OURS = ("deepgps_compass", "deepgps")

@@ -284,6 +284,18 @@ def test_cut_off_among_derived_recordings_only_what_is_missing_is_made(tmp_path)
         check_recording(path)
 
 
+@pytest.mark.slow
+def test_a_study_that_grows_by_a_seed_does_only_that_seed(tmp_path):
+    axes = {"encoder.step_noise": [0.0, 0.1]}
+    changes = {"scenario": "plane.yaml", "cases": [{}], "axes": axes, "target": {}}
+    made: dict[Path, int] = {}
+    for seeds in ([0], [0, 1]):
+        assert do_here(write_study(tmp_path, **changes, seeds=seeds), tmp_path / "out") == {}
+        assert {path: path.stat().st_mtime_ns for path in made} == made
+        made = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/r*/*/m*.json")}
+        assert len(made) == 4 * len(seeds)
+
+
 def test_a_drive_that_fails_fails_its_runs_and_no_others(tmp_path, monkeypatch):
     def fail_in_rooms(scenario: Scenario, *more: Any) -> None:
         if scenario.world == "room":

@@ -1,19 +1,24 @@
 """A study on a real Ray cluster of two workers: what the local engine makes, byte for byte; and how it ends."""
 
+import os
 import secrets
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pyarrow.parquet as pq
 import pytest
 
 from deepgps.studies.engine.engine import EngineName, open_engine
 from deepgps.studies.engine.runs import run_all
 from sim.errors import InputError
-from tests.helpers.command import drop_progress
-from tests.helpers.small_study import do_here, start, write_study
+from tests.helpers.command import drop_progress, wait_until
+from tests.helpers.plugin import CHANGES, write_plugin
+from tests.helpers.small_study import do_here, finish, start, write_study
 
 pytest.importorskip("ray", reason="the package ray is not installed")
 
@@ -41,8 +46,8 @@ def cluster() -> Iterator[str]:
         process.communicate("")
 
 
-def read_runs(out: Path) -> dict[str, bytes]:
-    paths = [path for pattern in MADE for path in out.glob(f"runs/*/{pattern}")]
+def read_runs(out: Path, made: Sequence[str] = MADE) -> dict[str, bytes]:
+    paths = [path for pattern in made for path in out.glob(f"runs/*/{pattern}")]
     return {path.relative_to(out).as_posix(): path.read_bytes() for path in paths}
 
 
@@ -63,6 +68,39 @@ def test_both_engines_make_the_same_bytes_and_list_the_same_failure(cluster: str
     assert "cuda:99" in rows["ray"][1]["failure"]
     ours, theirs = read_runs(tmp_path / "ray"), read_runs(tmp_path / "local")
     assert len(ours) == len(MADE)
+    assert ours == theirs
+
+
+@pytest.mark.slow
+def test_an_interrupted_cluster_leaves_no_process_and_the_local_engine_goes_on(tmp_path: Path):
+    study, out = write_study(tmp_path, scenario="plane.yaml", set={"learn.train.steps": 500}), tmp_path / "out"
+    process = start(study, out, "--engine", "ray")
+    try:
+        wait_until(lambda: list(out.glob("runs/*/scenario.yaml")), process, "the first run on a cluster")
+        begun = psutil.Process(process.pid).children(recursive=True)
+        assert any("raylet" in child.name() for child in begun)
+        os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+        _, errors = process.communicate(timeout=60)
+        said = drop_progress(errors)
+        assert (process.returncode, said) == (130, ["interrupted; the same command continues where it stopped"])
+        assert not psutil.wait_procs(begun, timeout=30)[1]
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+    times = {path: path.stat().st_mtime_ns for path in out.glob("recordings/*/*.npy")}
+    assert do_here(study, out) == {}
+    assert {path: path.stat().st_mtime_ns for path in times} == times
+    assert len(list(out.glob("runs/*/metrics.json"))) == 2
+
+
+@pytest.mark.slow
+def test_a_cluster_loads_the_plugins_of_a_study(cluster: str, tmp_path: Path):
+    study = write_study(tmp_path, **CHANGES, axes={"encoder.plugins.stretch": [0.0, 0.1]})
+    made = ("stored/*.safetensors", "error_field.npz", "scenario.yaml")
+    for name, engine in {"local": (), "ray": ("--engine", "ray", "--address", cluster)}.items():
+        finish(start(study, tmp_path / name, *engine, "--plugin", str(write_plugin(tmp_path))))
+    ours, theirs = (read_runs(tmp_path / name, made) for name in ("local", "ray"))
+    assert len(ours) == 6
     assert ours == theirs
 
 

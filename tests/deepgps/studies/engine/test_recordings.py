@@ -15,6 +15,7 @@ from tests.helpers.small_study import write_study
 
 ROOMS = [{"room.seed": 0}, *({"room.seed": 1, "deployment.light": light} for light in (1.0, 0.5, 0.4))]
 """The last three share a training drive."""
+PLANES = [{"landmarks.count": 20}, {"landmarks.count": 21}]
 
 
 def plan(folder: Path, cases: Sequence[Mapping[str, object]], scenario: str = "mini.yaml") -> list[Plan]:
@@ -38,16 +39,21 @@ def test_as_many_drives_at_once_as_pay(
     assert count_drives(drives, samples) == most
 
 
-def test_drives_at_once_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    ("cases", "scenario"), [(PLANES, "plane.yaml"), pytest.param(ROOMS, "mini.yaml", marks=pytest.mark.slow)]
+)
+def test_drives_at_once_give_the_same_bytes(
+    cases: Sequence[Mapping[str, object]], scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     found, told = [], list[tuple[str, int, int]]()
     for cores in (1, 4):
         at_once(monkeypatch, cores)
-        plans, home = plan(tmp_path / str(cores), ROOMS), tmp_path / str(cores) / "out"
+        plans, home = plan(tmp_path / str(cores), cases, scenario), tmp_path / str(cores) / "out"
         told.clear()
         assert record_all(plans, plans, home, lambda *what: told.append(what[:3])) == {}
-        assert ("recordings", 240, 240) in told
+        assert ("recordings", 60 * len(cases), 60 * len(cases)) in told
         made = [home / "recordings" / one.recording for one in plans]
-        _, base, *others = made
+        _, base, *others = made  # a plane has no others
         shared = [path.relative_to(base) for path in base.glob("observations/*.npy")]
         assert shared and all((one / path).samefile(base / path) for one in others for path in shared)
         found.append([read_manifest(one).sha256 for one in made])
@@ -56,7 +62,7 @@ def test_drives_at_once_give_the_same_bytes(tmp_path: Path, monkeypatch: pytest.
 
 def test_a_drive_that_fails_fails_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     at_once(monkeypatch, 2)
-    plans, home = plan(tmp_path / "study", ROOMS[:2]), tmp_path / "recordings"
+    plans, home = plan(tmp_path / "study", PLANES, "plane.yaml"), tmp_path / "recordings"
     scenarios = {one.recording: one.scenario for one in plans}
     bad, good = scenarios
     home.mkdir()
@@ -65,6 +71,7 @@ def test_a_drive_that_fails_fails_alone(tmp_path: Path, monkeypatch: pytest.Monk
     assert list(failures) == [bad] and failures[bad].startswith("recording: ") and is_whole(home / good)
 
 
+@pytest.mark.slow
 def test_drives_whose_base_fails_make_their_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     at_once(monkeypatch, 2)
     plans, home = plan(tmp_path / "study", ROOMS[1:]), tmp_path / "out"
@@ -78,8 +85,7 @@ def test_drives_whose_base_fails_make_their_own(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize("cores", [1, 2])
 def test_a_bug_in_a_drive_fails_it_alone(cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     at_once(monkeypatch, cores)
-    cases = [{"landmarks.count": 20}, {"landmarks.count": 21}]
-    bad, good = plan(tmp_path / "study", cases, "plane.yaml")
+    bad, good = plan(tmp_path / "study", PLANES, "plane.yaml")
     broken = bad.scenario.model_copy(update={"world": "nowhere"})
     scenarios = {bad.recording: broken, good.recording: good.scenario}
     failures = collect_all(scenarios, {key: tmp_path / key for key in scenarios}, tmp_path, ignore)

@@ -1,6 +1,8 @@
 """The runs of a study: as many at once as fit; and of recordings that are diagnosed, a damaged one fails alone."""
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -26,6 +28,11 @@ def test_as_many_runs_train_on_a_gpu_at_once_as_fit(
     learn = SimpleNamespace(train=SimpleNamespace(device=device))
     plans: Any = [SimpleNamespace(scenario=SimpleNamespace(learn=learn))]
     assert count_workers(plans) == most
+
+
+def test_a_process_that_does_runs_sets_its_threads_before_torch_reads_them():
+    code = "import sys, deepgps.studies.engine.runs; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == 0
 
 
 @pytest.mark.slow

@@ -8,8 +8,16 @@ import pytest
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.recordings import find_drives
 from deepgps.studies.plan import plan_runs
-from deepgps.studies.reports.encoder import add_errors, choose_encoders, draw, draw_near
-from deepgps.studies.reports.encoder_sweeps import PERFECT, find_pairs, find_sweeps, measure
+from deepgps.studies.reports.encoder import (
+    PERFECT,
+    add_errors,
+    choose_encoders,
+    draw,
+    draw_near,
+    find_pairs,
+    find_sweeps,
+    measure,
+)
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row
 from sim.settings import EncoderSettings

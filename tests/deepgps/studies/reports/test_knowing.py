@@ -10,7 +10,7 @@ from deepgps.data.segments import find_runs
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports import knowing
-from deepgps.studies.reports.knowing_drives import (
+from deepgps.studies.reports.knowing import (
     COLUMN,
     EXPECTED,
     SPOILT,
