@@ -1,8 +1,7 @@
 """A run: collect, train, evaluate, show. Each stage skips what is done and continues what was interrupted."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from deepgps.config.scenario import Scenario
 from deepgps.evaluation.measure import evaluate
@@ -15,11 +14,18 @@ from deepgps.terminal.progress import Report
 from sim.files.checksums import is_intact
 from sim.recording.format import has_truth, read_manifest
 
+Stage = Literal["collect", "train", "evaluate", "show"]
+
 
 def run(
-    scenario: Scenario, folder: Path, fresh: bool, progress: Report, recording: Path | None = None
+    scenario: Scenario,
+    folder: Path,
+    fresh: bool,
+    progress: Report,
+    recording: Path | None = None,
+    last: Stage = "show",
 ) -> dict[str, Any] | None:
-    """Run all stages of a scenario.
+    """Run the stages of a scenario.
 
     Args:
         scenario: What to run.
@@ -27,19 +33,25 @@ def run(
         fresh: Whether to replace an existing run, once the new one is complete.
         progress: Called with the steps done and their number, in each stage.
         recording: A recording that exists already, to which the run links; None: the run drives.
+        last: The last stage to run.
 
     Returns:
         The contents of ``metrics.json``, or, of a recording without truth, of ``without_truth.json``; None if the
-        recording holds the truth, but no test observations to measure errors at.
+        recording holds the truth, but no test observations to measure errors at, or if nothing is to be measured.
     """
     with claim(scenario, folder, fresh) as place:
         if recording is not None:
             link_recording(recording, place)
-        ask_for_device(scenario, place)
+        if last != "collect":  # training may happen on another machine
+            ask_for_device(scenario, place)
         collect(scenario, place, progress)
+        if last == "collect":
+            return None
         train(scenario, place, progress)
+        if last == "train":
+            return None
         metrics = evaluate(scenario, place, progress)
-        if metrics is not None:
+        if metrics is not None and last == "show":
             show(scenario, place, progress)
     return metrics
 
@@ -69,10 +81,3 @@ def show(scenario: Scenario, folder: Path, progress: Report) -> None:
             progress("show", 2, 3)
             write_run(folder)
             progress("show", 3, 3)
-
-
-STAGES: dict[str, Callable[[Scenario, Path, Report], Any]] = {
-    "collect": collect,
-    "train": train,
-    "evaluate": evaluate,
-}

@@ -2,9 +2,10 @@
 
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from deepgps.commands.begin import BEGUN
 from deepgps.commands.scenario import RunArguments, parse_scenario
@@ -14,10 +15,43 @@ from deepgps.terminal.console import console, errors, print_error, quote_path, s
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import Report, show_progress
 
+if TYPE_CHECKING:
+    from deepgps.run import Stage
+
 
 def run_command(words: Sequence[str]) -> None:
     """Run a scenario: drive and record, train, evaluate, show."""
-    arguments, source = parse_scenario("run", words, run_command.__doc__)
+    folder, metrics = _run("run", words, run_command.__doc__, "show")
+    if metrics is None:
+        return
+    from deepgps.reports.run_report import print_report
+
+    print_report(folder, console, time.monotonic() - BEGUN)
+    say(f"\nlook at it: deepgps view {quote_path(folder)}")
+
+
+def collect_command(words: Sequence[str]) -> None:
+    """Only drive and look: make the recording."""
+    folder, _ = _run("collect", words, collect_command.__doc__, "collect")
+    say(f"collect is done: {folder}")
+
+
+def train_command(words: Sequence[str]) -> None:
+    """Collect, and train the methods."""
+    folder, _ = _run("train", words, train_command.__doc__, "train")
+    say(f"train is done: {folder}")
+
+
+def evaluate_command(words: Sequence[str]) -> None:
+    """Collect, train, and measure the methods."""
+    folder, metrics = _run("evaluate", words, evaluate_command.__doc__, "evaluate")
+    if metrics is not None:
+        say(f"evaluate is done: {folder}")
+
+
+def _run(command: str, words: Sequence[str], about: str | None, last: "Stage") -> tuple[Path, dict[str, Any] | None]:
+    """Run a command's stages up to the last one; returns the run's folder and figures, and says why there are none."""
+    arguments, source = parse_scenario(command, words, about)
     scenario, folder = source.scenario, source.folder
     _check_before_work(arguments, source)
     # These import torch, which takes longer than all checks.
@@ -32,60 +66,12 @@ def run_command(words: Sequence[str]) -> None:
         show_progress(errors) as progress,
         _watch(arguments, scenario, place, progress) as report,
     ):
-        metrics = run(scenario, folder, arguments.fresh, report, source.recording)
+        metrics = run(scenario, folder, arguments.fresh, report, source.recording, last)
         if arguments.log is not None:
             write_log(scenario, folder, arguments.log, report)
-    if metrics is None:
+    if metrics is None and last in {"evaluate", "show"}:
         say(f"{folder}: {NO_TESTS}")
-        return
-    from deepgps.reports.run_report import print_report
-
-    print_report(folder, console, time.monotonic() - BEGUN)
-    say(f"\nlook at it: deepgps view {quote_path(folder)}")
-
-
-def stage_command(stage: str, about: str) -> Callable[[Sequence[str]], None]:
-    """Make the command that runs one stage and the stages it needs; ``about`` describes it."""
-
-    def command(words: Sequence[str]) -> None:
-        arguments, source = parse_scenario(stage, words, about)
-        scenario, folder = source.scenario, source.folder
-        _check_before_work(arguments, source)
-        from deepgps.evaluation.measure import NO_TESTS
-        from deepgps.methods.train import ask_for_device
-        from deepgps.run import STAGES
-        from deepgps.runs.collect import write_log
-        from deepgps.runs.run_folder import claim, find_place
-        from deepgps.runs.source import link_recording
-
-        place, done = find_place(folder, arguments.fresh), None
-        with (
-            working_in(folder),
-            show_progress(errors) as progress,
-            _watch(arguments, scenario, place, progress) as report,
-            claim(scenario, folder, arguments.fresh) as place,
-        ):
-            if source.recording is not None:
-                link_recording(source.recording, place)
-            if stage != "collect":  # after collecting alone, training may happen on another machine
-                ask_for_device(scenario, place)
-            for name, work in STAGES.items():
-                done = work(scenario, place, report)
-                if name == "collect" and arguments.log is not None:
-                    write_log(scenario, place, arguments.log, report)
-                if name == stage:
-                    break
-        if stage == "evaluate" and done is None:
-            say(f"{folder}: {NO_TESTS}")
-        else:
-            say(f"{stage} is done: {folder}")
-
-    return command
-
-
-collect_command = stage_command("collect", "Only drive and look: make the recording.")
-train_command = stage_command("train", "Collect, and train the methods.")
-evaluate_command = stage_command("evaluate", "Collect, train, and measure the methods.")
+    return folder, metrics
 
 
 def _check_before_work(arguments: RunArguments, source: Source) -> None:

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from deepgps.commands.main import main
 from deepgps.config.scenario import Scenario, write_out
-from deepgps.run import STAGES
 from deepgps.runs import owned_folder
+from deepgps.runs.collect import collect
 from deepgps.runs.owned_folder import FRESH, MARK
 from deepgps.runs.run_folder import RUN, claim, open_run
 from deepgps.runs.source import find_adopted, find_source, link_recording
@@ -225,7 +225,6 @@ def test_every_byte_of_a_user_s_survives_every_command(
     words += [word for more in rng.sample(MORE, rng.randint(0, 2)) for word in more.split()]
     # Whatever gets as far as to work is stopped there: this is about what happens before, and on the way out.
     monkeypatch.setattr("deepgps.run.collect", stop)
-    monkeypatch.setitem(STAGES, "collect", stop)
     monkeypatch.setattr("deepgps.studies.engine.engine.carry_out", stop)
     monkeypatch.setattr("sim.tools.gallery.draw_gallery", stop)
     monkeypatch.setattr("deepgps.viewer.window.show.view", stop)
@@ -396,6 +395,6 @@ def test_a_recording_that_has_moved_is_asked_for_and_nothing_is_driven(tmp_path:
     with claim(SCENARIO, tmp_path / "run", fresh=False) as place:
         (place / "recording").symlink_to(tmp_path / "moved")
         with pytest.raises(InputError, match=r"its recording .*moved is missing or not finished; put it back"):
-            STAGES["collect"](SCENARIO, place, lambda *_: None)
+            collect(SCENARIO, place, lambda *_: None)
     with pytest.raises(InputError, match="put it back"):
         find_source(str(tmp_path / "run"), {}, None, fresh=True)
