@@ -261,7 +261,6 @@ class _Way:
 
 
 def _choose_gaps(settings: DriveSettings, mode: DriveMode, stop_m: float, radius_m: float) -> tuple[Gaps, float]:
-    """The gaps to look for, and the chance to stop at one."""
     if mode.kind == "search":
         return Gaps((mode.side,), SHORTEST_M + stop_m, radius_m), 1.0
     sides = (1, -1) if settings.headings == "explore" or settings.enter > 0.0 else ()

@@ -97,7 +97,6 @@ def _list_joints(seen: Observed, settings: SimSettings, seed: int, base: Clock) 
 
 
 def _list_rays(seen: Observed, seed: int, base: Clock) -> list[Topic]:
-    """One topic for each direction."""
     stamp, logged = base.read(seen.ray_time), _arrive(seen.ray_time, BASE_LATENCY_S, seed, "ray")
 
     def measure(ray: int, row: int) -> Any:

@@ -219,7 +219,6 @@ def _lay_out(settings: SimSettings, seed: int, states: np.ndarray, work: Path) -
 
 
 def _draw(renderers: Renderers, parts: Sequence[Part], progress: Report) -> None:
-    """Draw the parts that are missing or damaged."""
     missing = [part for part in parts if not _is_intact(part.path)]
     for part in missing:
         renderers.give(part)

@@ -65,7 +65,6 @@ def read_pictures(path: Path) -> list[np.ndarray]:
 
 
 def _frame(round_picture: np.ndarray) -> np.ndarray:
-    """The camera's image (ROWS, COLUMNS, 3), black beside the round picture (ROWS, ROWS, 3)."""
     side = (COLUMNS - ROWS) // 2
     return np.pad(round_picture, ((0, 0), (side, side), (0, 0)))
 

@@ -135,7 +135,6 @@ def _not_in_a_corner(room: Room):
 
 
 def _open_cost(room: Room) -> Cost:
-    """Return a cost for being close to anything."""
     layout = room.layout
     clear = layout.clearance()
     return lambda pose: -float(min(clear[layout.cell(pose)], 1.6))

@@ -85,5 +85,4 @@ def _multiply(a: Quaternion, b: Quaternion) -> np.ndarray:
 
 
 def _nearness(at: Pose, others: list[Pose]) -> float:
-    """Return a cost for being near another post."""
     return -min((min(float(np.hypot(at.x - o.x, at.y - o.y)), 2.5) for o in others), default=0.0)

@@ -227,7 +227,6 @@ class Layout:
         return not walkable or self._leaves_paths(piece, pose)
 
     def _whole(self, piece: Footprint, pose: Pose) -> bool:
-        """Whether the footprint is completely in the room."""
         left, right, bottom, top = _rectangle(piece, pose)
         high = self.low + np.array(self.inside.shape[::-1]) * CELL_M
         tolerance = 1e-6

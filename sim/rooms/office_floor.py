@@ -156,7 +156,6 @@ def _divide(
 
 
 def _snap(layout: Layout, axis: int, place: float) -> float:
-    """The nearest edge of a cell of the layout along an axis [m]."""
     return float(layout.low[axis] + round((place - layout.low[axis]) / CELL_M) * CELL_M)
 
 
@@ -213,7 +212,6 @@ def _door(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, room: Room
 
 
 def _distance(side: Wall, point: np.ndarray) -> float:
-    """Distance from a point (2,) to a wall [m]."""
     along = float(np.clip((point - side.middle) @ side.along, -side.length_m / 2, side.length_m / 2))
     return float(np.linalg.norm(point - side.middle - along * side.along))
 

@@ -262,7 +262,6 @@ def _make(room: Room, name: str, piece: Callable[..., Made], body: mujoco.MjsBod
 
 
 def _remember(room: Room, name: str, piece: Callable[..., Any]) -> None:
-    """Remember a piece that was placed for its twins."""
     if room.twins is not None:
         room.twins.setdefault(name, piece)
 

@@ -211,7 +211,6 @@ def _contrast(power: np.ndarray, images: np.ndarray, sectors: int) -> np.ndarray
 
 
 def _best(count: int, pair: np.ndarray, score: np.ndarray) -> np.ndarray:
-    """The highest score of each pair (count,)."""
     best = np.full(count, -np.inf)
     np.maximum.at(best, pair, score)
     return best

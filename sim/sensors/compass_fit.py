@@ -219,7 +219,6 @@ def _cauchy(
 
 
 def _gram(aa: np.ndarray, az: np.ndarray, zz: np.ndarray, grid: Grid) -> np.ndarray:
-    """Normal matrices (M, 3, 3)."""
     (a, z), count = grid.flow, len(aa)
     cross = a[:, None] * z[None]
     bases = a[:, None] * a[None], cross + cross.swapaxes(0, 1), z[:, None] * z[None]

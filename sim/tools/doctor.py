@@ -181,5 +181,4 @@ def check_disk(runs: Path, least_gb: float = LEAST_FREE_GB) -> Check:
 
 
 def _nearest(folder: Path) -> Path:
-    """Return the folder itself, or the nearest parent that exists."""
     return next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())

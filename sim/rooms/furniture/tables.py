@@ -99,7 +99,6 @@ def island(body: mujoco.MjsBody, rng: np.random.Generator, look: Look) -> Footpr
 
 
 def _cupboards(body: mujoco.MjsBody, rng: np.random.Generator, look: Look, width_m: float, hob_x: float) -> None:
-    """Wall cupboards on the side of the hood that has more room."""
     side = 1.0 if hob_x < 0 else -1.0
     inner, outer = hob_x + side * 0.33, side * width_m / 2
     span, middle = abs(outer - inner), (inner + outer) / 2

@@ -276,7 +276,6 @@ def _steps(size: int, cells: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _crack(rng: np.random.Generator, broken: np.ndarray) -> None:
-    """Mark a wandering line in a mask."""
     rows, columns = broken.shape
     place, heading = rng.random(2) * (rows, columns), rng.uniform(0, 2 * np.pi)
     for _ in range(int(rng.uniform(0.3, 0.8) * rows)):

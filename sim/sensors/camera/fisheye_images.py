@@ -171,7 +171,6 @@ def _build_empty(settings: SimSettings) -> mujoco.MjModel:
 
 
 def _find_floor(room: mujoco.MjModel) -> FreeSpace:
-    """Where a person has room."""
     try:
         return find_free_space(room, PERSON_RADIUS_M, PERSON_HEIGHT_M)
     except InputError as error:

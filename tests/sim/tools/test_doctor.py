@@ -66,14 +66,10 @@ def lacks(checks: list[Check]) -> list[tuple[str, str]]:
 def test_all_is_well_where_the_tests_run(tmp_path):
     checks = doctor.check_all(tmp_path)
     assert lacks(checks) == []
-    assert {check.name for check in checks} == {
-        *("python", "packages", "extras", "renderer", "machine", "folder", "disk"),
-    }
+    named = {check.name: check for check in checks}
+    assert set(named) == {"python", "packages", "extras", "renderer", "machine", "folder", "disk"}
     assert all("\n" not in check.text for check in checks)
-
-
-def test_versions_are_those_installed():
-    (packages,) = check_packages()
+    packages = named["packages"]
     for name in ("mujoco", "torch", "rerun-sdk", "numpy"):
         assert f"{name} {version(name)}" in packages.text
 
@@ -107,64 +103,43 @@ def test_a_checkout_that_is_not_installed_is_told_to_set_up():
     assert lacks(check_packages("no-such-testbed")) == [("no-such-testbed itself is not installed", "make setup")]
 
 
-@pytest.mark.parametrize(("found", "ok"), [((3, 10), False), ((3, 11), True), ((3, 13), True), ((3, 14), False)])
-def test_only_pythons_with_all_wheels_are_fit(found, ok):
-    check = check_python(found)
-    assert check.ok == ok
-    assert ("make setup PYTHON=" in check.fix) == (not ok)
+def test_only_pythons_with_all_wheels_are_fit():
+    for minor, ok in ((10, False), (11, True), (13, True), (14, False)):
+        check = check_python((3, minor))
+        assert check.ok == ok and ("make setup PYTHON=" in check.fix) == (not ok)
 
 
 def test_renderer_is_named(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "egl")
     monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
     check = check_renderer()
-    assert check.ok and check.text.startswith("egl, ") and check.fix == ""
+    assert check.ok and check.text.startswith("egl, ") and not check.fix
 
 
-@pytest.mark.parametrize("masked", [EGL, OPENGL], ids=["libEGL", "libOpenGL"])
-def test_egl_without_its_libraries_names_the_packages(masked, mask, monkeypatch):
+@pytest.mark.parametrize(
+    ("masked", "backend", "problem", "fix"),
+    [
+        (EGL, "egl", "libEGL", "apt-get install libegl1 "),
+        (OPENGL, "egl", "libOpenGL", "apt-get install libegl1 "),
+        (OSMESA, "osmesa", "OSMesa", "apt-get install libosmesa6"),
+        ((*EGL, *OSMESA), "", "libOSMesa", "libegl1"),
+        ((), "directx", "MUJOCO_GL=directx", "egl or osmesa"),
+    ],
+)
+def test_what_drawing_lacks_is_named_with_its_cure(masked, backend, problem, fix, mask, monkeypatch):
     mask(*masked)
-    monkeypatch.setenv("MUJOCO_GL", "egl")
+    monkeypatch.setenv("MUJOCO_GL", backend)
     check = check_renderer()
     assert not check.ok
-    assert check.fix.startswith("apt-get install libegl1 ")
+    assert problem in check.text and fix in check.fix
     assert "Traceback" not in check.text + check.fix
 
 
-def test_osmesa_without_its_library_names_the_package(mask, monkeypatch):
-    mask(*OSMESA)
-    monkeypatch.setenv("MUJOCO_GL", "osmesa")
-    check = check_renderer()
-    assert not check.ok
-    assert "OSMesa" in check.text and "apt-get install libosmesa6" in check.fix
-
-
-def test_nothing_to_draw_with_names_the_packages(mask, monkeypatch):
-    mask(*EGL, *OSMESA)
-    monkeypatch.delenv("MUJOCO_GL", raising=False)
-    check = check_renderer()
-    assert not check.ok and "libegl1" in check.fix
-
-
-def test_a_wrong_backend_is_an_answer_too(monkeypatch):
-    monkeypatch.setenv("MUJOCO_GL", "directx")
-    check = check_renderer()
-    assert not check.ok
-    assert check.text == "MUJOCO_GL=directx" and "egl or osmesa" in check.fix
-
-
-def test_a_driver_that_kills_the_process_is_an_answer_too(monkeypatch):
-    monkeypatch.setattr(doctor, "_DRAW", "import os; os.kill(os.getpid(), 11)")
-    check = check_renderer()
-    assert not check.ok
-    assert "code -11" in check.text and check.fix == doctor.EGL_FIX
-
-
-def test_what_a_driver_says_need_not_be_text(monkeypatch):
+def test_a_driver_that_kills_the_process_is_an_answer_too_and_need_not_speak_text(monkeypatch):
     monkeypatch.setattr(doctor, "_DRAW", "import os; os.write(2, b'Ger\\xe4t fehlt\\n'); os.abort()")
     check = check_renderer()
     assert not check.ok
-    assert "code -6" in check.text and "t fehlt" in check.text
+    assert "code -6" in check.text and "t fehlt" in check.text and check.fix == doctor.EGL_FIX
 
 
 def test_software_beside_a_graphics_card_is_said():
@@ -174,12 +149,9 @@ def test_software_beside_a_graphics_card_is_said():
     assert "software" not in judge_renderer("egl", "NVIDIA H100/PCIe/SSE2", nvidia=True).text
 
 
-def test_results_folder_need_not_exist_yet(tmp_path):
+def test_a_results_folder_need_not_exist_yet_and_one_that_cannot_be_written_is_told(tmp_path):
     assert check_folder(tmp_path / "a" / "b").ok
     assert not (tmp_path / "a").exists()
-
-
-def test_results_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
     check = check_folder(tmp_path / "file")
     assert not check.ok
