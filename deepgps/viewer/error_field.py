@@ -1,5 +1,7 @@
 """Error fields: an arrow from each true place to the predicted one, a dot at the true one, and its numbers.
 
+Layers above it are hidden at first: headings, yaws, radii, expected errors, coverage by images.
+
 The viewer's tooltip lists up to three components that differ between the arrows of an entity, and more only by their
 number. So an entity has its shape, its colours and one short text, and other values are logged above it.
 """
@@ -7,15 +9,18 @@ number. So an entity has its shape, its colours and one short text, and other va
 from collections.abc import Sequence
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
+from matplotlib import colormaps
 from matplotlib.colors import to_rgb
+from scipy.spatial import KDTree
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
+from deepgps.evaluation.measures import find_seen
 from deepgps.reports.field_plot import REFUSED, colours_of
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import Rows, put
+from sim.occupancy import FreeSpace
 
 LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")
@@ -27,6 +32,15 @@ HEIGHT_M = 3 * LAYER_M  # high enough for coverage and density to be drawn below
 HEAD_M = 0.05
 HEAD_SHARE = 0.35
 """Length of an arrow's head, at most ``HEAD_M``, as a share of the arrow's."""
+YAW_M = 0.07
+"""Length of a yaw's arrow [m]."""
+WRONG_DEG = 5.0
+GOOD, WRONG = (235, 235, 235), (255, 60, 220)
+"""Colours of yaws that are off by at most ``WRONG_DEG``, and of others; the error field's colours mean positions."""
+CIRCLE_POINTS = 49
+COVERAGE, DENSITY = "world/not_covered", "world/images_per_cell"
+CELL_M = 0.25
+UNSEEN = (232, 37, 79)
 NO_PLACES = ErrorField(np.zeros((0, 2)), np.zeros(1), np.zeros((0, 1, 2)))
 
 
@@ -45,9 +59,9 @@ def log_field(stream: rr.RecordingStream, name: str, field: ErrorField, at: Rows
         put(stream, path, _list_values(find_worst(field)))
 
 
-def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
+def _log_headings(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
     """Log a method's errors at each heading that all places share, if there are several."""
-    for number, path in enumerate(list_headings(name, field)):
+    for number, path in enumerate(_list_headings(name, field)):
         chosen = np.zeros(field.predicted.shape[:2], bool)
         chosen[:, number] = True
         one = find_worst(field, chosen)
@@ -56,7 +70,7 @@ def log_headings(stream: rr.RecordingStream, name: str, field: ErrorField) -> No
         _log_arrows(stream, path, name, one, colours_of(one.error), said, find_thinness(field.truth))
 
 
-def list_headings(name: str, field: ErrorField) -> list[str]:
+def _list_headings(name: str, field: ErrorField) -> list[str]:
     """Entities of a method's errors at each heading; empty if places have headings of their own, or only one."""
     if field.heading.ndim != 1 or len(field.heading) < 2:
         return []
@@ -71,6 +85,49 @@ def describe_errors(field: WorstField) -> list[str]:
         f"{error:.1f}{within} cm, {heading:.0f}° → {x:z.2f}, {y:z.2f}"
         for within, (error, heading, x, y) in zip(radius, rows, strict=True)
     ]
+
+
+def list_layers(name: str, field: ErrorField) -> list[str]:
+    """Entities of the layers that a method has: errors at each heading, yaws, radii, errors that its map expects."""
+    has = {
+        "yaw": field.yaw is not None and field.yaw_error is not None,
+        "radius": field.radius is not None,
+        "expected": field.expected is not None,
+    }
+    return [*_list_headings(name, field), *(name_layer(name, layer) for layer in has if has[layer])]
+
+
+def name_layer(name: str, layer: str) -> str:
+    """The entity of a method's layer ``yaw``, ``radius`` or ``expected``."""
+    return f"world/error_field/{name}/{layer}"
+
+
+def log_layers(stream: rr.RecordingStream, name: str, field: ErrorField) -> None:
+    """Log the layers that a method has."""
+    _log_headings(stream, name, field)
+    _log_yaws(stream, name_layer(name, "yaw"), field)
+    _log_radii(stream, name_layer(name, "radius"), field)
+    _log_expected(stream, name_layer(name, "expected"), field)
+
+
+def log_coverage(stream: rr.RecordingStream, place: np.ndarray, space: FreeSpace) -> None:
+    """Log the floor too far from every training image, and how many of them, at places (n, 2) [m], each cell has."""
+    row, column = np.nonzero(space.reachable)
+    floor = space.origin + np.stack([column, row], axis=1) * space.cell_m
+    unseen = floor[~find_seen(floor, place)]
+    put(stream, COVERAGE, _make_tiles(unseen, space.cell_m, 2 * LAYER_M, np.array([UNSEEN], np.uint8)))
+    cell, count = np.unique(np.floor(place / CELL_M).astype(int), axis=0, return_counts=True)
+    colours = colormaps["viridis"](np.log(count) / max(np.log(count.max()), 1e-9))[:, :3]
+    tiles = _make_tiles((cell + 0.5) * CELL_M, 0.94 * CELL_M, 1.5 * LAYER_M, (255 * colours).astype(np.uint8))
+    stream.log(DENSITY, tiles, rr.AnyValues(images=count), static=True)
+
+
+def draw_circles(centre: np.ndarray, radius: np.ndarray, z: float) -> np.ndarray:
+    """Circles around places (n, 2) [m] with radii (n,) [m], as closed lines (n, CIRCLE_POINTS, 3) at height z [m]."""
+    angle = np.linspace(0.0, 2.0 * np.pi, CIRCLE_POINTS)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    points = centre[:, None] + radius[:, None, None] * circle
+    return lift(points.reshape(-1, 2), z).reshape(len(centre), CIRCLE_POINTS, 3)
 
 
 def draw_arrows(origins: np.ndarray, tips: np.ndarray, z: float = HEIGHT_M) -> np.ndarray:
@@ -100,12 +157,11 @@ def _log_arrows(
     at: Rows = (),
 ) -> None:
     """Log arrows and dots in these colours (n or 1, 4), each with what is said of it in its tooltip."""
-    words = rr.AnyValues(error=pa.array(said, pa.utf8()), method=[title_of(name)])
+    words = {"error": said, "method": [title_of(name)]}
     lines = rr.LineStrips3D(draw_arrows(field.truth, field.predicted), radii=0.007 * thin, colors=colours)
     dots = rr.Points3D(lift(field.truth, HEIGHT_M), radii=0.018 * thin, colors=colours, point_shading="Flat")
     for below, shape in (("arrows", lines), ("places", dots)):
-        put(stream, f"{path}/{below}", shape, at)
-        put(stream, f"{path}/{below}", words, at)
+        put(stream, f"{path}/{below}", shape, at, words)
 
 
 def _list_values(field: WorstField) -> rr.AnyValues:
@@ -121,3 +177,54 @@ def _list_values(field: WorstField) -> rr.AnyValues:
 
 def _degrees(heading: np.ndarray) -> np.ndarray:
     return np.round(np.degrees(heading)) % 360
+
+
+def _log_yaws(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
+    """Log arrows in the predicted directions, at the heading with the largest error in position."""
+    if field.yaw is None or field.yaw_error is None:
+        return
+    rows = np.arange(len(field.truth)), field.error.argmax(axis=1)
+    place, yaw, error = field.predicted[rows], field.yaw[rows], np.degrees(field.yaw_error[rows])
+    place, yaw, error = (part[np.isfinite(yaw)] for part in (place, yaw, error))
+    tips = place + YAW_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
+    radius = 0.005 * find_thinness(field.truth)
+    wrong = np.abs(error) > WRONG_DEG
+    for part, chosen, colour in (("above_5_deg", wrong, WRONG), ("below_5_deg", ~wrong, GOOD)):
+        lines = draw_arrows(place[chosen], tips[chosen], HEIGHT_M + LAYER_M)
+        rows = zip(np.degrees(yaw[chosen]), error[chosen], strict=True)
+        words = [f"{one:.1f}°, off by {off:.1f}°" for one, off in rows]
+        shape = rr.LineStrips3D(lines, radii=radius, colors=[colour])
+        put(stream, f"{path}/{part}", shape, said={"yaw": words})
+
+
+def _log_radii(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
+    """Log the circles of 68 % at the worst accepted heading of each place, in the colours of such errors."""
+    worst = split_by_acceptance(field)[0]
+    if worst.radius is None:
+        return
+    circles = draw_circles(worst.predicted, worst.radius, HEIGHT_M + LAYER_M)
+    rows = zip(100 * worst.radius, 100 * worst.error, strict=True)
+    words = [f"68 % within {radius:.1f} cm, off by {error:.1f} cm" for radius, error in rows]
+    thickness = 0.003 * find_thinness(field.truth)
+    shape = rr.LineStrips3D(circles, radii=thickness, colors=colours_of(worst.radius))
+    put(stream, path, shape, said={"radius": words})
+
+
+def _log_expected(stream: rr.RecordingStream, path: str, field: ErrorField) -> None:
+    """Log the error that the initial map expects at each test position, in the colours of the error field."""
+    if field.expected is None:
+        return
+    apart = KDTree(field.truth).query(field.truth, min(2, len(field.truth)))[0].reshape(len(field.truth), -1)[:, -1]
+    words = [f"{100 * one:.2f} cm expected" for one in field.expected]
+    tiles = _make_tiles(field.truth, float(np.median(apart)), 2 * LAYER_M, colours_of(field.expected))
+    put(stream, path, tiles, said={"expected": words})
+
+
+def _make_tiles(middle: np.ndarray, size_m: float, height_m: float, colours: np.ndarray) -> rr.Boxes3D:
+    """Flat squares around points (n, 2) [m], high enough above the floor plan for the viewer to draw them over it."""
+    return rr.Boxes3D(
+        centers=lift(middle, height_m),
+        half_sizes=[(size_m / 2, size_m / 2, 0.0005)],
+        colors=colours,
+        fill_mode="solid",
+    )

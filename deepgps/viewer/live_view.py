@@ -18,7 +18,7 @@ from deepgps.evaluation.error_field import read_all_headings
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import METRICS
-from deepgps.viewer.layers import list_layers
+from deepgps.viewer.error_field import list_layers
 from deepgps.viewer.pictures import make_warp
 from deepgps.viewer.run import drive
 from deepgps.viewer.run.layout import STEPS, Layers, make_live_blueprint

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from deepgps.viewer.layers import draw_circles
+from deepgps.viewer.error_field import draw_circles
 from deepgps.viewer.live import GONE
 from deepgps.viewer.pictures import enlarge
 from deepgps.viewer.scene import LAYER_M, lift, log_room

@@ -6,9 +6,10 @@ making, the training and the worst places at the same time, so that its slider c
 ``run_time`` [s] alone.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -24,8 +25,19 @@ Clock = Callable[[np.ndarray], Rows]
 """Makes rows at times of a drive (n,) [s]."""
 
 
-def put(stream: rr.RecordingStream, path: str, thing: rr.AsComponents, at: Rows = ()) -> None:
-    """Log something from the one place ``at`` on, or statically without it; wall-clock time is never written."""
+def put(
+    stream: rr.RecordingStream,
+    path: str,
+    thing: rr.AsComponents,
+    at: Rows = (),
+    said: Mapping[str, Sequence[str]] | None = None,
+) -> None:
+    """Log something from the one place ``at`` on, or statically without it; wall-clock time is never written.
+
+    Texts that are ``said`` of its parts in the tooltip are logged by their components' names.
+    """
+    if said:
+        put(stream, path, rr.AnyValues(**{name: pa.array(texts, pa.utf8()) for name, texts in said.items()}), at)
     if not at:
         stream.log(path, thing, static=True)
         return

@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.config.methods import title_of
-from deepgps.viewer.layers import COVERAGE, DENSITY, name_layer
+from deepgps.viewer.error_field import COVERAGE, DENSITY, name_layer
 from deepgps.viewer.pictures import LARGE
 from deepgps.viewer.plot import distribution_view
 from deepgps.viewer.run.drive import DIAGNOSIS, POLAR_PICTURES
 from deepgps.viewer.run.making import MAKING, TEXT
 from deepgps.viewer.run.places import PICTURES
 from deepgps.viewer.timeline import PROGRESS, RUN_TIME, lately, until_now
-from deepgps.viewer.views import aim_eye, arrange, field_view, room_view, series_view, text_view
+from deepgps.viewer.views import aim_eye, aim_eye_at, arrange, field_view, room_view, series_view, text_view
 from sim.occupancy import FreeSpace
 
 RECENT_S, TRAIL_S = 60.0, 120.0
@@ -44,14 +45,14 @@ def make_blueprint(
         drive_s: Duration of the drive [s].
         mapped: Method whose initial map's making is shown; None: no method kept it.
     """
-    errors = rrb.Horizontal(_segment_error(drive_s), ticks_view(drive_s))
+    errors = rrb.Horizontal(_segment_error(drive_s), _ticks_view(drive_s))
     return arrange(
         [
             _error_fields(space, layers, ["place/test/**"]),
             _worst_places(space, "polar" in pictures),
             _drive(space, pictures, errors),
             *([_making(space, mapped)] if mapped else []),
-            *([_training(space, trained, [loss_view(name) for name in trained])] if trained else []),
+            *([_training(space, trained, [_loss_view(name) for name in trained])] if trained else []),
             _encoders(space, drive_s),
             _report(),
         ],
@@ -77,13 +78,47 @@ def make_live_blueprint(
     if space and trained:
         start = rr.TimeRangeBoundary.absolute(seconds=began_s)
         since = rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=rr.TimeRangeBoundary.infinite()))
-        tabs.append(_training(space, trained, [*(loss_view(name, since) for name in trained), steps]))
+        tabs.append(_training(space, trained, [*(_loss_view(name, since) for name in trained), steps]))
     if space and layers:
         tabs.append(_error_fields(space, layers))
     return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=RUN_TIME, play_state="following"), len(tabs) - 1)
 
 
-def camera_views(pictures: Mapping[str, str]) -> list[rrb.View | rrb.Container]:
+def make_blueprint_without_truth(
+    pictures: Mapping[str, str], drive_s: float, reckoned: np.ndarray, last: Mapping[str, np.ndarray]
+) -> rrb.Blueprint:
+    """The viewer's layout for a run without truth.
+
+    Args:
+        pictures: As in ``make_blueprint``.
+        drive_s: Likewise.
+        reckoned: The dead-reckoned path (R, 2) [m].
+        last: The methods' last maps (n, 2) [m].
+    """
+    path = rrb.Spatial3DView(
+        name="Dead-reckoned path",
+        origin="world",
+        eye_controls=_aim_at(reckoned),
+        overrides={"world/reckoned/path": rrb.VisibleTimeRanges(until_now())},
+    )
+    beside = rrb.Vertical(
+        *_camera_views(pictures),
+        series_view("Distance travelled [m]", "drive/distance"),
+        _ticks_view(drive_s),
+        rrb.Tabs(text_view("Without truth", "report"), _diagnosis_view()),
+    )
+    tabs: list[rrb.Horizontal | rrb.Vertical] = [rrb.Horizontal(path, beside, name="Drive", column_shares=[3, 2])]
+    if last:
+        maps = [
+            rrb.Spatial3DView(name=title_of(name), origin=f"map/{name}", eye_controls=_aim_at(points, len(last)))
+            for name, points in last.items()
+        ]
+        losses = [_loss_view(name) for name in last]
+        tabs.append(rrb.Vertical(rrb.Horizontal(*maps), rrb.Horizontal(*losses), name="Training", row_shares=[3, 1]))
+    return arrange(tabs, rrb.TimePanel(state="collapsed", timeline=PROGRESS, play_state="following"))
+
+
+def _camera_views(pictures: Mapping[str, str]) -> list[rrb.View | rrb.Container]:
     """Views of the sensors' pictures by their titles: those drawn for people above the others."""
     views = {name: rrb.Spatial2DView(name=title, origin=f"drive/{name}") for name, title in pictures.items()}
     large = [views.pop(LARGE)] if LARGE in views else []
@@ -91,18 +126,15 @@ def camera_views(pictures: Mapping[str, str]) -> list[rrb.View | rrb.Container]:
     return [*large, *([rrb.Horizontal(*views.values(), column_shares=shares)] if views else [])]
 
 
-def diagnosis_view() -> rrb.TextDocumentView:
-    """The diagnosis of the wheels."""
+def _diagnosis_view() -> rrb.TextDocumentView:
     return text_view("Diagnosis of the wheels", DIAGNOSIS)
 
 
-def ticks_view(drive_s: float) -> rrb.TimeSeriesView:
-    """The ticks of both wheels from reading to reading."""
+def _ticks_view(drive_s: float) -> rrb.TimeSeriesView:
     return series_view("Ticks per gap: left blue, right green", "drive/ticks", RECENT_S, drive_s)
 
 
-def loss_view(name: str, since: rrb.TimeAxis | None = None) -> rrb.TimeSeriesView:
-    """A training's loss, from a time on."""
+def _loss_view(name: str, since: rrb.TimeAxis | None = None) -> rrb.TimeSeriesView:
     title = "Loss, log10: each step pale, running median bright"
     return series_view(title, f"training/{name}", since=since)
 
@@ -173,7 +205,7 @@ def _drive(
         line_grid=space is None,
     )
     shares = [*([3] if LARGE in pictures else []), *([2] if set(pictures) - {LARGE} else []), 2]
-    beside = rrb.Vertical(*camera_views(pictures), below, row_shares=shares)
+    beside = rrb.Vertical(*_camera_views(pictures), below, row_shares=shares)
     return rrb.Horizontal(room, beside, column_shares=[5, 4], name="Drive")
 
 
@@ -206,11 +238,11 @@ def _encoders(space: FreeSpace, drive_s: float) -> rrb.Horizontal:
     )
     faults = text_view("Faults that were set", "encoders/faults")
     return rrb.Horizontal(
-        rrb.Vertical(paths, rrb.Tabs(diagnosis_view(), faults, active_tab=0), row_shares=[5, 6]),
+        rrb.Vertical(paths, rrb.Tabs(_diagnosis_view(), faults, active_tab=0), row_shares=[5, 6]),
         rrb.Vertical(
             rrb.Horizontal(
                 _segment_error(drive_s),
-                ticks_view(drive_s),
+                _ticks_view(drive_s),
                 series_view("Ticks per gap, right minus left", "drive/tick_difference", RECENT_S, drive_s),
             ),
             rrb.Horizontal(
@@ -250,3 +282,8 @@ def _training(space: FreeSpace, trained: Sequence[str], losses: Sequence[rrb.Vie
 def _report() -> rrb.Horizontal:
     beside = rrb.Vertical(distribution_view(), text_view("The place at the slider", "place/text"), row_shares=[3, 2])
     return rrb.Horizontal(text_view("Report", "report/text"), beside, column_shares=[2, 3], name="Report")
+
+
+def _aim_at(points: np.ndarray, views: int = 1) -> rrb.EyeControls3D:
+    """Place the eye above points (n, 2) [m] in one of several views side by side."""
+    return aim_eye_at(points.min(axis=0), points.max(axis=0), reach=max(1.2, 0.55 * views))

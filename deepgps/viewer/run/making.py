@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import rerun as rr
 
 from deepgps.config.methods import folder_of
@@ -97,8 +96,7 @@ def _log_turns(
     strips = np.concatenate([arcs, places[before, None]], axis=1)
     said = [f"{one:+.1f}° ± {err:.2f}°" for one, err in zip(np.degrees(angle), std, strict=True)]
     lines = rr.LineStrips3D([lift(strip, 2 * LAYER_M) for strip in strips], radii=0.003, colors=[TURN])
-    for thing in (lines, rr.AnyValues(turned=pa.array(said, pa.utf8()))):
-        put(stream, f"{MAKING}/turns", thing, at)
+    put(stream, f"{MAKING}/turns", lines, at, {"turned": said})
 
 
 def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndarray, stage: int, at: Rows) -> None:
@@ -117,8 +115,7 @@ def _log_closures(stream: rr.RecordingStream, stored: StoredMap, places: np.ndar
             for (one, other), away, angle in zip(stored.closure[chosen], apart, turned, strict=True)
         ]
         lines = rr.LineStrips3D(strips, radii=0.003, colors=[colour])
-        for thing in (lines, rr.AnyValues(alike=pa.array(said, pa.utf8()))):
-            put(stream, f"{MAKING}/{name}", thing, at)
+        put(stream, f"{MAKING}/{name}", lines, at, {"alike": said})
 
 
 def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignment, at: Rows) -> float:
@@ -130,8 +127,8 @@ def _log_ellipses(stream: rr.RecordingStream, stored: StoredMap, world: Alignmen
     strips = [lift(one, 4 * LAYER_M) for one in outlines + world.apply(stored.places[some])[:, None]]
     colours = np.where(stored.undecided[some, None], WARNING, (255, 255, 255)).astype(np.uint8)
     said = [f"± {100 * one:.2f} cm (RMS)" for one in stored.expected[some]]
-    put(stream, f"{MAKING}/ellipses", rr.LineStrips3D(strips, radii=0.004, colors=colours), at)
-    put(stream, f"{MAKING}/ellipses", rr.AnyValues(expected=pa.array(said, pa.utf8())), at)
+    lines = rr.LineStrips3D(strips, radii=0.004, colors=colours)
+    put(stream, f"{MAKING}/ellipses", lines, at, {"expected": said})
     return larger
 
 

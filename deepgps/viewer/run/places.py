@@ -15,8 +15,7 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.reports.table import tabulate
-from deepgps.viewer.error_field import draw_arrows
-from deepgps.viewer.layers import draw_circles
+from deepgps.viewer.error_field import draw_arrows, draw_circles
 from deepgps.viewer.pictures import encode_jpeg, enlarge, log_jpegs, make_warp, warp_round
 from deepgps.viewer.run.drive import camera_of
 from deepgps.viewer.scene import LAYER_M, lift
@@ -29,11 +28,7 @@ APART_M = 0.25
 LABEL_ABOVE = 0.07  # as a share of the room's depth
 ALIKE = 2
 PICTURES = ("test", *(f"alike_{number + 1}" for number in range(ALIKE)), "closest")
-COLOURS: dict[str, tuple[int, int, int]] = {
-    "test": (255, 255, 255),
-    "alike": (255, 196, 60),
-    "closest": (63, 208, 165),
-}
+COLOURS = {"test": (255, 255, 255), "alike": (255, 196, 60), "closest": (63, 208, 165)}
 ROUND_PX, POLAR_ZOOM = 256, 3
 HEADING_M = 0.22
 MAX_COMPARED = 20_000  # observations; of longer recordings, evenly spread ones
@@ -72,10 +67,8 @@ def find_places(fields: Mapping[str, ErrorField], count: int = PLACES) -> list[P
         order = np.argsort(-error.max(axis=1), kind="stable")
         chosen: list[int] = []
         for cell in order:
-            if (
-                len(chosen) < count
-                and (np.linalg.norm(field.truth[chosen] - field.truth[cell], axis=1) > APART_M).all()
-            ):
+            away = np.linalg.norm(field.truth[chosen] - field.truth[cell], axis=1)
+            if len(chosen) < count and (away > APART_M).all():
                 chosen.append(int(cell))
         places += [Place(method, rank + 1, cell, int(error[cell].argmax())) for rank, cell in enumerate(chosen)]
     return places
@@ -115,7 +108,6 @@ def log_places(
 
 
 def _headings_at(field: ErrorField, place: Place) -> np.ndarray:
-    """Headings (H,) [rad] of the test observations at a place."""
     return np.broadcast_to(field.heading, field.error.shape)[place.cell]
 
 
@@ -131,9 +123,8 @@ def _describe(number: int, places: Sequence[Place], fields: Mapping[str, ErrorFi
     true, predicted = field.truth[place.cell], field.predicted[place.cell, place.heading]
     heading = np.degrees(_headings_at(field, place))
     errors = [[title_of(name), *_write_errors(one, place.cell)] for name, one in fields.items()]
-    brackets = (
-        " (in brackets: refused)" if any(not one.is_accepted[place.cell].all() for one in fields.values()) else ""
-    )
+    all_accepted = all(one.is_accepted[place.cell].all() for one in fields.values())
+    brackets = "" if all_accepted else " (in brackets: refused)"
     count = sum(one.method == place.method for one in places)
     error_cm = 100 * field.error[place.cell, place.heading]
     return "\n\n".join(
@@ -170,12 +161,12 @@ def _describe_images(true: np.ndarray, taken: np.ndarray) -> str:
     """Describe in Markdown where the training images (ALIKE + 1, 3) were taken, and how to walk through the places."""
     images = [
         [
-            name,
-            f"{pose[0]:.2f}, {pose[1]:.2f}",
-            f"{np.linalg.norm(pose[:2] - true):.2f}",
-            f"{round(np.degrees(pose[2])) % 360}°",
+            name.replace("_", " "),
+            f"{x:.2f}, {y:.2f}",
+            f"{np.hypot(x - true[0], y - true[1]):.2f}",
+            f"{round(np.degrees(yaw)) % 360}°",
         ]
-        for name, pose in zip((*(f"alike {k + 1}" for k in range(ALIKE)), "closest"), taken, strict=True)
+        for name, (x, y, yaw) in zip(PICTURES[1:], taken, strict=True)
     ]
     return "\n\n".join(["Where the training images were taken:", tabulate(IMAGE_COLUMNS, images), NOTE])
 
@@ -189,19 +180,11 @@ def _log_map(
     above_m: float,
     at: Rows,
 ) -> None:
-    """Log each place's arrow above all others, and where the training images were taken.
+    """Log each place's arrow above all others, and where the training images (n, ALIKE + 1, 3) were taken.
 
-    Args:
-        stream: Stream to log to.
-        true: True positions (n, 2) [m].
-        predicted: Predicted positions (n, 2) [m].
-        refused: Whether the method refuses each image.
-        taken: Poses of the training images (n, ALIKE + 1, 3) [m, m, rad].
-        above_m: How far above its place the label is [m], since the viewer draws a label below its point.
-        at: The times of the n places.
+    The label is ``above_m`` above its place, since the viewer draws a label below its point.
     """
-    arrows = draw_arrows(true, predicted, 5 * LAYER_M)
-    _log_lines(stream, "error", arrows, COLOURS["test"], at)
+    _log_lines(stream, "error", "test", draw_arrows(true, predicted, 5 * LAYER_M), at)
     _log_dots(stream, "test", true, 0.03, 6 * LAYER_M, at)
     errors = zip(np.linalg.norm(predicted - true, axis=1), refused, strict=True)
     labels = [f"{100 * error:.1f} cm{', refused' if no else ''}" for error, no in errors]
@@ -213,7 +196,7 @@ def _log_map(
         _log_dots(stream, name, place, 0.05 if closest else 0.03, (4 if closest else 6) * LAYER_M, at)
         ahead = place + HEADING_M * np.stack([np.cos(yaw), np.sin(yaw)], axis=1)
         arrows = draw_arrows(place, ahead, (3 if closest else 5) * LAYER_M)
-        _log_lines(stream, f"{name}/heading", arrows, _colour_of(name), at)
+        _log_lines(stream, f"{name}/heading", name, arrows, at)
         if not closest:
             _log_labels(stream, name, ahead, [name.removeprefix("alike_")] * len(true), at)
 
@@ -221,31 +204,25 @@ def _log_map(
 def _log_radii(stream: rr.RecordingStream, predicted: np.ndarray, radii: Sequence[Sequence[float]], at: Rows) -> None:
     """Log circles of some radii [m] around each predicted position (n, 2) [m]; a method without radii has none."""
     counts = [len(some) for some in radii]
-    circles = draw_circles(
-        np.repeat(predicted, counts, axis=0), np.array([one for some in radii for one in some]), 5 * LAYER_M
-    )
+    circles = draw_circles(np.repeat(predicted, counts, axis=0), np.concatenate([[], *radii]), 5 * LAYER_M)
     rows = rr.LineStrips3D.columns(strips=circles).partition(counts)
     style = rr.LineStrips3D.from_fields(radii=0.007, colors=[COLOURS["test"]])
     send_rows(stream, "world/place/radius", style, rows, at)
 
 
-def _log_lines(
-    stream: rr.RecordingStream, name: str, strips: np.ndarray, colour: tuple[int, int, int], at: Rows
-) -> None:
-    style = rr.LineStrips3D.from_fields(radii=0.014, colors=[colour])
-    send_rows(stream, f"world/place/{name}", style, rr.LineStrips3D.columns(strips=strips), at)
+def _log_lines(stream: rr.RecordingStream, entity: str, name: str, strips: np.ndarray, at: Rows) -> None:
+    style = rr.LineStrips3D.from_fields(radii=0.014, colors=[_colour_of(name)])
+    send_rows(stream, f"world/place/{entity}", style, rr.LineStrips3D.columns(strips=strips), at)
 
 
 def _log_dots(
     stream: rr.RecordingStream, name: str, place: np.ndarray, radius_m: float, height_m: float, at: Rows
 ) -> None:
-    """Log a dot at one of the places (n, 2) [m] at each time."""
     style = rr.Points3D.from_fields(radii=radius_m, colors=[_colour_of(name)], point_shading="Flat")
     send_rows(stream, f"world/place/{name}", style, rr.Points3D.columns(positions=lift(place, height_m)), at)
 
 
 def _log_labels(stream: rr.RecordingStream, name: str, place: np.ndarray, labels: Sequence[str], at: Rows) -> None:
-    """Log a label below one of the places (n, 2) [m] at each time."""
     style = rr.Points3D.from_fields(radii=0.0, colors=[_colour_of(name)], show_labels=True)
     rows = rr.Points3D.columns(positions=lift(place, 6 * LAYER_M), labels=labels)
     send_rows(stream, f"world/place/{name}/label", style, rows, at)
@@ -263,15 +240,9 @@ def _log_pictures(
     turn: np.ndarray,
     at: Rows,
 ) -> None:
-    """Log test images (n, ...) and training images, polar and as round pictures.
+    """Log test images (n, rings, sectors, 3) and training images ``shown``, polar and as round pictures.
 
-    Args:
-        stream: Stream to log to.
-        recording: The recording.
-        tests: Test images (n, rings, sectors, 3).
-        shown: Indices of training images (n, ALIKE + 1).
-        turn: Angles by which training images are turned to the test image's heading (n, ALIKE + 1) [rad].
-        at: The times of the n places.
+    Training images are turned by angles (n, ALIKE + 1) [rad] to the test image's heading.
     """
     _, rings, sectors, _ = recording.observation.shape
     warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)

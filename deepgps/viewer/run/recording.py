@@ -2,7 +2,8 @@
 
 Entities: ``world`` (room, robot, path, error fields, the initial map's making, snapshots: all in the world's frame),
 ``drive`` (sensor data), ``encoders`` (encoder errors), ``making`` (words on the initial map), ``training`` (loss),
-``place`` (pictures of the worst places) and ``report`` (text and plots).
+``place`` (pictures of the worst places) and ``report`` (text and plots). Without truth, as of a real robot, there are
+only what was sensed, the dead-reckoned path and the maps, each in a frame of its own, below ``map``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,29 +13,40 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from deepgps.data.segments import dead_reckon, travel
 from deepgps.diagnosis.store import FILE as DIAGNOSIS
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
 from deepgps.evaluation.map_errors import find_true_camera
+from deepgps.evaluation.without_truth import read_judged
 from deepgps.reports import run_figures
 from deepgps.reports.run_report import OVERVIEW, describe, judge_run, markdown_report, markdown_table, read_metrics
-from deepgps.runs.run_folder import METRICS
-from deepgps.viewer.error_field import log_field
-from deepgps.viewer.layers import list_layers, log_coverage, log_layers
+from deepgps.reports.without_truth import markdown
+from deepgps.runs.run_folder import METRICS, WITHOUT_TRUTH
+from deepgps.viewer.error_field import list_layers, log_coverage, log_field, log_layers
 from deepgps.viewer.pictures import LARGE, PICTURES, read_pictures
 from deepgps.viewer.plot import log_distribution
 from deepgps.viewer.read import open_rrd
-from deepgps.viewer.run.drive import find_pictures, log_diagnosis, log_drive, log_encoders
-from deepgps.viewer.run.layout import FIGURES, make_blueprint
+from deepgps.viewer.run.drive import (
+    LEG,
+    RECKONED,
+    find_pictures,
+    log_diagnosis,
+    log_drive,
+    log_encoders,
+    log_images,
+    log_path,
+    log_ticks,
+)
+from deepgps.viewer.run.layout import FIGURES, make_blueprint, make_blueprint_without_truth
 from deepgps.viewer.run.making import find_map, log_making
 from deepgps.viewer.run.places import find_places, log_places
-from deepgps.viewer.run.training import log_training
-from deepgps.viewer.run.without_truth import write_without_truth
+from deepgps.viewer.run.training import log_loss, log_points, log_training, loss_rows, snapshot_rows
 from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
-from deepgps.viewer.timeline import put_text
+from deepgps.viewer.timeline import drive_clock, put_text, send_series
 from sim.files.checksums import is_intact
 from sim.occupancy import FreeSpace
-from sim.recording.format import has_truth, is_whole, open_recording, open_truth
+from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"
 READING = "Point at an arrow or a dot: error (± radius of 68 %), heading → predicted x, y [m]."
@@ -47,6 +59,10 @@ LAYERS = (
     "refused ones, circles of the radii, predicted yaws (arrows of 7 cm; those off by more than 5 degrees in magenta), "
     "errors that the initial map expects, floor that is not covered by images, images per cell of 0.25 m."
 )
+WITHOUT_TRUTH_NOTE = (
+    "This recording has no ground truth, so there is no error field. *Drive* plays the sensor data and the "
+    "dead-reckoned path; *Training* shows how each method's map unfolds, each in a frame of its own."
+)
 
 
 def write_run(run: Path) -> Path:
@@ -57,7 +73,7 @@ def write_run(run: Path) -> Path:
     """
     path = run / RECORDING
     if lacks_truth(run):
-        return write_without_truth(run, path)
+        return _write_without_truth(run, path)
     metrics, fields, histories = read_metrics(run), read_all_headings(run), run_figures.read_histories(run)
     recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
     space, driven = truth.free_space, truth.pose[:, :2]
@@ -148,7 +164,42 @@ def log_results(
 
 def hash_run(run: Path) -> str:
     """Thirty-two hexadecimal digits of a run's metrics, error fields, recording, pictures and diagnosis."""
-    names = [METRICS, "error_field.npz", "recording/manifest.json"]
-    return hash_files(
-        run, [run / name for name in [*names, *(name for name in (PICTURES, DIAGNOSIS) if (run / name).is_file())]]
-    )
+    extra = [name for name in (PICTURES, DIAGNOSIS) if (run / name).is_file()]
+    return hash_files(run, [run / name for name in [METRICS, "error_field.npz", "recording/manifest.json", *extra]])
+
+
+def _write_without_truth(run: Path, path: Path) -> Path:
+    recording = open_recording(run / "recording")
+    reckoned = dead_reckon(recording)[:, :2]
+    histories = run_figures.read_histories(run)
+
+    def log(stream: rr.RecordingStream) -> None:
+        _log_drive(stream, recording, reckoned)
+        for name, history in histories.items():
+            log_loss(stream, name, history, loss_rows(history))
+            snapshot = history["snapshot"].astype(float)
+            log_points(stream, f"map/{name}", snapshot[-1], snapshot, snapshot_rows(history))
+        log_diagnosis(stream, run)
+        known = markdown(run) if read_judged(run) else ""
+        put_text(stream, "report", f"{WITHOUT_TRUTH_NOTE}\n\n{known}")
+
+    last = {name: history["snapshot"][-1] for name, history in histories.items()}
+    shown = [
+        run / "recording" / "manifest.json",
+        *sorted(run.glob("*/history.npz")),
+        *run.glob(DIAGNOSIS),
+        *run.glob(WITHOUT_TRUTH),
+    ]
+    drive_s = float(recording.time[-1] - recording.time[0])
+    blueprint = make_blueprint_without_truth(find_pictures(recording), drive_s, reckoned, last)
+    save_recording(path, hash_files(run, shown), f"{run.name}, without truth", blueprint, log)
+    return path
+
+
+def _log_drive(stream: rr.RecordingStream, recording: Recording, reckoned: np.ndarray) -> None:
+    clock, segment = drive_clock(recording), recording.reading[:, 0]
+    log_path(stream, "world/reckoned", segment, reckoned, (RECKONED, LEG), recording.time, clock)
+    distance = travel(recording.reading[:, 2:], recording.manifest.odometry).mean(axis=1)
+    send_series(stream, "drive/distance/encoder", clock(recording.time), distance, "by encoder", RECKONED)
+    log_ticks(stream, recording)
+    log_images(stream, recording)

@@ -81,9 +81,8 @@ def log_curves(stream: rr.RecordingStream, slider: Slider) -> None:
         return
     x, first = _make_abscissa(slider, where), min(slider.places)
     for name, title in CURVES.items():
-        curves = [
-            curve for method in find_methods(row for _, row in rows) for curve in _make_curves(method, name, rows)
-        ]
+        methods = find_methods(row for _, row in rows)
+        curves = [curve for method in methods for curve in _make_curves(method, name, rows)]
         errors = np.concatenate([curve.y for curve in curves])
         y = make_axis(f"{title} [cm]", errors, log=bool(errors.min() > 0 and np.ptp(np.log(errors)) > WIDE), zero=True)
         log_plot(stream, f"curve/{name}", x, y, curves, slider_row(slider, first))
@@ -162,10 +161,8 @@ def describe_step(slider: Slider, step: Step) -> str:
     blocks.append(tabulate(["method", *FIGURES.values()], cells))
     seeds = len({one["run"] for one in step.repeats})
     if seeds > 1:
-        ranges = [
-            f"{title_of(name)} {_range([one['rms_m'] for one in group])}"
-            for name, group in split_by(step.repeats, "method").items()
-        ]
+        errors = {name: [one["rms_m"] for one in group] for name, group in split_by(step.repeats, "method").items()}
+        ranges = [f"{title_of(name)} {_range(some)}" for name, some in errors.items()]
         blocks.append(f"RMS of all {seeds} seeds: {'; '.join(ranges)}.")
     return "\n\n".join(blocks)
 

@@ -100,20 +100,19 @@ def find_sliders(rows: Sequence[Row], axes: Sequence[str], own: Mapping[str, Any
     base = {name: _choose(values[name], [own.get(column) for column in dimensions[name]]) for name in dimensions}
     among = len(cases) > 1 and list(base[CASE]) == [own.get(column) for column in cases]
     usual = dict(zip(cases, base[CASE], strict=True)) if among else {}
+    design = _Design(dimensions, at, base, values[SEED], usual)
     moving = [name for name in _rank(dimensions) if len(values[name]) > 1]
     sliders = []
     for name in moving:
         if name == CASE:
             texts = {case: describe(cases, case, usual) or NO_CHANGE for case in values[CASE]}
+            alone = _find_alone(cases, values[CASE], usual)
         else:
-            texts = {value: write(value[0]) for value in values[name]}
-        sliders.append(_make(name, name, texts, values[SEED], base, dimensions, at, usual))
-        alone = _find_alone(cases, values[CASE], usual) if name == CASE else {}
-        for setting, texts in alone.items():
-            sliders.append(_make(setting, CASE, texts, values[SEED], base, dimensions, at, usual))
+            texts, alone = {value: write(value[0]) for value in values[name]}, {}
+        sliders.append(design.make_slider(name, name, texts))
+        sliders += [design.make_slider(setting, CASE, texts) for setting, texts in alone.items()]
     if len(moving) != 1:
-        steps = [_make_step(dimensions, "", [group], usual) for group in runs]
-        sliders.append(Slider(RUN, steps, ""))
+        sliders.append(Slider(RUN, [design.make_step("", [group]) for group in runs], ""))
     return sliders
 
 
@@ -134,27 +133,37 @@ def write(value: Any) -> str:
     return f"{value:g}" if isinstance(value, int | float) and abs(value) < 1e6 else str(value)
 
 
-def _make(
-    name: str,
-    dimension: str,
-    texts: Mapping[tuple, str],
-    seeds: Sequence[tuple],
-    base: Mapping[str, tuple],
-    dimensions: Mapping[str, Sequence[str]],
-    at: Mapping[Point, Sequence[Row]],
-    usual: Mapping[str, Any],
-) -> Slider:
-    """Make a slider that moves a dimension through values, each with its text, and keeps all else at its base value."""
-    steps = []
-    for value, text in texts.items():
-        point = {**base, dimension: value}
-        tried = [point[SEED], *(seed for seed in seeds if seed != point[SEED])] if dimension != SEED else [value]
-        there = [at[place] for seed in tried if (place := tuple({**point, SEED: seed}.values())) in at]
-        if there:
-            number = value[0] if len(value) == 1 and _is_number(value[0]) else None
-            steps.append(replace(_make_step(dimensions, text, there, usual), number=number))
-    others = [describe(dimensions[other], base[other], usual) for other in dimensions if other != dimension]
-    return Slider(name, steps, ", ".join(text for text in others if text))
+@dataclass(frozen=True)
+class _Design:
+    """A study's runs at their values of all dimensions; ``base`` is what a dimension keeps while another one moves."""
+
+    dimensions: Mapping[str, Sequence[str]]
+    at: Mapping[Point, Sequence[Row]]
+    base: Mapping[str, tuple]
+    seeds: Sequence[tuple]
+    usual: Mapping[str, Any]
+
+    def make_slider(self, name: str, dimension: str, texts: Mapping[tuple, str]) -> Slider:
+        """Make a slider that moves a dimension through values, each with its text."""
+        steps = []
+        for value, text in texts.items():
+            point = {**self.base, dimension: value}
+            others = [seed for seed in self.seeds if seed != point[SEED] and dimension != SEED]
+            places = [tuple({**point, SEED: seed}.values()) for seed in (point[SEED], *others)]
+            if there := [self.at[place] for place in places if place in self.at]:
+                number = value[0] if len(value) == 1 and _is_number(value[0]) else None
+                steps.append(replace(self.make_step(text, there), number=number))
+        kept = [describe(self.dimensions[one], self.base[one], self.usual) for one in self.base if one != dimension]
+        return Slider(name, steps, ", ".join(text for text in kept if text))
+
+    def make_step(self, value: str, runs: Sequence[Sequence[Row]]) -> Step:
+        """Make a step of the first finished one of some runs; without a value in words, all its settings are named."""
+        done = [group for group in runs if group[0]["failure"] is None]
+        shown = (done or runs)[0]
+        names = [name for names in self.dimensions.values() for name in names]
+        values = [shown[0][name] for name in names]
+        repeats = [row for group in done for row in group]
+        return Step(value or describe(names, values, self.usual), describe(names, values, {}), shown, repeats)
 
 
 def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str, Any]) -> dict[str, dict[tuple, str]]:
@@ -166,17 +175,6 @@ def _find_alone(names: Sequence[str], cases: Sequence[tuple], usual: Mapping[str
             by_value = {(case[place],): case for case in alone}
             found[name] = {by_value[value]: write(value[0]) for value in _order(dict.fromkeys(by_value))}
     return found
-
-
-def _make_step(
-    dimensions: Mapping[str, Sequence[str]], value: str, runs: Sequence[Sequence[Row]], usual: Mapping[str, Any]
-) -> Step:
-    done = [group for group in runs if group[0]["failure"] is None]
-    shown = (done or runs)[0]
-    names = [name for names in dimensions.values() for name in names]
-    values = [shown[0][name] for name in names]
-    repeats = [row for group in done for row in group]
-    return Step(value or describe(names, values, usual), describe(names, values, {}), shown, repeats)
 
 
 def _locate(row: Row, dimensions: Mapping[str, Sequence[str]]) -> Point:

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import load_scenario, read_yaml
 from deepgps.config.setting_problems import describe_problems
-from deepgps.evaluation.error_field import ErrorField, read_all_headings
+from deepgps.evaluation.error_field import read_all_headings
 from deepgps.runs.run_folder import is_study
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Study
@@ -38,12 +38,11 @@ from deepgps.viewer.study.scene import (
     log_rooms,
     slider_row,
 )
-from deepgps.viewer.study.sliders import Slider, Step, find_sliders
+from deepgps.viewer.study.sliders import Slider, find_sliders
 from deepgps.viewer.timeline import put, put_text
 from deepgps.viewer.views import STILL, arrange, text_view
 from sim.errors import DamagedError, InputError
 from sim.files.checksums import check_lines, check_sum, is_intact, read_arrays
-from sim.occupancy import FreeSpace
 from sim.recording.format import open_truth
 
 STUDY = "study.rrd"
@@ -83,7 +82,7 @@ def find_study(folder: Path) -> Path:
 
 def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> None:
     done = {row["run"]: row for row in rows if row["failure"] is None}
-    spaces = {row["recording"]: open_space(folder, row) for row in done.values()}
+    spaces = {row["recording"]: open_truth(folder / "runs" / run / "recording").free_space for run, row in done.items()}
     found = find_sliders(rows, list(study.axes), own_values(study, varied_in(rows[0])))
     sliders = [slider for slider in found if len(slider.steps) <= MAX_PLACES] or found[:1]
     left_out = [slider.name for slider in found if slider not in sliders]
@@ -98,7 +97,7 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
             log_rooms(stream, slider, spaces, frame)
             for place, step in zip(slider.places, slider.steps, strict=True):
                 at = slider_row(slider, place)
-                fields = read_step(folder, step) if step.done else {}
+                fields = read_all_headings(folder / "runs" / step.rows[0]["run"]) if step.done else {}
                 for method in methods:
                     log_field(stream, method, fields.get(method, NO_PLACES).take(slice(None, None, every)), at)
                     log_heading(stream, method, slider, step, frame, at)
@@ -116,8 +115,10 @@ def _write(folder: Path, study: Study, rows: Sequence[Row], identity: str) -> No
 
 def _thin(folder: Path, sliders: Sequence[Slider]) -> int:
     """Stride of the test positions that are shown, so that the file stays small."""
-    steps = [step for slider in sliders for step in slider.steps if step.done]
-    arrows = sum(count_arrows(folder, step) for step in steps)
+    arrows = 0
+    for step in (step for slider in sliders for step in slider.steps if step.done):
+        truth = read_arrays(folder / "runs" / step.rows[0]["run"] / "error_field.npz")["truth"]
+        arrows += len(step.rows) * len(truth)  # one for each method and test position
     return max(1, -(-arrows // MAX_ARROWS))
 
 
@@ -157,29 +158,11 @@ def own_values(study: Study, names: Sequence[str]) -> dict[str, object]:
     return {}
 
 
-def open_space(folder: Path, row: Row) -> FreeSpace:
-    return open_truth(folder / "runs" / row["run"] / "recording").free_space
-
-
-def read_step(folder: Path, step: Step) -> dict[str, ErrorField]:
-    return read_all_headings(folder / "runs" / step.rows[0]["run"])
-
-
-def count_arrows(folder: Path, step: Step) -> int:
-    """Number of arrows in the error fields of a step: one for each method and test position."""
-    path = folder / "runs" / step.rows[0]["run"] / "error_field.npz"
-    return len(step.rows) * len(read_arrays(path)["truth"])
-
-
 def hash_study(folder: Path, rows: Sequence[Row]) -> str:
     """Thirty-two hexadecimal digits of a study's table, figures, error fields and recordings."""
     runs = dict.fromkeys(folder / "runs" / row["run"] for row in rows if row["failure"] is None)
-    shown = [
-        folder / "study.yaml",
-        folder / "table.parquet",
-        folder / "table.md",
-        *sorted(folder.glob("figures/*.png")),
-    ]
+    names = ("study.yaml", "table.parquet", "table.md")
+    shown = [*(folder / name for name in names), *sorted(folder.glob("figures/*.png"))]
     shown += [run / name for name in ("error_field.npz", "recording/manifest.json") for run in runs]
     for path in shown:
         if not path.is_file():
