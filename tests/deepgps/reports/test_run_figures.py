@@ -144,11 +144,12 @@ def test_a_run_without_histories_has_no_training_figure(run: Path, tmp_path: Pat
 
 
 def test_a_broken_error_field_is_one_clear_line(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"no whole run: error_field.npz is missing"):
-        read_fields(tmp_path)
-    (tmp_path / "error_field.npz").write_bytes(b"PK\x03\x04 half")
-    with pytest.raises(InputError, match=r"error_field\.npz is damaged"):
-        read_fields(tmp_path)
-    np.savez(tmp_path / "error_field.npz", deepgps=np.zeros((1, 1, 2)))
-    with pytest.raises(InputError, match="truth"):
-        read_fields(tmp_path)
+    path = tmp_path / "error_field.npz"
+    for write, message in (
+        (lambda: None, r"no whole run: error_field.npz is missing"),
+        (lambda: path.write_bytes(b"PK\x03\x04 half"), r"error_field\.npz is damaged"),
+        (lambda: np.savez(path, deepgps=np.zeros((1, 1, 2))), "truth"),
+    ):
+        write()
+        with pytest.raises(InputError, match=message):
+            read_fields(tmp_path)

@@ -1,14 +1,12 @@
 """Figures beside their targets: how they are written, and when a target is met."""
 
 import numpy as np
-import pytest
 
 from deepgps.reports.targets import Figure, judge, mean_of, median_of, ratio_of, share_of, tabulate_targets, write
 
 
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [
+def test_written_value_has_its_unit_and_is_never_nothing_where_something_was() -> None:
+    for value, unit, text in (
         (0.0123, "cm", "1.2 cm"),
         (0.00059, "mm", "0.59 mm"),
         (0.97, "%", "97.0 %"),
@@ -18,29 +16,20 @@ from deepgps.reports.targets import Figure, judge, mean_of, median_of, ratio_of,
         (0.2, "s", "< 1 s"),
         (0.0049, "", "< 0.01"),
         (0.0051, "", "0.01"),
-    ],
-)
-def test_written_value_has_its_unit_and_is_never_nothing_where_something_was(
-    value: float | None, unit: str, text: str
-) -> None:
-    assert write(value, unit) == text
+    ):
+        assert write(value, unit) == text
 
 
-@pytest.mark.parametrize(
-    ("value", "at_least", "target", "verdict"),
-    [
+def test_target_is_met_at_most_or_at_least() -> None:
+    for value, at_least, target, verdict in (
         (0.02, False, 0.02, "met"),
         (0.021, False, 0.02, "missed"),
         (0.5, True, 0.6, "missed"),
         (0.7, True, 0.6, "met"),
         (None, False, 0.02, "not measured"),
         (0.02, False, None, ""),
-    ],
-)
-def test_target_is_met_at_most_or_at_least(
-    value: float | None, at_least: bool, target: float | None, verdict: str
-) -> None:
-    assert judge(value, target, at_least) == verdict
+    ):
+        assert judge(value, target, at_least) == verdict
 
 
 def test_table_sets_each_figure_beside_the_target_and_the_paper_of_its_name() -> None:
