@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from http.client import HTTPConnection
+from itertools import product
 from pathlib import Path
 from urllib.error import URLError
 from urllib.request import urlopen
@@ -123,12 +124,12 @@ def test_page_and_data_are_whole(run: Path, ports: tuple[int, int]) -> None:
     assert (status, head["content-length"], body) == (200, headers["content-length"], b"")
 
 
-@pytest.mark.parametrize("name", ["evil.example", "evil.example:{}", "127.0.0.1", "127.0.0.1:80", "[::1]:{}", "", None])
-def test_a_foreign_host_gets_neither_page_nor_data(ports: tuple[int, int], name: str | None) -> None:
-    for port, path in zip(ports, ("/", "/recording.rrd"), strict=True):
-        headers = {} if name is None else {"Host": name.format(port)}
-        status, _, body = ask(port, path, **headers)
-        assert status == 421 and len(body) < 1000
+def test_a_foreign_host_gets_neither_page_nor_data(ports: tuple[int, int]) -> None:
+    for name in ("evil.example", "evil.example:{}", "127.0.0.1", "127.0.0.1:80", "[::1]:{}", "", None):
+        for port, path in zip(ports, ("/", "/recording.rrd"), strict=True):
+            headers = {} if name is None else {"Host": name.format(port)}
+            status, _, body = ask(port, path, **headers)
+            assert status == 421 and len(body) < 1000, name
 
 
 def test_two_hosts_in_one_request_are_refused(ports: tuple[int, int]) -> None:
@@ -138,13 +139,17 @@ def test_two_hosts_in_one_request_are_refused(ports: tuple[int, int]) -> None:
         assert b" 421 " in connection.recv(100)
 
 
-@pytest.mark.parametrize(
-    "path",
-    ["/../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd", "/scenario.yaml", "/recording.rrd/..", "/nothing"],
-)
-def test_nothing_else_is_served(ports: tuple[int, int], path: str) -> None:
-    for port in ports:
-        assert ask(port, path, Host=f"{HOST}:{port}")[0] == 404
+def test_nothing_else_is_served(ports: tuple[int, int]) -> None:
+    paths = [
+        "/../etc/passwd",
+        "/%2e%2e/%2e%2e/etc/passwd",
+        "//etc/passwd",
+        "/scenario.yaml",
+        "/recording.rrd/..",
+        "/no",
+    ]
+    for port, path in product(ports, paths):
+        assert ask(port, path, Host=f"{HOST}:{port}")[0] == 404, path
 
 
 def test_data_is_for_the_page_alone(ports: tuple[int, int]) -> None:
@@ -182,42 +187,40 @@ def fail_to_view(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_is_one_clear_line(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with socket.create_server((HOST, 0)) as taken:
-        port = taken.getsockname()[1]
-        said = fail_to_view(capsys, str(run), "--web", "--port", str(port))
-    reason = f"port {port} is not available (Address already in use); without --port, a free one is chosen"
-    assert said == f"error: --port {port}: {reason}\n"
-
-
-def test_the_next_port_is_needed_as_well() -> None:
-    with socket.create_server((HOST, 0)) as taken:
-        port = taken.getsockname()[1]
-        with pytest.raises(InputError, match=f"--port {port - 1}: port {port} is not available"):
-            choose_ports(port - 1)
-
-
-@pytest.mark.parametrize("port", [0, -1, 65535, 70000])
-def test_a_port_out_of_range_is_refused(port: int) -> None:
-    with pytest.raises(InputError, match="must be between 1 and 65534"):
-        choose_ports(port)
-
-
-def test_a_port_alone_is_refused(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert fail_to_view(capsys, str(run), "--port", "9090") == "error: --port needs --web\n"
-
-
-def test_a_folder_that_is_no_run_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    said = fail_to_view(capsys, str(tmp_path), "--web")
-    assert said == f"error: {tmp_path} is no run folder: it has no scenario.yaml\n"
-
-
-def test_a_cut_off_recording_is_one_clear_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    cut = Path(shutil.copytree(run, tmp_path / "copy")) / RECORDING
+def test_what_is_not_possible_is_one_clear_line(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = Path(shutil.copytree(run, tmp_path / "cut")) / RECORDING
     cut.write_bytes(cut.read_bytes()[:-1000])
     cut.with_name(f"{RECORDING}.sha256").unlink()  # as a version before checksums left it
-    said = fail_to_view(capsys, str(cut.parent), "--web")
-    assert len(said.splitlines()) == 1 and "run.rrd is truncated or no recording" in said
+    mine, nothing = tmp_path / "mine.png", tmp_path / "nothing"
+    nothing.mkdir()
+    mine.write_bytes(b"\x89PNG mine")
+    with socket.create_server((HOST, 0)) as taken:
+        port = str(taken.getsockname()[1])
+        for words, said in (
+            ((run, "--web", "--port", port), f"--port {port}: port {port} is not available (Address already in use)"),
+            ((run, "--web", "--port", str(int(port) - 1)), f"port {port} is not available"),
+            ((run, "--port", "9090"), "--port needs --web"),
+            ((nothing, "--web"), f"{nothing} is no run folder"),
+            ((cut.parent, "--web"), "run.rrd is truncated or no recording"),
+            ((run, "--screenshot", mine), "mine.png exists, and deepgps did not write it"),
+        ):
+            with pytest.raises(SystemExit) as ended:
+                main(["view", *map(str, words)])
+            error = capsys.readouterr().err
+            assert ended.value.code == 2 and len(error.splitlines()) == 1 and said in error, error
+    assert mine.read_bytes() == b"\x89PNG mine"
+
+
+def test_a_port_out_of_range_is_refused() -> None:
+    for port in (0, -1, 65535, 70000):
+        with pytest.raises(InputError, match="must be between 1 and 65534"):
+            choose_ports(port)
+
+
+def find_colours(run: Path) -> np.ndarray:
+    """The colours (n, 3) of the accepted errors of DeepGPS."""
+    accepted, _ = split_by_acceptance(read_all_headings(run)["deepgps"])
+    return np.unique(colours_of(accepted.error)[:, :3], axis=0)
 
 
 def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
@@ -231,7 +234,7 @@ def shown_colours(picture: np.ndarray, colours: np.ndarray) -> float:
 @pytest.mark.slow
 @pytest.mark.skipif(find_chromium() is None, reason=f"no Chromium: there is no command {', '.join(NAMES)}")
 def test_chromium_shows_the_error_field(run: Path, tmp_path: Path) -> None:
-    colours = np.unique(colours_of(split_by_acceptance(read_all_headings(run)["deepgps"])[0].error)[:, :3], axis=0)
+    colours = find_colours(run)
     assert len(colours) > 50
     shown, png, picture = 0.0, b"", np.zeros((1, 1, 3))
     with served(str(run), "--web") as (address, _), open_page(address, tmp_path / "profile") as take_picture:
@@ -263,15 +266,19 @@ def test_a_screenshot_without_chromium_and_display_says_what_to_install(
     assert not (tmp_path / "out.png").exists()
 
 
+def fake_chromium(script: str, answer_s: float, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = folder / "chromium"
+    program.write_text(f"#!{script}\n")
+    program.chmod(0o755)
+    monkeypatch.setattr(chromium, "find_chromium", lambda: str(program))
+    monkeypatch.setattr(chromium, "ANSWER_S", answer_s)
+
+
 @pytest.mark.parametrize(("script", "says"), [("exit 3", "has ended"), ("exec sleep 60", "hangs: no answer in 0.5 s")])
 def test_a_chromium_that_ends_or_hangs_is_one_line_with_a_cure(
     script: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    program = tmp_path / "chromium"
-    program.write_text(f"#!/bin/sh\n{script}\n")
-    program.chmod(0o755)
-    monkeypatch.setattr(chromium, "find_chromium", lambda: str(program))
-    monkeypatch.setattr(chromium, "ANSWER_S", 0.5)
+    fake_chromium(f"/bin/sh\n{script}", 0.5, tmp_path, monkeypatch)
     says = rf"^Chromium {says}; .*/chromium --headless=new .* may say why"
     with pytest.raises(WorkError, match=says), open_page("about:blank", tmp_path / "profile"):
         pytest.fail("there is no page")
@@ -291,22 +298,9 @@ while part := os.read(3, 1 << 16):
 
 
 def test_a_picture_comes_as_soon_as_chromium_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = tmp_path / "chromium"
-    program.write_text(f"#!{sys.executable}\n{ANSWERS}")
-    program.chmod(0o755)
-    monkeypatch.setattr(chromium, "find_chromium", lambda: str(program))
-    monkeypatch.setattr(chromium, "ANSWER_S", 20.0)
+    fake_chromium(f"{sys.executable}\n{ANSWERS}", 20.0, tmp_path, monkeypatch)
     with open_page("about:blank", tmp_path / "profile") as take_picture:
         assert take_picture() == b"picture of Page.captureScreenshot"
-
-
-def test_a_screenshot_overwrites_no_file_of_someone_else(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "mine.png").write_bytes(b"\x89PNG mine")
-    said = fail_to_view(capsys, str(run), "--screenshot", str(tmp_path / "mine.png"))
-    assert "mine.png exists, and deepgps did not write it" in said
-    assert (tmp_path / "mine.png").read_bytes() == b"\x89PNG mine"
 
 
 def test_a_picture_counts_as_drawn_once_it_shows_a_scale() -> None:
@@ -324,5 +318,5 @@ def test_a_screenshot_shows_the_error_field(run: Path, tmp_path: Path) -> None:
     main(["view", str(run), "--screenshot", str(out)])
     picture = np.asarray(Image.open(out).convert("RGB"))
     assert picture.shape == (1000, 1600, 3)
-    colours = np.unique(colours_of(split_by_acceptance(read_all_headings(run)["deepgps"])[0].error)[:, :3], axis=0)
+    colours = find_colours(run)
     assert shown_colours(picture, colours) > 0.6
