@@ -1,9 +1,14 @@
 """A plane world for tests of learning: distances to landmarks as observations, straight drives, exact encoders."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import torch
 
+from deepgps.config.learning import FeatureSettings
+from deepgps.data.features import fit_features
+from deepgps.data.segments import Segments, read_segments
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import Recording, open_recording, write_files
 
@@ -72,3 +77,18 @@ def _drive(samples: int, endpoint: bool, rng: np.random.Generator) -> tuple[np.n
             segment + 1,
         )
     return np.array(pose), np.array(reading, np.int64)
+
+
+class DescribedToy(NamedTuple):
+    """A toy's features, its segments and the true places of its observations (N, 2) [m]."""
+
+    features: torch.Tensor
+    segments: Segments
+    place: np.ndarray
+
+
+def describe_toy(folder: Path, samples: int) -> DescribedToy:
+    recording = make_toy(folder, samples)
+    segments, generator = read_segments(recording), torch.Generator().manual_seed(0)
+    _, features = fit_features(recording.observation, segments, FeatureSettings(components=10), generator)
+    return DescribedToy(features, segments, np.load(folder / "truth" / "pose.npy")[:, :2])

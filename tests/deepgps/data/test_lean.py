@@ -111,7 +111,8 @@ def test_too_few_turns_in_use_leave_the_lean_of_training(leaning: Recording, dri
 def test_a_positioner_sets_raw_images_upright_as_in_training_and_in_use_by_the_lean_there(
     leaning: Recording, drive_in_use: Recording, tmp_path: Path
 ):
-    settings, folder = LearnSettings.model_validate(QUICK), tmp_path / "deepgps_compass"
+    learn = {**QUICK, "train": {**QUICK["train"], "steps": 20}}
+    settings, folder = LearnSettings.model_validate(learn), tmp_path / "deepgps_compass"
     positioner = fit_method("deepgps_compass", leaning, settings, 0, folder)
     assert isinstance(positioner, NetworkPositioner) and positioner.upright is not None
     training = read_training(folder)

@@ -1,14 +1,20 @@
+"""Segments: their distances, paths and draws, and stretches of a mask."""
+
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from deepgps.data.segments import (
     dead_reckon,
+    fill_stretches,
     find_held_out,
     find_owners,
+    find_stretches,
     leave_held_out,
     read_segments,
     subsample,
@@ -162,3 +168,15 @@ def test_a_segment_that_is_longer_than_what_is_fitted_is_refused():
     segments = read_segments(recording_of([[0, row, 10 * row, 10 * row] for row in range(40)]))
     with pytest.raises(InputError, match="a segment has 40 readings, more than the 30 that are fitted at once"):
         subsample(segments, 40, 30)
+
+
+@given(st.lists(st.booleans(), max_size=40))
+def test_a_mask_is_that_of_its_stretches(values: list[bool]):
+    mask = np.array(values, bool)
+    found = find_stretches(mask)
+    assert (fill_stretches(found.tolist(), len(mask)) == mask).all()
+    assert (found[1:, 0] > found[:-1, 1] + 1).all()
+
+
+def test_a_stretch_ends_with_its_last_index():
+    assert find_stretches(np.array([True, True, False, True])).tolist() == [[0, 1], [3, 3]]

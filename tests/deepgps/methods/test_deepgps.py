@@ -21,17 +21,19 @@ from tests.deepgps.learning.test_trainer import Cut, cut_at
 from tests.helpers.toy import QUICK, make_toy
 
 SETTINGS = LearnSettings.model_validate(QUICK)
+STEPS = 120
+SHORT = SETTINGS.model_copy(update={"train": SETTINGS.train.model_copy(update={"steps": STEPS})})
 
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    return make_toy(tmp_path_factory.mktemp("deepgps") / "toy")
+    return make_toy(tmp_path_factory.mktemp("deepgps") / "toy", samples=500)
 
 
 @pytest.fixture(scope="module")
 def trained(toy: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("trained") / "deepgps"
-    fit_method("deepgps", toy, SETTINGS, 0, folder)
+    fit_method("deepgps", toy, SHORT, 0, folder)
     return folder
 
 
@@ -43,10 +45,10 @@ def measure(positioner: Positioner, recording: Recording) -> np.ndarray:
 
 
 def test_it_finds_positions_from_distances_alone(toy: Recording, trained: Path):
-    error = measure(fit_method("deepgps", toy, SETTINGS, 0, trained), toy)
-    assert np.sqrt(np.mean(error**2)) < 0.05
+    error = measure(fit_method("deepgps", toy, SHORT, 0, trained), toy)
+    assert np.sqrt(np.mean(error**2)) < 0.1
     training = json.loads((trained / "training.json").read_text())
-    assert training["steps"] == 300 and training["attempts"] == 1 and not training["fold"]["found"]
+    assert training["steps"] == STEPS and training["attempts"] == 1 and not training["fold"]["found"]
 
 
 def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: Recording, trained: Path):
@@ -55,7 +57,7 @@ def test_what_a_killed_training_left_beside_finished_work_is_cleared_away(toy: R
     for path in theirs:
         path.parent.mkdir(parents=True)
         path.write_text("a user's")
-    fit_method("deepgps", toy, SETTINGS, 0, trained)
+    fit_method("deepgps", toy, SHORT, 0, trained)
     assert not (trained / "attempt0").exists()
     assert [path.read_text() for path in theirs] == ["a user's"] * 3
 
@@ -64,11 +66,12 @@ def test_the_truth_is_never_opened(toy: Recording, trained: Path, tmp_path: Path
     shutil.copytree(toy.folder, tmp_path / "blind")
     shutil.rmtree(tmp_path / "blind" / "truth")
     blind = Recording(tmp_path / "blind", toy.manifest, toy.observation, toy.reading, toy.time, toy.test_observation)
-    fit_method("deepgps", blind, SETTINGS, 0, tmp_path / "run" / "deepgps")
+    fit_method("deepgps", blind, SHORT, 0, tmp_path / "run" / "deepgps")
     weights = (tmp_path / "run" / "deepgps" / "weights.safetensors").read_bytes()
     assert weights == (trained / "weights.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     recording = make_toy(tmp_path / "toy", samples=2400)
     looked_at = []
@@ -86,25 +89,29 @@ def test_a_long_recording_is_unfolded_on_a_part_of_it(tmp_path: Path, monkeypatc
 
 
 def test_done_work_is_not_repeated(toy: Recording, trained: Path):
-    fit_method("deepgps", toy, SETTINGS, 0, trained, cut_at(1))
+    fit_method("deepgps", toy, SHORT, 0, trained, cut_at(1))
 
 
 def test_cut_off_it_continues_to_the_same_bytes(toy: Recording, trained: Path, tmp_path: Path):
     folder = tmp_path / "run" / "deepgps"
-    for step in (130, 260):
+    for step in (60, 110):
         with pytest.raises(Cut):
-            fit_method("deepgps", toy, SETTINGS, 0, folder, cut_at(step))
-    fit_method("deepgps", toy, SETTINGS, 0, folder)
+            fit_method("deepgps", toy, SHORT, 0, folder, cut_at(step))
+    fit_method("deepgps", toy, SHORT, 0, folder)
     for name in ("weights.safetensors", "history.npz", "positioner.json"):
         assert (folder / name).read_bytes() == (trained / name).read_bytes()
     assert not list(folder.glob("attempt*"))
 
 
-def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
-    recording = make_toy(tmp_path / "toy", samples=1500, endpoint=True)
-    segments = read_segments(recording)
+def test_two_readings_a_segment_start_by_lifting(tmp_path: Path):
+    segments = read_segments(make_toy(tmp_path / "toy", samples=60, endpoint=True))
     assert choose_start(SETTINGS, segments) == "lifting"
     assert [choose_start(SETTINGS, segments, number, any_length=True) for number in (0, 1)] == ["paths", "lifting"]
+
+
+@pytest.mark.slow
+def test_two_readings_a_segment_are_learned_by_lifting(tmp_path: Path):
+    recording = make_toy(tmp_path / "toy", samples=1500, endpoint=True)
     train = SETTINGS.train.model_copy(update={"steps": 600, "segments": 128, "samples": 2})
     positioner = fit_method(
         "deepgps", recording, SETTINGS.model_copy(update={"train": train}), 0, tmp_path / "run" / "deepgps"

@@ -106,6 +106,7 @@ def add(closures: Closures, first: np.ndarray, second: np.ndarray, turn: np.ndar
     return Closures(*(np.concatenate(pair) for pair in zip(vars(closures).values(), others, strict=True)))
 
 
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 NONE = Closures(np.empty(0, int), np.empty(0, int), np.empty(0), np.empty(0))
 
 
@@ -115,7 +116,7 @@ def test_exact_turns_and_lengths_give_the_exact_map():
     assert error(find_map(made).places, made.place) < 0.01
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_loop_closures_straighten_a_path_whose_compass_errs(seed: int):
     made = drive(150, seed, noise=1.0)
     alone, refined = find_map(made, NONE), find_map(made)
@@ -123,7 +124,7 @@ def test_loop_closures_straighten_a_path_whose_compass_errs(seed: int):
     assert refined.believed.mean() > 0.95 and not refined.undecided.any()
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_false_loop_closures_that_the_covariance_excludes_change_nothing(seed: int):
     made, rng = drive(150, seed, noise=1.0), np.random.default_rng(seed)
     first, second = rng.integers(0, len(made.place), (2, 600))
@@ -145,7 +146,7 @@ def test_noisy_gaps_are_mended_and_the_map_does_not_shrink():
     assert size[0] == pytest.approx(size[1], rel=0.02)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_segment_without_loop_closures_keeps_its_measured_length(seed: int):
     made = drive(160, seed, gaps=0.3)
     last = made.segments.index[-1, : made.segments.count[-1]].numpy()
@@ -155,8 +156,10 @@ def test_a_segment_without_loop_closures_keeps_its_measured_length(seed: int):
     assert np.linalg.norm(end - begin) == pytest.approx(float(made.segments.distance[-1].max()), rel=0.005)
 
 
-@pytest.mark.parametrize("gaps", [0.0, 0.1])
-@pytest.mark.parametrize("scale", [1 / 3, 3.0])
+@pytest.mark.parametrize(
+    ("scale", "gaps"),
+    [(1 / 3, 0.1), (3.0, 0.1), *(pytest.param(scale, 0.0, marks=pytest.mark.slow) for scale in (1 / 3, 3.0))],
+)
 def test_expected_errors_that_are_three_times_too_small_or_large_hardly_change_the_map(scale: float, gaps: float):
     made = drive(150, noise=1.0, gaps=gaps)
     assert made.segments.variance is not None
@@ -166,10 +169,11 @@ def test_expected_errors_that_are_three_times_too_small_or_large_hardly_change_t
     assert error(other.places, made.place) < 1.1 * error(right.places, made.place) + 0.001
 
 
+@pytest.mark.parametrize("drives", [2, pytest.param(8, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("gaps", "tick_m"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.05)])
-def test_errors_are_as_large_as_their_standard_deviations(gaps: float, tick_m: float):
+def test_errors_are_as_large_as_their_standard_deviations(gaps: float, tick_m: float, drives: int):
     ratios = []
-    for seed in range(8):
+    for seed in range(drives):
         made = drive(120, seed, noise=1.0, gaps=gaps, tick_m=tick_m)
         found = find_map(made)
         ratios.append(error(found.places, made.place) ** 2 / 2.0 / (found.std**2).mean())
@@ -195,10 +199,13 @@ def begin(made: Drive, segments: int) -> Drive:
     return Drive(made.place[:seen], first, turns, Closures(*(values[within] for values in closures)))
 
 
+@pytest.mark.parametrize("drives", [1, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("gaps", [0.0, 0.1])
-def test_the_map_of_a_drive_agrees_with_that_of_its_beginning_within_their_standard_deviations(gaps: float):
+def test_the_map_of_a_drive_agrees_with_that_of_its_beginning_within_their_standard_deviations(
+    gaps: float, drives: int
+):
     ratios = []
-    for seed in range(6):
+    for seed in range(drives):
         made = drive(160, seed, noise=1.0, gaps=gaps)
         long, short = find_map(made), find_map(begin(made, 80))
         seen = len(short.places)
@@ -207,8 +214,9 @@ def test_the_map_of_a_drive_agrees_with_that_of_its_beginning_within_their_stand
     assert np.mean(ratios) < 1.0 and max(ratios) < 3.0
 
 
-def test_in_a_long_drive_all_drifts_are_mended_one_after_another():
-    made = drive(300, noise=1.0, gaps=0.1)
+@pytest.mark.parametrize("segments", [200, pytest.param(300, marks=pytest.mark.slow)])
+def test_in_a_long_drive_all_drifts_are_mended_one_after_another(segments: int):
+    made = drive(segments, noise=1.0, gaps=0.1)
     found = find_map(made)
     assert found.believed.mean() > 0.99 and not found.undecided.any()
     assert error(found.places, made.place) < 0.02
@@ -263,12 +271,13 @@ def repeat(made: Drive, shift_m: float) -> Drive:
     return replace(made, closures=add(made.closures, first, second, np.full(len(first), np.nan)))
 
 
-def test_in_a_world_that_repeats_a_good_path_decides_and_a_bad_one_says_that_it_cannot():
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 4), marks=pytest.mark.slow)])
+def test_in_a_world_that_repeats_a_good_path_decides_and_a_bad_one_says_that_it_cannot(seeds: range):
     made = repeat(drive(150, noise=0.3), shift_m=1.0)
     good = find_map(made)
     assert good.repeats_m == pytest.approx(1.0, abs=0.1)
     assert good.undecided.mean() < 0.1 and error(good.places, made.place) < 0.05
-    for seed in range(4):
+    for seed in seeds:
         made = repeat(drive(150, seed, noise=3.0, gaps=0.3), shift_m=1.0)
         bad = find_map(replace(made, turns=replace(made.turns, angle_std=3.0 * made.turns.angle_std)))
         decided = np.where(bad.undecided[:, None], np.nan, bad.places)

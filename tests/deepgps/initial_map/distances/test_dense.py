@@ -4,25 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.config.learning import FeatureSettings
-from deepgps.data.features import fit_features
-from deepgps.data.segments import read_segments
 from deepgps.initial_map.distances import dense
 from deepgps.initial_map.distances.affine_maps import find_affine_maps
 from deepgps.initial_map.distances.dense import find_initial_map
 from deepgps.initial_map.distances.isomap import find_loop_closures
 from deepgps.initial_map.distances.uneven_bars import Relaxed
 from tests.deepgps.initial_map.distances.test_pose_graph import error
-from tests.helpers.toy import make_toy
-
-
-@pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory):
-    recording = make_toy(tmp_path_factory.mktemp("first_map") / "toy")
-    segments = read_segments(recording)
-    generator = torch.Generator().manual_seed(0)
-    _, features = fit_features(recording.observation, segments, FeatureSettings(components=10), generator)
-    return features, segments, np.load(recording.folder / "truth" / "pose.npy")[:, :2]
 
 
 def test_the_map_is_exact_to_a_centimetre(toy):
@@ -67,9 +54,9 @@ def test_short_drives_have_a_map_too(toy):
 
 
 def test_same_generator_same_map(toy):
-    features, segments, _ = toy
+    features, segments = toy.features, toy.segments.take(torch.arange(20))
     first, second = (find_initial_map(features, segments, torch.Generator().manual_seed(3))[0] for _ in range(2))
-    assert np.array_equal(first, second)
+    assert np.array_equal(first, second, equal_nan=True)
 
 
 def test_encoders_that_count_nothing_in_most_gaps_have_a_map_too(toy):

@@ -73,7 +73,7 @@ def test_places_that_are_not_known_stay_unknown():
 
 
 def test_a_map_of_ends_is_unfolded(tmp_path: Path):
-    recording = make_toy(tmp_path / "toy", samples=700, endpoint=True)
+    recording = make_toy(tmp_path / "toy", samples=500, endpoint=True)
     segments, place = read_segments(recording), open_truth(recording.folder).pose[:, :2]
     features = normalise(recording.observation)[1]
     found, same = find_end_point_map(features, segments, make_generator(0, "start"))

@@ -11,7 +11,7 @@ from tests.helpers.toy import make_toy
 
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory):
-    recording = make_toy(tmp_path_factory.mktemp("fold") / "toy", samples=2500)
+    recording = make_toy(tmp_path_factory.mktemp("fold") / "toy", samples=1000)
     place = np.load(recording.folder / "truth" / "pose.npy")[:, :2]
     return place, torch.tensor(recording.observation), read_segments(recording)
 

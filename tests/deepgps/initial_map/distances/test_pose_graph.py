@@ -4,24 +4,21 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.config.learning import FeatureSettings
-from deepgps.data.features import fit_features
 from deepgps.data.segments import Segments, read_segments
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import relax
 from sim.alignment import fit_alignment
-from tests.helpers.toy import make_toy
+from tests.helpers.toy import DescribedToy, make_toy
+
+Mapped = tuple[np.ndarray, Segments, LoopClosures, np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> tuple[np.ndarray, Segments, LoopClosures, np.ndarray]:
-    recording = make_toy(tmp_path_factory.mktemp("pose_graph") / "toy")
-    segments = read_segments(recording)
-    generator = torch.Generator().manual_seed(0)
-    _, features = fit_features(recording.observation, segments, FeatureSettings(components=10), generator)
-    closures = find_loop_closures(features, segments, (3,))[0]
-    place = np.load(recording.folder / "truth" / "pose.npy")[:, :2]
-    return map_by_paths(len(features), segments, closures, generator), segments, closures, place
+def mapped(toy: DescribedToy) -> Mapped:
+    """A rough map of the toy, its segments, loop closures and true places."""
+    closures = find_loop_closures(toy.features, toy.segments, (3,))[0]
+    rough = map_by_paths(len(toy.features), toy.segments, closures, torch.Generator().manual_seed(0))
+    return rough, toy.segments, closures, toy.place
 
 
 def error(found: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -33,15 +30,15 @@ def along(found: np.ndarray, segments: Segments, row: int) -> np.ndarray:
     return np.linalg.norm(points - points[0], axis=1)
 
 
-def test_a_rough_map_becomes_exact_to_a_centimetre(toy):
-    rough, segments, closures, place = toy
+def test_a_rough_map_becomes_exact_to_a_centimetre(mapped: Mapped):
+    rough, segments, closures, place = mapped
     found, _ = relax(rough, segments, closures)
     assert np.sqrt(np.mean(error(rough, place) ** 2)) > 0.05
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
-def test_distances_on_a_segment_are_those_driven(toy):
-    rough, segments, closures, _ = toy
+def test_distances_on_a_segment_are_those_driven(mapped: Mapped):
+    rough, segments, closures, _ = mapped
     found, _ = relax(rough, segments, closures)
     for row in range(len(segments.count)):
         # A turning place lies on two bars, which meet only nearly.
@@ -49,8 +46,8 @@ def test_distances_on_a_segment_are_those_driven(toy):
         assert along(found, segments, row) == pytest.approx(driven, abs=0.005)
 
 
-def test_a_few_false_look_alikes_are_not_believed(toy):
-    rough, segments, (first, second, length), place = toy
+def test_a_few_false_look_alikes_are_not_believed(mapped: Mapped):
+    rough, segments, (first, second, length), place = mapped
     rng = np.random.default_rng(1)
     i, j = rng.integers(len(place), size=(2, 40))
     false = np.concatenate([first, i, j]), np.concatenate([second, j, i]), np.concatenate([length, np.full(80, 0.02)])
@@ -59,34 +56,34 @@ def test_a_few_false_look_alikes_are_not_believed(toy):
     assert np.sqrt(np.mean(error(found, place) ** 2)) < 0.01
 
 
-def test_turning_the_rough_map_turns_the_exact_one(toy):
-    rough, segments, closures, _ = toy
+def test_turning_the_rough_map_turns_the_exact_one(mapped: Mapped):
+    rough, segments, closures, _ = mapped
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     (one, cost), (other, same) = (relax(places, segments, closures) for places in (rough, rough @ turn.T + [3.0, -2.0]))
     assert np.allclose(one @ turn.T + [3.0, -2.0], other, atol=1e-4)
     assert same == pytest.approx(cost, rel=1e-3)
 
 
-def test_a_right_map_stays(toy):
-    _, segments, closures, place = toy
+def test_a_right_map_stays(mapped: Mapped):
+    _, segments, closures, place = mapped
     assert error(relax(place, segments, closures)[0], place).max() < 0.06
 
 
-def test_observations_on_no_segment_stay_where_they_are(toy):
-    rough, segments, closures, _ = toy
+def test_observations_on_no_segment_stay_where_they_are(mapped: Mapped):
+    rough, segments, closures, _ = mapped
     more = np.concatenate([rough, [[7.0, 8.0]]])
     assert np.array_equal(relax(more, segments, closures)[0][-1], [7.0, 8.0])
 
 
-def test_a_right_map_costs_less_than_a_bent_one(toy):
-    _, segments, closures, place = toy
+def test_a_right_map_costs_less_than_a_bent_one(mapped: Mapped):
+    _, segments, closures, place = mapped
     bent = place.copy()
     bent[place[:, 0] > place[:, 0].mean(), 1] *= -1.0
     assert relax(place, segments, closures)[1] < 0.9 * relax(bent, segments, closures)[1]
 
 
-def test_what_is_nowhere_stays_there_and_moves_nothing_else(toy):
-    rough, segments, closures, _ = toy
+def test_what_is_nowhere_stays_there_and_moves_nothing_else(mapped: Mapped):
+    rough, segments, closures, _ = mapped
     row = 3
     lost = segments.index[row, : int(segments.count[row])].numpy()
     gone = np.isin(closures[0], lost) | np.isin(closures[1], lost)

@@ -6,27 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from deepgps.config.learning import FeatureSettings
-from deepgps.data.features import fit_features
-from deepgps.data.segments import Segments, read_segments
+from deepgps.data.segments import Segments
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures
 from deepgps.initial_map.distances.pose_graph import build_pose_graph, derive_apart, relax
 from deepgps.initial_map.distances.uneven_bars import NOISE_LEAST, UnevenBars, relax_unevenly
 from sim.alignment import fit_alignment
-from tests.helpers.toy import make_toy
+from tests.helpers.toy import DescribedToy
 
-Toy = tuple[np.ndarray, Segments, LoopClosures]
+Closed = tuple[np.ndarray, Segments, LoopClosures]
 
 
 @pytest.fixture(scope="module")
-def toy(tmp_path_factory: pytest.TempPathFactory) -> Toy:
-    recording = make_toy(tmp_path_factory.mktemp("uneven_bars") / "toy")
-    segments = read_segments(recording)
-    _, features = fit_features(
-        recording.observation, segments, FeatureSettings(components=10), torch.Generator().manual_seed(0)
-    )
-    place = np.load(recording.folder / "truth" / "pose.npy")[:, :2]
-    return place, segments, find_loop_closures(features, segments, (3,))[0]
+def closed(toy: DescribedToy) -> Closed:
+    """The toy's true places, segments and loop closures."""
+    return toy.place, toy.segments, find_loop_closures(toy.features, toy.segments, (3,))[0]
 
 
 def rms(found: np.ndarray, place: np.ndarray) -> float:
@@ -46,8 +39,8 @@ def refine(places: np.ndarray, segments: Segments, closures: LoopClosures) -> tu
 
 
 @pytest.mark.parametrize("noise", [0.1, 0.2, 0.3])
-def test_the_noise_is_found_and_the_map_is_better_than_that_of_rigid_bars(toy: Toy, noise: float):
-    place, segments, closures = toy
+def test_the_noise_is_found_and_the_map_is_better_than_that_of_rigid_bars(closed: Closed, noise: float):
+    place, segments, closures = closed
     segments = make_noisy(segments, noise)
     rigid, _ = relax(place, segments, closures)
     found, estimated = refine(rigid, segments, closures)
@@ -55,8 +48,8 @@ def test_the_noise_is_found_and_the_map_is_better_than_that_of_rigid_bars(toy: T
     assert rms(found, place) < 0.8 * rms(rigid, place)
 
 
-def test_bars_of_a_wheel_that_stuck_are_mended_and_the_others_stay_rigid(toy: Toy):
-    place, segments, closures = toy
+def test_bars_of_a_wheel_that_stuck_are_mended_and_the_others_stay_rigid(closed: Closed):
+    place, segments, closures = closed
     distance = segments.distance.clone()
     distance[::10] *= 0.5
     stuck = replace(segments, distance=distance)
@@ -66,16 +59,16 @@ def test_bars_of_a_wheel_that_stuck_are_mended_and_the_others_stay_rigid(toy: To
     assert rms(found, place) < 0.3 * rms(rigid, place)
 
 
-def test_exact_encoders_lose_nothing(toy: Toy):
-    place, segments, closures = toy
+def test_exact_encoders_lose_nothing(closed: Closed):
+    place, segments, closures = closed
     rigid, _ = relax(place, segments, closures)
     found, estimated = refine(rigid, segments, closures)
     assert estimated < 0.04
     assert rms(found, place) < rms(rigid, place) + 0.001
 
 
-def test_the_sum_of_all_lengths_stays_what_the_encoders_say(toy: Toy):
-    place, segments, closures = toy
+def test_the_sum_of_all_lengths_stays_what_the_encoders_say(closed: Closed):
+    place, segments, closures = closed
     segments = make_noisy(segments, 0.3)
     found, _ = refine(relax(place, segments, closures)[0], segments, closures)
     last = (segments.count - 1)[:, None]
@@ -84,8 +77,8 @@ def test_the_sum_of_all_lengths_stays_what_the_encoders_say(toy: Toy):
     assert np.linalg.norm(ends[1] - ends[0], axis=1).sum() == pytest.approx(driven, rel=0.005)
 
 
-def test_the_corrected_distances_are_nearer_to_the_truth_and_those_of_exact_encoders_stay(toy: Toy):
-    place, exact, closures = toy
+def test_the_corrected_distances_are_nearer_to_the_truth_and_those_of_exact_encoders_stay(closed: Closed):
+    place, exact, closures = closed
     for noise, better in ((0.0, 1.0), (0.2, 0.8)):
         noisy = make_noisy(exact, noise)
         corrected = relax_unevenly(
@@ -102,16 +95,16 @@ def measure_gaps(distance: torch.Tensor, exact: Segments) -> float:
     return float(wrong.square().mean().sqrt())
 
 
-def test_turning_the_map_turns_the_refined_one(toy: Toy):
-    place, segments, closures = toy
+def test_turning_the_map_turns_the_refined_one(closed: Closed):
+    place, segments, closures = closed
     segments = make_noisy(segments, 0.2)
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     one, other = (refine(places, segments, closures)[0] for places in (place, place @ turn.T + [3.0, -2.0]))
     assert np.allclose(one @ turn.T + [3.0, -2.0], other, atol=0.003)  # samples differ
 
 
-def test_what_is_nowhere_stays_there(toy: Toy):
-    place, segments, closures = toy
+def test_what_is_nowhere_stays_there(closed: Closed):
+    place, segments, closures = closed
     lost = segments.index[3, : int(segments.count[3])].numpy()
     places = place.copy()
     places[lost] = np.nan
@@ -119,16 +112,16 @@ def test_what_is_nowhere_stays_there(toy: Toy):
     assert np.isnan(found[lost]).all() and np.isfinite(np.delete(found, lost, axis=0)).all()
 
 
-def test_a_bar_whose_encoder_stood_still_does_no_harm(toy: Toy):
-    place, segments, closures = toy
+def test_a_bar_whose_encoder_stood_still_does_no_harm(closed: Closed):
+    place, segments, closures = closed
     distance = segments.distance.clone()
     distance[5] = 0.0
     found, estimated = refine(place, replace(segments, distance=distance), closures)
     assert np.isfinite(found).all() and estimated >= NOISE_LEAST
 
 
-def test_derivatives_agree_with_finite_differences(toy: Toy):
-    place, segments, closures = toy
+def test_derivatives_agree_with_finite_differences(closed: Closed):
+    place, segments, closures = closed
     graph = build_pose_graph(segments.take(torch.arange(12)), closures, np.ones(len(place), bool))
     bars = UnevenBars(graph, place)
     bars.unknown += 0.02 * np.random.default_rng(2).standard_normal(bars.unknown.shape)

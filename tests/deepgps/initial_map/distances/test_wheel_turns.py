@@ -67,9 +67,15 @@ def test_a_path_that_drifts_is_straightened_by_what_looks_alike(toy: Recording):
 
 def test_learning_with_turns_gives_a_map_that_is_not_mirrored(toy: Recording, tmp_path: Path):
     place = open_truth(toy.folder).pose[:, :2]
-    learned = fit_method("deepgps_with_turns", toy, SETTINGS, 0, tmp_path / "turns")(toy.observation)
-    assert error(learned, place, "SE2") < 0.06
-    # the same drive with left and right exchanged is learned as its mirror image, which distances alone cannot tell
+    steps = SETTINGS.train.model_copy(update={"steps": 100})
+    settings = SETTINGS.model_copy(update={"train": steps})
+    learned = fit_method("deepgps_with_turns", toy, settings, 0, tmp_path / "turns")(toy.observation)
+    assert error(learned, place, "SE2") < 0.1
+
+
+@pytest.mark.slow
+def test_a_drive_with_left_and_right_exchanged_is_learned_mirrored_with_turns_alone(toy: Recording, tmp_path: Path):
+    place = open_truth(toy.folder).pose[:, :2]
     swapped = replace(toy, reading=toy.reading[:, [0, 1, 3, 2]])
     mirrored = fit_method("deepgps_with_turns", swapped, SETTINGS, 0, tmp_path / "swapped")(toy.observation)
     assert error(mirrored * [1.0, -1.0], place, "SE2") < 0.06 < error(mirrored, place, "SE2")
