@@ -4,9 +4,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 MOST = {
-    "lines of sim and deepgps": 43_000,
-    "files of sim and deepgps": 320,
-    "lines of tests": 25_000,
+    "lines of sim and deepgps": 46_400,
+    "files of sim and deepgps": 335,
+    "lines of tests": 29_300,
     "Python files directly in deepgps": 2,
 }
 

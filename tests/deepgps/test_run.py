@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.config.scenario import Scenario, write_out
+from deepgps.methods.train import ask_for_device
 from deepgps.run import run
 from deepgps.runs import collect as stages
 from deepgps.runs.owned_folder import MARK
@@ -94,7 +95,7 @@ def test_a_device_that_is_not_here_is_told_before_anything_is_driven(tmp_path: P
 def test_what_stands_needs_no_device(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     record(tmp_path)
-    stages.ask_for_device(on_device("cuda"), tmp_path)
+    ask_for_device(on_device("cuda"), tmp_path)
 
 
 @pytest.mark.slow

@@ -76,6 +76,7 @@ def test_a_signal_to_all_processes_is_one_line_and_leaves_none(
     assert wait_until_gone(process.pid)
 
 
+@pytest.mark.slow
 def test_a_signal_to_the_first_process_ends_all_and_counts_the_time(mini: Path, tmp_path: Path) -> None:
     process = start("collect", str(mini), "--drive.samples", "20000", "--out", "run", cwd=tmp_path)
     wait_until(lambda: list(tmp_path.glob("run/recording.collecting/*.npz")), process)

@@ -37,6 +37,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_labels_agree_with_the_truth_up_to_a_motion(lab: Path):
     labels, truth = open_labels(lab), open_truth(lab)
     assert labels is not None

@@ -9,7 +9,7 @@ import pytest
 from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.evaluate import FAR_M, measure_heading_spread, measure_misplaced
 from deepgps.evaluation.measures import measure_flipped, measure_flipped_patch, measure_visible, summarise_yaw
-from sim.files.json_files import read_json
+from sim.files.checksums import read_json
 from sim.occupancy import FreeSpace
 
 SPACING_M = 0.08

@@ -14,7 +14,7 @@ from deepgps.evaluation.stored_alignment import read_alignment
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN
 from deepgps.tracking.track import PATHS, read_track
-from sim.files.json_files import read_json, write_json
+from sim.files.checksums import read_json, write_json
 from sim.recording.format import OF_USE, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 from tests.helpers.command import deepgps_here

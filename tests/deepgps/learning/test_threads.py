@@ -55,6 +55,7 @@ for name in sys.argv[4:]:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 def test_a_training_ends_with_the_same_bytes_on_one_core_and_on_two(tmp_path: Path):
     make_toy(tmp_path / "toy", samples=500)

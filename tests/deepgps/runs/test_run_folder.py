@@ -354,7 +354,7 @@ def test_fresh_asks_for_the_plugin_of_a_method_that_is_trained(tmp_path: Path):
 def test_a_run_is_not_continued_in_a_room_that_has_changed(tmp_path: Path):
     room, table = tmp_path / "room.xml", tmp_path / "table.xml"
     room.write_text('<mujoco><worldbody><include file="table.xml"/></worldbody></mujoco>')
-    table.write_text("<mujoco/>")
+    table.write_text('<mujocoinclude><geom size="0.1"/></mujocoinclude>')
     scenario = Scenario.model_validate({"room": {"mjcf": str(room)}})
     run = tmp_path / "run"
     make_run(run, scenario)

@@ -205,7 +205,7 @@ def test_probabilities_leave_room_for_an_unknown_pose():
 
 
 def test_filter_needs_numpy_alone():
-    names = ("filter", "fix", "motion", "noise", "smoother", "update")
+    names = ("filter", "fix", "motion", "noise", "smoother")
     code = (
         f"import sys; {'; '.join(f'import deepgps.tracking.{name}' for name in names)}; print('torch' in sys.modules)"
     )

@@ -52,8 +52,6 @@ def test_what_is_sensed_does_not_hold_the_truth(folder):
     sensed = {
         "observation_time",
         "others",
-        "readings",
-        "breaks",
         "folder",
         "manifest",
         "observation",

@@ -47,9 +47,9 @@ def base(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     "groups",
     [
-        {"deployment": {"light": 0.3, "moved_m": 0.3}},
+        pytest.param({"deployment": {"light": 0.3, "moved_m": 0.3}}, marks=pytest.mark.slow),
         {"grid": {"spacing_m": 0.6, "headings": 2}},
-        {"deployment": {"drive_samples": 20, "camera_mount": {"roll_deg": 4.0}}},
+        pytest.param({"deployment": {"drive_samples": 20, "camera_mount": {"roll_deg": 4.0}}}, marks=pytest.mark.slow),
     ],
     ids=["light and furniture", "grid", "drive in use"],
 )

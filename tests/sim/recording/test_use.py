@@ -91,6 +91,7 @@ def sound(plain: SimSettings, tmp_path_factory: pytest.TempPathFactory) -> tuple
     return settings, folder
 
 
+@pytest.mark.slow
 def test_the_training_drive_is_the_same_with_and_without_a_drive_in_use(plain, sound, tmp_path):
     stages = dict.fromkeys(["drive", "render"])
     collect(plain, 0, tmp_path / "plain", lambda stage, *_: stages.pop(stage, None), workers=1)
