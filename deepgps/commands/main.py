@@ -136,7 +136,8 @@ def _write_completion(words: Sequence[str]) -> None:
 
     app = tyro.extras.SubcommandApp()
     for name, command in COMMANDS.items():
-        app.command(ScenarioArguments if command.module == "run" else command.find(command.arguments), name=name)
+        kind: Any = ScenarioArguments if command.module == "run" else command.find(command.arguments)
+        app.command(kind, name=name)
     app.cli(prog="deepgps", args=words, config=CONFIG)
 
 

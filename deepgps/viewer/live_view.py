@@ -90,7 +90,7 @@ class LiveDrive:
 
     def _send_pictures(self, images: np.ndarray, spread: Spread) -> None:
         if images.ndim == 4:  # no scans
-            warp = make_warp(self.camera, *images.shape[1:3], drive.ROUND_PX)
+            warp = make_warp(self.camera, images.shape[1], images.shape[2], drive.ROUND_PX)
             drive.log_polar(self.stream, images, warp, run_clock(spread(len(images))))
 
 

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import rerun as rr
 
+from deepgps.viewer.timeline import Rows
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import open_recording, open_truth
@@ -77,7 +78,7 @@ def encode_jpeg(image: np.ndarray) -> bytes:
     return cv2.imencode(".jpg", bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1].tobytes()
 
 
-def log_jpegs(stream: rr.RecordingStream, path: str, blobs: Iterable[bytes], at: list[rr.TimeColumn]) -> None:
+def log_jpegs(stream: rr.RecordingStream, path: str, blobs: Iterable[bytes], at: Rows) -> None:
     """Log pictures in JPEG at so many times."""
     stream.log(path, rr.EncodedImage.from_fields(media_type="image/jpeg"), static=True)
     stream.send_columns(path, at, rr.EncodedImage.columns(blob=list(blobs)))

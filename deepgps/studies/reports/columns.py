@@ -61,8 +61,8 @@ def tabulate_lines(keys: Sequence[str], lines: Iterable[Line], columns: Iterable
 
 def take_value(line: Line, name: str) -> float | None:
     """The line's value of a study's column; None if some of its rows have none. The worst share is the least."""
-    values = [row.get(name) for row in line.rows]
-    if any(value is None for value in values):
+    values = [value for row in line.rows if (value := row.get(name)) is not None]
+    if len(values) < len(line.rows):
         return None
     return float((np.min if line.take is np.max and name in HIGH_IS_GOOD else line.take)(values))
 

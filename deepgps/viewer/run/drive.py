@@ -120,7 +120,8 @@ def log_images(stream: rr.RecordingStream, recording: Recording) -> None:
     step = -(-len(seen) // IMAGES_AT_MOST)
     seen, at = seen[::step], drive_clock(recording)(recording.time[first[::step]])
     if recording.kind == "polar_image":
-        warp = make_warp(camera_of(recording), *recording.observation.shape[1:3], ROUND_PX)
+        rings, sectors = recording.observation.shape[1:3]
+        warp = make_warp(camera_of(recording), rings, sectors, ROUND_PX)
         log_polar(stream, (np.asarray(recording.observation[number]) for number in seen), warp, at)
     if recording.kind == "scan":
         _log_scans(stream, np.asarray(recording.observation[seen, 0]), at)

@@ -178,7 +178,7 @@ def _write_without_truth(run: Path, path: Path) -> Path:
         for name, history in histories.items():
             log_loss(stream, name, history, loss_rows(history))
             snapshot = history["snapshot"].astype(float)
-            log_points(stream, f"map/{name}", snapshot[-1], snapshot, snapshot_rows(history))
+            log_points(stream, f"map/{name}", snapshot[-1], list(snapshot), snapshot_rows(history))
         log_diagnosis(stream, run)
         known = markdown(run) if read_judged(run) else ""
         put_text(stream, "report", f"{WITHOUT_TRUTH_NOTE}\n\n{known}")

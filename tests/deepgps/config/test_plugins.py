@@ -122,7 +122,7 @@ def test_a_run_can_be_opened_without_its_plugin_but_not_continued(tmp_path: Path
 def test_a_plugin_that_has_changed_is_loaded_again(tmp_path: Path):
     for factor in (1, 2):
         load_plugins([write_fault(tmp_path, f"angle + {factor}")])
-        assert ENCODER_FAULTS["mine"].apply(0, 0, 0, None) == factor
+        assert ENCODER_FAULTS["mine"].apply(0, 0, 0, None) == factor  # pyright: ignore
 
 
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path):

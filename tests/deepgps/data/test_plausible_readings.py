@@ -56,7 +56,7 @@ def test_what_is_no_record_of_a_drive_is_refused(reading: np.ndarray, time: np.n
 
 def test_readings_of_every_encoder_are_accepted():
     for ticks, faults in product((4, 64, 4096, 65536), FAULTS):
-        settings = EncoderSettings(ticks_per_rev=ticks, **faults)
+        settings = EncoderSettings(ticks_per_rev=ticks, **faults)  # pyright: ignore
         odometry = describe_odometry(settings, WHEEL_RADIUS_M, TRACK_M)
         for seed in range(5):
             counted, arrived = read_encoders(ANGLE, WHEEL_RADIUS_M, settings, np.random.default_rng(seed))

@@ -38,7 +38,7 @@ class Fake:
 
 def test_every_training_reports_its_steps_and_its_history():
     heard = []
-    train_side_by_side([Fake(name, "learn") for name in "abc"], 2, lambda *step: heard.append(step))
+    train_side_by_side([Fake(name, "learn") for name in "abc"], 2, lambda *step: heard.append(step))  # pyright: ignore
     for name in "abc":
         steps = [step for step in heard if step[0] == name]
         assert [done for _, done, _, _ in steps] == [1, 2, 3]
@@ -49,7 +49,7 @@ def test_every_training_reports_its_steps_and_its_history():
 def test_the_first_error_ends_all_trainings(does, kind, text):
     start = time.monotonic()
     with pytest.raises(kind, match=text):
-        train_side_by_side([Fake("a", "wait"), Fake("b", does)], 2, ignore)
+        train_side_by_side([Fake("a", "wait"), Fake("b", does)], 2, ignore)  # pyright: ignore
     assert time.monotonic() - start < 40, "the other training was waited for"
 
 
@@ -59,7 +59,7 @@ def test_short_trainings_single_ones_and_those_on_one_core_stay_in_this_process(
     names = ["deepgps", "knn", "posenet"]
     assert choose_networks(names, settings) == ["deepgps", "posenet"]
     assert choose_networks(names[:2], settings) == []
-    assert choose_networks(names, LearnSettings(train={"steps": 100})) == []
+    assert choose_networks(names, LearnSettings(train={"steps": 100})) == []  # pyright: ignore
     monkeypatch.setattr(side_by_side, "usable_cores", lambda: 1)
     assert choose_networks(names, settings) == []
 

@@ -29,7 +29,7 @@ def test_a_map_that_cannot_be_right_is_named_with_all_reasons():
         ({"relative_rms": 0.24}, "RMS 24 % of the room's shorter side"),
         ({"scale": 0.5, "relative_rms": 0.3}, "scale 0.50, RMS 30 % of the room's shorter side"),
     ):
-        assert judge_run(make(**figures)) == [f"Not converged: DeepGPS ({reason})."]
+        assert judge_run(make(**figures)) == [f"Not converged: DeepGPS ({reason})."]  # pyright: ignore
 
 
 @pytest.mark.parametrize(

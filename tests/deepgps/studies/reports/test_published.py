@@ -80,7 +80,7 @@ def load_published(name: str) -> tuple[Study, list[Row]]:
 def test_the_report_is_made_of_the_table_alone(name: str) -> None:
     study, rows = load_published(name)
     plan = SimpleNamespace(scenario=SimpleNamespace(name="any"))
-    written = write_report(study, [plan], {}, rows).splitlines()
+    written = write_report(study, [plan], {}, rows).splitlines()  # pyright: ignore
     published = (RESULTS / name / "table.md").read_text().splitlines()
     assert written[3:] == published[3 : len(written)]  # below the number of runs
     assert "ade at " in published[len(written) + 1]

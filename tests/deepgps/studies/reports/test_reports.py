@@ -204,7 +204,7 @@ def test_wrong_maps_are_counted_by_what_is_said_of_them() -> None:
 
 
 def make_fault(rms: float, exposure: float = 1.0, light: float = 1.0, **columns: object) -> Row:
-    return make_row(rms, **{"image_faults.exposure": exposure, "deployment.light": light}, **columns)
+    return make_row(rms, **{"image_faults.exposure": exposure, "deployment.light": light}, **columns)  # pyright: ignore
 
 
 FAULTY = [make_fault(0.04, light=0.5), make_fault(0.02), make_fault(0.03, exposure=0.25), make_fault(0.05, 0.25)]
@@ -238,8 +238,8 @@ def test_a_leaning_camera_with_another_fault_does_not_count_as_one_that_leans() 
 def test_a_study_of_changes_on_one_kind_of_features_needs_not_vary_it(tmp_path: Path) -> None:
     common = {"method": "deepgps_compass", changes.LIGHT: False}
     rows = [
-        make_row(0.01, **common, **{"deployment.light": 1.0}),
-        make_row(0.02, **common, **{"deployment.light": 0.2}),
+        make_row(0.01, **common, **{"deployment.light": 1.0}),  # pyright: ignore
+        make_row(0.02, **common, **{"deployment.light": 0.2}),  # pyright: ignore
     ]
     varied = ["deployment.light", changes.LIGHT]
     assert changes.report_changes(rows, varied)[0] == "## Trained in one light"

@@ -335,7 +335,7 @@ def test_a_long_drive_has_fewer_pictures_and_large_ones_where_they_were_drawn(ch
 
 def test_the_robot_is_as_large_as_it_is_and_not_as_odometry_has_it(run: Path, changed: Path) -> None:
     radii = [read_flat(folder / RECORDING, f"{ROBOT}/body", "Cylinders3D:radii") for folder in (run, changed)]
-    np.testing.assert_allclose(*radii)
+    np.testing.assert_allclose(*radii)  # pyright: ignore
 
 
 def test_the_last_minutes_are_as_long_on_the_timeline_of_all(changed: Path) -> None:

@@ -120,7 +120,7 @@ def test_the_error_fields_of_many_runs_are_not_read_back_as_one(study):
     path = study[0] / STUDY_RRD
     for words in ((read_error_table, path), (read_error_field, path, "deepgps")):
         with pytest.raises(InputError, match="has error fields of several runs; read_entity"):
-            words[0](*words[1:])
+            words[0](*words[1:])  # pyright: ignore
     assert LINE in read_entity(path, f"world/error_field/deepgps/worst/{PARTS[0]}/arrows").column_names
 
 
