@@ -99,7 +99,6 @@ def drive(
         observation_time=None,
         turns=Turns(*np.array(turns).T),
         turn_observation=room.photograph(np.array(turned), lean),
-        readings={},
         others={"place": places[:, :2]},
     )
 

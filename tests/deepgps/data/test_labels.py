@@ -21,6 +21,8 @@ from sim.settings import (
 )
 from tests.helpers.synthetic_tags import CAMERA, make_scene
 
+pytestmark = pytest.mark.slow  # one recording of a laboratory, with labels, takes 25 s
+
 LAB = SimSettings(
     room=RoomSettings(kind="lab", seed=10),
     camera=CameraSettings(rings=8, sectors=32, face_px=16),
