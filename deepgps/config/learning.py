@@ -1,9 +1,9 @@
 """Settings of learning: frozen groups, each checked once when it is created."""
 
 from collections.abc import Collection
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import AfterValidator, Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
 from sim.settings import Group
@@ -45,10 +45,6 @@ class FeatureSettings(Group):
     """Slow features kept."""
     noise: float = Field(default=0.15, ge=0.0, le=10.0)
     """Standard deviation of the noise added to features in training; the features' own root mean square is 1."""
-
-    @model_serializer(mode="wrap")
-    def _write_values_only_if_ranks(self, write: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {name: value for name, value in write(self).items() if name != "values" or value != "pixels"}
 
 
 class NetworkSettings(Group):

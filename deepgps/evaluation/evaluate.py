@@ -4,7 +4,6 @@ If a recording has labels of its own, every method is measured against these too
 simulator (paper, Sec. IV-C).
 """
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -232,17 +231,6 @@ def measure_labels(labels: Labels, truth: Truth) -> dict[str, float]:
         "test_rms_m": find_rms(test_error),
         "scale": alignment.scale,
     }
-
-
-def measure_part(run: Path, folder: Path, method: str, every: int) -> dict[str, float]:
-    """Figures of a method trained in ``folder`` on a run's recording, from every ``every``-th position and sample."""
-    recording, truth = open_recording(run / "recording"), open_truth(run / "recording")
-    thin = replace(
-        recording, observation=recording.observation[::every], test_observation=recording.test_observation[::every]
-    )
-    fewer = replace(truth, pose=truth.pose[::every], test_pose=truth.test_pose[::every])
-    field, _ = measure_field(predict(folder, thin), method, fewer)
-    return summarise(field.worst)
 
 
 def measure_heading_spread(predicted: np.ndarray) -> float:
