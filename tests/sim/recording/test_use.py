@@ -210,6 +210,7 @@ def test_what_does_not_fit_is_no_base(deployment, message, plain, sound):
     assert message in (explain_misfit(sound[1], change(plain, **deployment), 0) or "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [2, 4], ids=["in use", "in training"])
 def test_cut_off_anywhere_it_continues_to_the_same_bytes(chunk: int, sound, tmp_path, monkeypatch):
     """Stopped before a second chunk: of the drive in use, or of the training drive."""

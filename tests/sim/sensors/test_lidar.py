@@ -90,6 +90,7 @@ def test_it_agrees_with_the_range_finder_and_tells_its_reach(
     assert low.scan(world.snapshot())[0, 0] == pytest.approx(ahead, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_recording_of_scans_is_whole_and_repeats_with_its_noise(tmp_path: Path, small_settings: SimSettings) -> None:
     lidar = LidarSettings(rays=32, noise_m=0.01)
     settings = small_settings.model_copy(update={"sensor": "lidar", "lidar": lidar, "drive": DriveSettings(samples=80)})
