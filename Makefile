@@ -31,8 +31,9 @@ docs: setup-dev  ## the documentation, in build/docs; warnings are errors
 	$(BIN)/sphinx-build -W --keep-going -q docs build/docs
 	@echo "look at it: build/docs/index.html"
 
-faults: setup-dev  ## attack all of it from outside and write docs/faults.md: half an hour, other cases each time
-	$(BIN)/python -m tests.faults --out docs/faults.md
+faults: setup-dev  ## attack all of it from outside and write build/faults.md: half an hour, other cases each time
+	@mkdir -p build
+	$(BIN)/python -m tests.faults --out build/faults.md
 
 check: setup-dev  ## style, types and who may import whom
 	$(BIN)/ruff check .

@@ -24,7 +24,7 @@ from deepgps.terminal.progress import ignore
 from tests.helpers.command import deepgps_here
 
 ROOT = Path(__file__).parents[2]
-GENERATED = ("docs/results", "docs/examples", "docs/faults.md", "docs/tables.md")
+GENERATED = ("docs/results", "docs/examples", "docs/tables.md")
 PAGES = [
     ROOT / "README.md",
     *(page for page in sorted((ROOT / "docs").rglob("*.md")) if not str(page.relative_to(ROOT)).startswith(GENERATED)),
