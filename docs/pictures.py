@@ -20,8 +20,7 @@ from deepgps.config.scenario import Scenario
 from deepgps.data.encoder_noise import find_inliers
 from deepgps.evaluation.error_field import find_worst, read_all_headings
 from deepgps.evaluation.segment_errors import reckon_path
-from deepgps.initial_map.distances.affine_maps import find_affine_maps, find_modes
-from deepgps.initial_map.distances.dense import NEIGHBOURS
+from deepgps.initial_map.distances.dense import NEIGHBOURS, find_affine_maps, find_modes
 from deepgps.initial_map.distances.isomap import find_loop_closures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import build_pose_graph
 from deepgps.learning.trainer import make_generator, use_threads

@@ -12,8 +12,7 @@ from scipy.spatial import KDTree
 
 from deepgps.config.scenario import Scenario
 from deepgps.config.setting_problems import describe_problems
-from deepgps.data.checks import check_readings
-from deepgps.data.features import check_observations
+from deepgps.data.checks import check_observations, check_readings
 from sim.errors import InputError, quote, shorten
 from sim.occupancy import FreeSpace, save_free_space
 from sim.recording.format import (

@@ -44,7 +44,7 @@ class Method:
 
 METHODS: dict[str, Method] = {
     "deepgps_compass": Method(
-        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.deepgps_compass:fit", "polar_image", reads_turns=True
+        "DeepGPS, compass", "#003f8c", "SE2", "deepgps.methods.variants:fit_compass", "polar_image", reads_turns=True
     ),
     "deepgps": Method("DeepGPS", "#0b62d6", "E2", "deepgps.methods.deepgps:fit"),
     "deepgps_noise_aware": Method("DeepGPS, noise-aware", "#00a3b4", "E2", "deepgps.methods.variants:fit_noise_aware"),
@@ -76,7 +76,7 @@ METHODS: dict[str, Method] = {
         in_steps=False,
         reads_ticks=False,
     ),
-    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.supervised:fit_dead_reckoned"),
+    "dead_reckoned_labels": Method("Odometry labels", "#c2255c", "SE2", "deepgps.methods.baselines:fit_dead_reckoned"),
 }
 """The methods in the order of figures. Scenarios and studies can name every method that is added here.
 

@@ -81,6 +81,28 @@ def check_readings(reading: np.ndarray, time: np.ndarray, observations: int, odo
     _check_ticks(np.diff(count_from_first(reading[:, 2:]), axis=0), seconds, gap[:, 0] == 0, measure_tick(odometry))
 
 
+LARGEST = 1e9
+"""Larger numbers are refused as observations: their squares could exceed the range of float32."""
+CHUNK = 64
+
+
+def check_observations(observation: np.ndarray, name: str) -> None:
+    """Raise InputError if observations are unusable: not numeric, not finite, or far too large."""
+    if observation.dtype.kind not in "uif":
+        raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
+    if observation.dtype.kind != "f":
+        return
+    wrong = 0
+    for start in range(0, len(observation), CHUNK):
+        part = np.asarray(observation[start : start + CHUNK])
+        able = np.isfinite(part) & (np.abs(part) <= LARGEST)
+        wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
+    if wrong:
+        raise InputError(
+            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
+        )
+
+
 def _check_ticks(gap: np.ndarray, seconds: np.ndarray, inside: np.ndarray, tick_m: float) -> None:
     speed_mps = (np.abs(gap).max(axis=1, initial=0) - ROUNDING_TICKS).clip(0) * tick_m / seconds
     if (speed_mps > FASTEST_MPS).any():

@@ -11,36 +11,29 @@ directions there is free space at its distance.
 Of these numbers the slowest linear combinations are kept (slow feature analysis, Wiskott and Sejnowski 2002): those
 that vary much over the room and bend little between three consecutive readings of one segment. What is left out is
 mostly aliasing and edges finer than the samples, with which a network would only overfit its training images.
+
+Pixels may count by their ranks, which light rarely alters. Lamps that are off and windows at dusk brighten or darken
+parts of a room, which ranks over the image do not undo: from copies under smooth random gains, slow features learn what
+light changes.
 """
 
-import logging
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
 
 from deepgps.config.learning import FeatureSettings, PixelValues
-from deepgps.data.light import rank_values, relight
 from deepgps.data.segments import Segments, subsample_learned
-from sim.errors import DamagedError, InputError
-from sim.files.atomic import only_process, write_atomic
-from sim.files.checksums import check_sha256, read_json, sha256, write_json
+from sim.errors import InputError
 
-log = logging.getLogger(__name__)
 CHUNK = 64  # fits a processor's cache
-LARGEST = 1e9
-"""Larger numbers are refused as observations: their squares could exceed the range of float32."""
 LEAST = 1e-8
 """Added to the product of two magnitudes, so that the phase of an empty pair is not noise."""
 ALIKE = 1e-6
 """Smallest total difference of descriptions, relative to their size; less is the rounding of float32."""
 RELIT, LIGHT_WEIGHT = 1500, 0.1
 """Images of which a copy under other light is described, at most; weight of what light changes beside what bends."""
-TABLE, KEY = "features.safetensors", "features.key"
 
 
 @dataclass(frozen=True)
@@ -77,23 +70,6 @@ class Features:
             described = describe(some, self.frequencies, self.edges, heading, self.values)
             torch.mm(described.sub_(self.mean), self.basis, out=found[start : start + CHUNK])
         return found
-
-
-def check_observations(observation: np.ndarray, name: str) -> None:
-    """Raise InputError if observations are unusable: not numeric, not finite, or far too large."""
-    if observation.dtype.kind not in "uif":
-        raise InputError(f"{name} holds {observation.dtype}, but must hold numbers")
-    if observation.dtype.kind != "f":
-        return
-    wrong = 0
-    for start in range(0, len(observation), CHUNK):
-        part = np.asarray(observation[start : start + CHUNK])
-        able = np.isfinite(part) & (np.abs(part) <= LARGEST)
-        wrong += int((~able).reshape(len(part), -1).any(axis=1).sum())
-    if wrong:
-        raise InputError(
-            f"{name}: {wrong} of {len(observation)} observations hold NaN, infinity or a number beyond {LARGEST:g}"
-        )
 
 
 def check_shape(observation: np.ndarray, shape: tuple[int, ...]) -> None:
@@ -228,58 +204,6 @@ def normalise(observation: np.ndarray) -> tuple[Features, torch.Tensor]:
     return Features(tuple(observation.shape[1:]), 0, mean, basis), described / size
 
 
-def cached_features(
-    folder: Path,
-    key: str,
-    observation: np.ndarray,
-    segments: Segments,
-    settings: FeatureSettings,
-    generator: torch.Generator,
-) -> tuple[Features, torch.Tensor]:
-    """Like ``fit_features``, but read from a folder if it holds intact features with the same ``key``.
-
-    Another process that computes them there is waited for.
-    """
-    with only_process(folder):
-        found = _read_features(folder, key)
-        if found is None:
-            (folder / KEY).unlink(missing_ok=True)
-            fitted, features = fit_features(observation, segments, settings, generator)
-            made = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
-            if fitted.edges is not None:
-                made["edges"] = fitted.edges
-            write_atomic(folder / TABLE, lambda part: save_file(made, part), features.nbytes)
-            write_json(folder / KEY, {"key": key, "sha256": sha256(folder / TABLE)})
-            found = load_file(folder / TABLE)  # which leaves them on the disk: those of a million images are 1 GB
-    shape = tuple(observation.shape[1:])
-    mean, basis = found["mean"], found["basis"]
-    fitted = Features(shape, settings.frequencies, mean, basis, found.get("edges"), settings.values)
-    return fitted, found["features"]
-
-
-def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
-    """Features stored in a folder with this key; None if the key differs or they are damaged."""
-    if not has_features(folder):
-        return None
-    try:
-        return load_file(folder / TABLE) if check_features(folder) == key else None
-    except (DamagedError, SafetensorError) as error:
-        log.warning("%s; the features are made again", error)
-        return None
-
-
-def check_features(folder: Path) -> str:
-    """Compare the features in a folder with their checksum and return their key; raises DamagedError."""
-    stored = read_json(folder / KEY)
-    check_sha256(folder / TABLE, str(stored.get("sha256")))
-    return str(stored.get("key"))
-
-
-def has_features(folder: Path) -> bool:
-    """Whether a folder holds complete features: the key is written last."""
-    return (folder / KEY).is_file() and (folder / TABLE).is_file()
-
-
 def _describe_all(
     observation: np.ndarray, chosen: np.ndarray, settings: FeatureSettings, edges: torch.Tensor | None
 ) -> torch.Tensor:
@@ -349,3 +273,58 @@ def solve_generalised(a: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, t
     inner = torch.linalg.solve_triangular(lower, inner.T, upper=False)
     w, v = torch.linalg.eigh((inner + inner.T) / 2.0)
     return w, torch.linalg.solve_triangular(lower.T, v, upper=True)
+
+
+def rank_values(image: torch.Tensor) -> torch.Tensor:
+    """Replace each value of an image by the share of its values, of all colours, that are darker.
+
+    Equal values share the mean of their ranks. Light, exposure and gamma change what a pixel's value is, and rarely
+    which of two pixels is brighter. This is histogram equalisation (Hummel, "Image enhancement by histogram
+    transformation", Computer Graphics and Image Processing 6(2), 1977).
+
+    Args:
+        image: Pixel values (N, ...) uint8.
+
+    Returns:
+        float32 of the same shape, between 0 and 255; the mean of each image is 127.5.
+    """
+    flat = image.flatten(1)
+    count, size = flat.shape
+    own = 256 * torch.arange(count, dtype=torch.int32)
+    place = (flat.int() + own[:, None]).view(-1)
+    values = torch.bincount(place, minlength=256 * count).view(count, 256)
+    ranks = ((values.cumsum(dim=1) - values / 2) * (255.0 / size)).float()
+    return ranks.view(-1).index_select(0, place).view(image.shape)
+
+
+GAIN, COLOUR_GAIN = 0.4, 0.1
+"""Standard deviation of the logarithm of the light's gain, shared by the colours, and of what is each colour's own."""
+WAVES, BENDS = 4, 2
+"""Highest number of periods of a gain around the circle, and of half periods from the centre to the rim."""
+DIMMER = 0.8
+"""Factor of all values, which leaves room for gains above 1."""
+GAMMA = 2.2
+"""Pixel values grow with about this root of the light."""
+
+
+def relight(images: np.ndarray, generator: torch.Generator) -> np.ndarray:
+    """Copies of polar images (N, rings, sectors, colours) uint8, each under another random light."""
+    count, rings, sectors, colours = images.shape
+    waves = _make_waves(rings, sectors)
+    shared = GAIN * torch.randn((count, 1, len(waves)), generator=generator)
+    own = COLOUR_GAIN * torch.randn((count, colours, len(waves)), generator=generator)
+    gain = ((shared + own) @ waves).div_(GAMMA).exp_().view(count, colours, rings, sectors).permute(0, 2, 3, 1)
+    return (torch.from_numpy(images) * gain * DIMMER).round_().clamp_(0.0, 255.0).to(torch.uint8).numpy()
+
+
+@lru_cache(maxsize=8)
+def _make_waves(rings: int, sectors: int) -> torch.Tensor:
+    """Waves around the circle and along the radius (W, rings * sectors), smoother ones larger; RMS 1 in total."""
+    angle, radius = 2.0 * np.pi * np.arange(sectors) / sectors, (np.arange(rings) + 0.5) / rings
+    made = []
+    for wave in range(WAVES + 1):
+        for bend in range(BENDS + 1):
+            along = np.cos(np.pi * bend * radius)[:, None] / ((1.0 + wave / 2.0) * (1.0 + bend / 2.0))
+            made += [along * np.cos(wave * angle), *([along * np.sin(wave * angle)] if wave else [])]
+    waves = np.array(made).reshape(len(made), -1)
+    return torch.from_numpy((waves / np.sqrt((waves**2).sum(axis=0).mean())).astype(np.float32))

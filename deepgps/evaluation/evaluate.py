@@ -12,7 +12,7 @@ import torch
 
 from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.data.features import check_observations
+from deepgps.data.checks import check_observations
 from deepgps.data.segments import dead_reckon
 from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields

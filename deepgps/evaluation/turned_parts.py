@@ -12,9 +12,8 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from deepgps.data.relative_headings import compare_headings
 from deepgps.data.segments import find_runs
-from deepgps.data.turns import find_in_place, take_images, turns_with_images
+from deepgps.data.turns import compare_headings, find_in_place, take_images, turns_with_images
 from sim.geometry import wrap
 from sim.recording.format import Recording
 from sim.recording.turns import Turns, from_array

@@ -71,6 +71,8 @@ class Inputs:
 
 Draw = Callable[[torch.Generator, float], Batch]
 """(generator, fraction of the steps done) -> batch of one step."""
+Loss = Callable[[torch.Tensor, Batch, torch.Tensor], torch.Tensor]
+"""(predictions shaped like the batch's index plus outputs, batch, fraction of the steps done (0-dim)) -> scalar."""
 
 
 def sample_from(segments: Segments, settings: TrainSettings) -> Draw:

@@ -1,24 +1,31 @@
 """The data that every method learns from: a recording's segments, its features, and the network's input."""
 
 import hashlib
+import logging
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
 from torch import nn
 
-from deepgps.config.learning import LearnSettings
-from deepgps.data.features import Features, cached_features, fit_features, normalise
+from deepgps.config.learning import FeatureSettings, LearnSettings
+from deepgps.data.features import Features, fit_features, normalise
 from deepgps.data.segments import Segments, read_segments
 from deepgps.learning.batches import Inputs
 from deepgps.learning.networks import make_network
 from deepgps.learning.trainer import choose_device, make_generator, use_threads
+from sim.errors import DamagedError
+from sim.files.atomic import only_process, write_atomic
+from sim.files.checksums import check_sha256, read_json, sha256, write_json
 from sim.recording.format import Recording, observation_file
 from sim.sensors.camera.mount import Upright
 
-FEATURES = "features"
-"""The run's folder of features, which all its methods share."""
+log = logging.getLogger(__name__)
+FEATURES, TABLE, KEY = "features", "features.safetensors", "features.key"
+"""The run's folder of features, which all its methods share, and its files."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +87,58 @@ def prepare(
         table = torch.from_numpy(recording.observation)  # stays on disk until it is drawn
     inputs = Inputs(table.to(choose_device(settings.train.device)), settings.features.noise, settings.train.shift)
     return TrainingData(segments, projection, features, inputs, recording.observation, upright)
+
+
+def cached_features(
+    folder: Path,
+    key: str,
+    observation: np.ndarray,
+    segments: Segments,
+    settings: FeatureSettings,
+    generator: torch.Generator,
+) -> tuple[Features, torch.Tensor]:
+    """Like ``fit_features``, but read from a folder if it holds intact features with the same ``key``.
+
+    Another process that computes them there is waited for.
+    """
+    with only_process(folder):
+        found = _read_features(folder, key)
+        if found is None:
+            (folder / KEY).unlink(missing_ok=True)
+            fitted, features = fit_features(observation, segments, settings, generator)
+            made = {"mean": fitted.mean, "basis": fitted.basis.contiguous(), "features": features.contiguous()}
+            if fitted.edges is not None:
+                made["edges"] = fitted.edges
+            write_atomic(folder / TABLE, lambda part: save_file(made, part), features.nbytes)
+            write_json(folder / KEY, {"key": key, "sha256": sha256(folder / TABLE)})
+            found = load_file(folder / TABLE)  # which leaves them on the disk: those of a million images are 1 GB
+    shape = tuple(observation.shape[1:])
+    mean, basis = found["mean"], found["basis"]
+    fitted = Features(shape, settings.frequencies, mean, basis, found.get("edges"), settings.values)
+    return fitted, found["features"]
+
+
+def _read_features(folder: Path, key: str) -> dict[str, torch.Tensor] | None:
+    """Features stored in a folder with this key; None if the key differs or they are damaged."""
+    if not has_features(folder):
+        return None
+    try:
+        return load_file(folder / TABLE) if check_features(folder) == key else None
+    except (DamagedError, SafetensorError) as error:
+        log.warning("%s; the features are made again", error)
+        return None
+
+
+def check_features(folder: Path) -> str:
+    """Compare the features in a folder with their checksum and return their key; raises DamagedError."""
+    stored = read_json(folder / KEY)
+    check_sha256(folder / TABLE, str(stored.get("sha256")))
+    return str(stored.get("key"))
+
+
+def has_features(folder: Path) -> bool:
+    """Whether a folder holds complete features: the key is written last."""
+    return (folder / KEY).is_file() and (folder / TABLE).is_file()
 
 
 def digest_features(recording: Recording, settings: LearnSettings, seed: int) -> str:

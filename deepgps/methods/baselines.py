@@ -1,9 +1,10 @@
-"""Supervised baselines, the only methods that open labels: nearest neighbours on features, PCA with KNN, and PoseNet.
+"""Baselines: PoseNet, nearest neighbours on features, PCA with KNN, and what the encoders alone would teach.
 
-PCA with KNN is the paper's baseline on scans (its appendix): a map of stored scans at many headings. Turning the robot
-by a whole number of rays shifts the scan in a circle, so the many headings need not be observed. They are stored all
-the same, each as its principal components, which is what the method's memory holds. PoseNet (Kendall et al. 2015; paper
-Eq. 1) is the same network as DeepGPS's, trained on positions.
+Only these learn from labels. PoseNet (Kendall et al. 2015; paper Eq. 1) is DeepGPS's network with its inputs, steps and
+loop, trained on positions; dead-reckoned positions are such labels too. PCA with KNN is the paper's baseline on scans
+(its appendix): a map of stored scans at many headings. Turning the robot by a whole number of rays shifts the scan in a
+circle, so the many headings need not be observed. They are stored all the same, each as its principal components, which
+is what the method's memory holds.
 """
 
 import time
@@ -14,16 +15,78 @@ import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.data.labels import read_places
-from deepgps.data.segments import leave_held_out
-from deepgps.learning.trainer import make_generator
-from deepgps.learning.training_data import prepare
-from deepgps.methods.supervised import fit_positions
+from deepgps.data.segments import dead_reckon, leave_held_out
+from deepgps.learning import losses
+from deepgps.learning.batches import Batch
+from deepgps.learning.networks import count_parameters
+from deepgps.learning.trainer import make_generator, train
+from deepgps.learning.training_data import TrainingData, new_network, prepare
 from deepgps.positioner.nearest_scan import ScanPositioner
-from deepgps.positioner.positioner import Fitted, NeighbourPositioner
+from deepgps.positioner.positioner import Fitted, NeighbourPositioner, as_positioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.recording.format import Recording
-from sim.rng import stream
+from sim.rng import derive_seed, stream
+
+
+def fit_positions(
+    data: TrainingData,
+    index: torch.Tensor,
+    label: torch.Tensor,
+    settings: LearnSettings,
+    seed: int,
+    folder: Path,
+    progress: Report,
+) -> Fitted:
+    """Train on labelled observations with the paper's Eq. 1, the distance between prediction and label.
+
+    Observations on held-out segments are not learned from.
+
+    Args:
+        data: The network's input.
+        index: Labelled observations (n,).
+        label: Their positions (n, 2) [m].
+        settings: Network and training.
+        seed: Seed of weights and batches.
+        folder: The method's folder, for its checkpoint.
+        progress: Called with the steps done and their number.
+    """
+    index, label = leave_held_out(index, label, data.segments, len(data.features))
+    # The mean of the labels is the origin, since an untrained network predicts near zero.
+    centre = label.float().mean(dim=0)
+    device = data.device
+    index, label = index.to(device), (label.float() - centre).to(device)
+    count = settings.train.segments * settings.train.samples
+
+    def draw(generator: torch.Generator, done: float) -> Batch:
+        chosen = torch.randint(len(index), (count,), generator=generator, device=device)
+        return Batch(index[chosen], label[chosen], torch.ones(count, dtype=torch.bool, device=device))
+
+    def loss(out: torch.Tensor, batch: Batch, done: torch.Tensor) -> torch.Tensor:
+        return losses.distance(out, batch.target).mean()
+
+    network, shuffling = new_network(data, settings, 2, seed), derive_seed(seed, "shuffling")
+    seconds = train(
+        network, data.inputs, draw, loss, settings.train, shuffling, folder, progress, folder.name, replay=True
+    )
+    training = {
+        "steps": settings.train.steps,
+        "train_s": round(seconds, 1),
+        "parameters": count_parameters(network),
+    }
+    return Fitted(as_positioner(data, settings, network, -centre, torch.eye(2)), training)
+
+
+def fit_dead_reckoned(
+    recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report
+) -> Fitted:
+    """Train on dead-reckoned positions."""
+    # Where the robot turns, one observation has two readings; either gives its label. Lost readings give no label.
+    index, first = np.unique(recording.reading[:, 1], return_index=True)
+    place = dead_reckon(recording)[first, :2].astype(np.float32)
+    data = prepare(recording, settings, seed, folder.parent)
+    return fit_positions(data, torch.from_numpy(index), torch.from_numpy(place), settings, seed, folder, progress)
+
 
 NEIGHBOURS = 4
 """Number of stored positions that are averaged."""

@@ -8,6 +8,7 @@ from distances that it corrects as far. The network's task and the loss are the 
 the fold detector are ours.
 """
 
+import re
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,19 +22,19 @@ from deepgps.data.encoder_noise import find_inliers
 from deepgps.data.segments import Segments, find_stretches, subsample
 from deepgps.initial_map.distances.dense import find_initial_map
 from deepgps.initial_map.distances.end_points import find_end_point_map
-from deepgps.initial_map.distances.folding import find_ambiguous, score_folding
+from deepgps.initial_map.distances.folding import FoldScore, find_ambiguous, score_folding
 from deepgps.initial_map.distances.isomap import has_lines
 from deepgps.learning import losses
-from deepgps.learning.batches import Batch, sample_from
+from deepgps.learning.batches import Batch, Loss, sample_from
+from deepgps.learning.checkpoint import NAME as CHECKPOINT
+from deepgps.learning.losses import find_plane, flatten_later, imitate_first, sample_mapped_first
 from deepgps.learning.networks import count_parameters
-from deepgps.learning.starts import find_plane, flatten_later, imitate_first, sample_mapped_first
-from deepgps.learning.step import Loss
 from deepgps.learning.trainer import make_generator, predict, train
 from deepgps.learning.training_data import TrainingData, new_network, prepare
-from deepgps.methods.attempts import Attempt, label_attempt, train_until_unfolded
-from deepgps.positioner.positioner import Fitted, as_positioner
+from deepgps.positioner.positioner import Fitted, NetworkPositioner, as_positioner
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
+from sim.files.atomic import remove_files, write_bytes
 from sim.recording.format import Recording
 from sim.rng import derive_seed
 
@@ -41,6 +42,9 @@ INITIAL_MAPS = {"paths": find_initial_map, "ends": find_end_point_map}
 """Functions (features, segments, generator) -> positions, and the segments with corrected distances."""
 SLACK_M = {"paths": 0.03, "ends": 1.0}
 """Distance from the initial map that is not penalised [m]: about the map's error, which is large for end points."""
+HISTORY = "history.npz"
+FOLDER = re.compile(r"attempt\d+")
+FILES = re.compile(rf"{re.escape(HISTORY)}|{re.escape(CHECKPOINT)}")
 
 
 def make_initial_map(
@@ -83,6 +87,66 @@ class Variant:
     curvature: float = 0.0
     any_length: bool = False
     held: float | None = None
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One training and its map.
+
+    Attributes:
+        number: Its number, counted from 0.
+        positioner: The trained network.
+        score: How far its map is folded.
+        ambiguous: Observations that could be mirrored, as far as distances tell (N,) bool; none where turns tell.
+        seconds: Duration of the training.
+    """
+
+    number: int
+    positioner: NetworkPositioner
+    score: FoldScore
+    ambiguous: np.ndarray
+    seconds: float
+
+
+def train_until_unfolded(
+    train_once: Callable[[int, Path], Attempt], restarts: int, folder: Path
+) -> tuple[Attempt, list[Attempt]]:
+    """Train until a map shows no fold or no restart is left, and keep the history of the least folded attempt.
+
+    Args:
+        train_once: (number of the attempt, its folder) -> attempt.
+        restarts: Maximum number of trainings after the first one.
+        folder: The method's folder, which gets the history of the attempt that is chosen.
+
+    Returns:
+        The least folded attempt, and all attempts.
+    """
+    attempts = []
+    for number in range(restarts + 1):
+        attempts.append(train_once(number, _folder_of(folder, number)))
+        if not attempts[-1].score.folded:
+            break
+    best = min(range(len(attempts)), key=lambda number: attempts[number].score.worst)
+    write_bytes(folder / HISTORY, (_folder_of(folder, best) / HISTORY).read_bytes())
+    return attempts[best], attempts
+
+
+def label_attempt(folder: Path, number: int) -> str:
+    """Label of an attempt in progress reports: its method and the number of the restart."""
+    method = folder.parent.name
+    return method if number == 0 else f"{method}, restart {number}"
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the files of attempts and the checkpoint from a method's folder; a finished training needs neither."""
+    for attempt in folder.glob("attempt*"):
+        if FOLDER.fullmatch(attempt.name):
+            remove_files(attempt, FILES)
+    (folder / CHECKPOINT).unlink(missing_ok=True)
+
+
+def _folder_of(folder: Path, number: int) -> Path:
+    return folder / f"attempt{number}"
 
 
 def fit(recording: Recording, settings: LearnSettings, seed: int, folder: Path, progress: Report) -> Fitted:

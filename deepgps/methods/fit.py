@@ -12,12 +12,11 @@ import torch
 
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import METHODS
-from deepgps.data.checks import check_recording
-from deepgps.data.features import check_observations
+from deepgps.data.checks import check_observations, check_recording
 from deepgps.data.segments import fill_stretches, read_segments
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.learning.trainer import describe_device, use_threads
-from deepgps.methods.attempts import remove_leftovers
+from deepgps.methods.deepgps import remove_leftovers
 from deepgps.positioner.confidence_fit import make_confidence
 from deepgps.positioner.heading_fit import make_headings
 from deepgps.positioner.positioner import ArrayPositioner, FeaturePositioner, Fitted, NetworkPositioner, Positioner

@@ -1,12 +1,30 @@
-"""The second stage of a run: train its methods. What is trained already stays."""
+"""The second stage of a run: train its methods. What is trained already stays.
 
+Networks are trained side by side, each in a process of its own, as many at once as there are cores for their threads. A
+training fixes its number of threads and its random numbers, so it gives the same bytes in a process of its own.
+Features that several methods share are computed by the first that needs them, while the others wait.
+"""
+
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
+from subprocess import Popen
+from typing import NamedTuple
 
-from deepgps.config.methods import folder_of
+import numpy as np
+
+from deepgps.config.learning import LearnSettings
+from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.methods.side_by_side import Training, choose_networks, count_processes, train_side_by_side
 from deepgps.runs.provenance import timed
-from deepgps.terminal.progress import Report
+from deepgps.terminal.progress import Look, Report
+from sim.errors import WorkError
+from sim.processes import start_process, usable_cores
 from sim.recording.format import is_whole, open_recording
 
 
@@ -48,3 +66,133 @@ def train(scenario: Scenario, folder: Path, progress: Report, processes: int | N
 def training_seed(scenario: Scenario) -> int:
     """The seed of weights and shuffling: the scenario's, unless learning has one of its own."""
     return scenario.seed if scenario.learn.seed is None else scenario.learn.seed
+
+
+MIN_STEPS = 500
+"""A process of its own pays for trainings of so many steps; a shorter one takes about as long as importing torch."""
+PERIOD_S = 1.0
+"""Interval at which a training's history is sent to the parent."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """One method's training: its name, the recording's folder, how it learns, its seed and the method's folder."""
+
+    method: str
+    recording: Path
+    settings: LearnSettings
+    seed: int
+    folder: Path
+
+    def __call__(self, progress: Report) -> None:
+        """Train, or continue."""
+        from deepgps.methods.fit import fit_method
+
+        recording = open_recording(self.recording)
+        fit_method(self.method, recording, self.settings, self.seed, self.folder, progress)
+
+
+class Step(NamedTuple):
+    """A child's message: the arguments of a progress callback, with a training's history as arrays."""
+
+    label: str
+    done: int
+    total: int
+    history: Mapping[str, np.ndarray] | None
+
+
+def choose_networks(methods: Sequence[str], settings: LearnSettings) -> list[str]:
+    """Those methods that pay to be trained side by side; none on one core, and none on a GPU, which they would share.
+
+    A method that is added by a plugin or a program is known in that process alone.
+    """
+    from deepgps.learning.trainer import choose_device
+
+    networks = [name for name in methods if METHODS[name].in_steps and str(METHODS[name].fit).startswith("deepgps.")]
+    pays = len(networks) > 1 and count_processes(settings) > 1 and settings.train.steps >= MIN_STEPS
+    return networks if pays and choose_device(settings.train.device).type == "cpu" else []
+
+
+def count_processes(settings: LearnSettings) -> int:
+    """Number of trainings that the usable cores have room for."""
+    return max(1, usable_cores() // settings.train.threads)
+
+
+def train_side_by_side(trainings: Sequence[Training], most: int, progress: Report) -> None:
+    """Train each method in a process of its own, ``most`` at a time; the first error ends them all.
+
+    Every training continues from its checkpoint when it is started again.
+
+    Raises:
+        WorkError: A process died.
+    """
+    waiting = list(trainings)
+    with ExitStack() as ending:
+        active: dict[Connection, tuple[Training, Popen[bytes]]] = {}
+        while waiting or active:
+            while waiting and len(active) < most:
+                pipe, process = _start(ending)
+                active[pipe] = waiting.pop(0), process
+                with suppress(BrokenPipeError):  # it has died, as reading from it will show
+                    pipe.send(active[pipe][0])
+            for pipe in wait(list(active)):
+                assert isinstance(pipe, Connection)
+                training, process = active[pipe]
+                try:
+                    message = pipe.recv()
+                except (EOFError, OSError):
+                    raise WorkError(f"training {training.method}: its process ended with {process.wait()}") from None
+                if isinstance(message, Step):
+                    progress(*message[:3], _as_look(message.history))
+                elif isinstance(message, BaseException):
+                    raise message
+                else:
+                    process.wait()
+                    del active[pipe]
+
+
+def work(handle: int) -> None:
+    """Do the training that arrives through the pipe of this file descriptor: the main function of a child process."""
+    from deepgps.terminal.console import warn_plainly
+    from deepgps.terminal.streams import open_streams
+
+    open_streams()
+    warn_plainly()
+    pipe = Connection(handle)
+    training: Training = pipe.recv()
+    try:
+        training(_send_steps(pipe))
+        pipe.send(None)
+    except BrokenPipeError:  # the parent is gone
+        return
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        pipe.send(error)
+
+
+def _send_steps(pipe: Connection) -> Report:
+    sent: dict[str, float] = {}
+
+    def report(label: str, done: int, total: int, look: Look | None = None) -> None:
+        history, now = None, time.monotonic()
+        if look is not None and (done == total or now - sent.get(label, -PERIOD_S) >= PERIOD_S):
+            history, sent[label] = look(), now
+        pipe.send(Step(label, done, total, history))
+
+    return report
+
+
+def _as_look(history: Mapping[str, np.ndarray] | None) -> Look | None:
+    return None if history is None else lambda: history
+
+
+def _start(ending: ExitStack) -> tuple[Connection, Popen[bytes]]:
+    """Start a process that waits for its training, and is killed in the end: every file is written atomically."""
+    pipe, end = Pipe()
+    code = "from deepgps.methods.train import work; work(int(sys.argv[1]))"
+    process = start_process(code, [str(end.fileno())], [end.fileno()])
+    end.close()
+    stop: Callable[[], object]
+    for stop in (pipe.close, process.wait, process.kill):
+        ending.callback(stop)
+    return pipe, process

@@ -7,7 +7,7 @@ import numpy as np
 from deepgps.data.features import check_shape
 
 ROUNDS = 20
-CHUNK = 1000
+POINTS_AT_ONCE = 1000
 DAMPING = 1e-12
 
 
@@ -26,8 +26,10 @@ class LandmarkPositioner:
     def __call__(self, observations: np.ndarray) -> np.ndarray:
         """Positions (B, 2) float64 [m], in the landmarks' frame, of distances (B, M) [m]."""
         check_shape(observations, (len(self.landmark),))
-        starts = range(0, len(observations), CHUNK)
-        found = [trilaterate(self.landmark, observations[start : start + CHUNK], self.reach_m) for start in starts]
+        starts = range(0, len(observations), POINTS_AT_ONCE)
+        found = [
+            trilaterate(self.landmark, observations[start : start + POINTS_AT_ONCE], self.reach_m) for start in starts
+        ]
         return np.concatenate([np.zeros((0, 2)), *found])
 
 

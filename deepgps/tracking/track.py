@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from deepgps.data.segments import Segments, dead_reckon, read_segments
-from deepgps.initial_map.distances.wheel_turns import find_chirality
+from deepgps.initial_map.distances.dense import find_chirality
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner, headings_of
 from deepgps.terminal.progress import Report

@@ -22,11 +22,13 @@ from deepgps.initial_map.compass.closures import (
     find_contradicted,
     find_doubted,
     find_parts,
+    join_parts,
     limit_gate,
     link,
 )
-from deepgps.initial_map.compass.join_parts import join_parts
-from deepgps.initial_map.distances.odometry import (
+from deepgps.initial_map.compass.least_squares import (
+    SAMPLES,
+    Equations,
     Joints,
     Scale,
     add_links,
@@ -36,7 +38,6 @@ from deepgps.initial_map.distances.odometry import (
     make_joints,
     rescale,
 )
-from deepgps.initial_map.least_squares import SAMPLES, Equations
 
 NEIGHBOURS = 3
 ROUNDS, LATELY, GROWN = 20, 5, 0.1

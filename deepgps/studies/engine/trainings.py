@@ -14,8 +14,7 @@ from pathlib import Path
 
 from deepgps.config.methods import METHODS
 from deepgps.config.scenario import Scenario
-from deepgps.data.features import check_features, has_features
-from deepgps.learning.training_data import FEATURES, digest_features
+from deepgps.learning.training_data import FEATURES, check_features, digest_features, has_features
 from deepgps.methods.train import training_seed
 from deepgps.positioner.stored_positioner import is_finished, load_positioner, read_training
 from deepgps.runs.run_folder import FEATURE_FILES, TRAINED_FILES

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from deepgps.config.learning import FeatureSettings, LearnSettings
 from deepgps.data.features import (
-    cached_features,
     describe,
     draw_rings,
     find_edges,
@@ -18,7 +17,7 @@ from deepgps.data.features import (
     solve_generalised,
 )
 from deepgps.data.segments import find_held_out, read_segments
-from deepgps.learning.training_data import prepare
+from deepgps.learning.training_data import cached_features, prepare
 from sim.errors import InputError
 from tests.helpers.toy import make_toy
 

@@ -7,8 +7,7 @@ from scipy.stats import rankdata
 
 from deepgps.config.learning import FeatureSettings
 from deepgps.data import features
-from deepgps.data.features import describe, fit_features
-from deepgps.data.light import rank_values, relight
+from deepgps.data.features import describe, fit_features, rank_values, relight
 from deepgps.data.segments import Segments
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
-from deepgps.data.relative_headings import compare_headings, measure_curvature
 from deepgps.data.segments import Segments
+from deepgps.data.turns import compare_headings, measure_curvature
 
 SECTORS = 64
 

@@ -10,11 +10,10 @@ from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTens
 
 from deepgps.config.learning import Architecture, LearnSettings, LiftSettings, NetworkSettings, TrainSettings
 from deepgps.learning import losses
-from deepgps.learning.batches import Batch, Inputs
+from deepgps.learning.batches import Batch, Inputs, Loss
+from deepgps.learning.losses import flatten_later, imitate_first
 from deepgps.learning.networks import make_network
-from deepgps.learning.starts import flatten_later, imitate_first
-from deepgps.learning.step import Loss, ReplayedStep, make_step, set_rate
-from deepgps.learning.trainer import make_generator, train
+from deepgps.learning.trainer import ReplayedStep, make_generator, make_step, set_rate, train
 from deepgps.methods.deepgps import segment_loss
 from deepgps.methods.variants import weigh_by_noise
 

@@ -6,9 +6,8 @@ import torch
 
 from deepgps.config.learning import NetworkSettings, TrainSettings
 from deepgps.learning import losses
-from deepgps.learning.batches import Batch, Inputs
+from deepgps.learning.batches import Batch, Inputs, Loss
 from deepgps.learning.networks import make_network
-from deepgps.learning.step import Loss
 from deepgps.learning.trainer import (
     choose_device,
     describe_device,

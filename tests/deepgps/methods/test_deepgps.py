@@ -9,7 +9,7 @@ import torch
 from deepgps.config.learning import LearnSettings, LiftSettings
 from deepgps.data.segments import Segments, read_segments, subsample
 from deepgps.learning.batches import Batch
-from deepgps.learning.starts import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later, imitate_first
+from deepgps.learning.losses import FLATTEN_FROM, FLATTEN_TO, find_plane, flatten_later, imitate_first
 from deepgps.methods.deepgps import SLACK_M, choose_start
 from deepgps.methods.fit import fit_method
 from deepgps.positioner.positioner import Positioner

@@ -11,8 +11,8 @@ from deepgps.config.scenario import load_scenario
 from deepgps.data.encoder_noise import expect_errors
 from deepgps.data.turns import measure_turns
 from deepgps.learning.training_data import prepare
-from deepgps.methods.deepgps_compass import make_compass_map
 from deepgps.methods.fit import fit_method
+from deepgps.methods.variants import make_compass_map
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError

@@ -11,9 +11,8 @@ import pytest
 from deepgps.config.learning import LearnSettings
 from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
-from deepgps.methods import side_by_side
-from deepgps.methods.side_by_side import choose_networks, train_side_by_side
-from deepgps.methods.train import train
+from deepgps.methods import train as side_by_side
+from deepgps.methods.train import choose_networks, train, train_side_by_side
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError, WorkError
 

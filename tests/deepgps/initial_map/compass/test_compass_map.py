@@ -10,7 +10,7 @@ from deepgps.data.segments import Segments
 from deepgps.data.turns import CompassTurns
 from deepgps.initial_map.compass.closures import Closures
 from deepgps.initial_map.compass.compass_map import CompassMap, find_compass_map
-from deepgps.initial_map.distances.odometry import CURVATURE
+from deepgps.initial_map.compass.least_squares import CURVATURE
 from sim.alignment import fit_alignment
 
 SPACING_M = 0.08

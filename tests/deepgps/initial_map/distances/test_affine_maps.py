@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from deepgps.data.segments import Segments
-from deepgps.initial_map.distances.affine_maps import find_affine_maps, find_modes, find_plane
+from deepgps.initial_map.distances.dense import find_affine_maps, find_modes, find_plane
 from deepgps.initial_map.distances.isomap import LoopClosures, map_by_paths
 from deepgps.initial_map.distances.pose_graph import build_pose_graph, relax
 from sim.alignment import fit_alignment

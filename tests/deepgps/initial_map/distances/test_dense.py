@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from deepgps.initial_map.distances import dense
-from deepgps.initial_map.distances.affine_maps import find_affine_maps
-from deepgps.initial_map.distances.dense import find_initial_map
+from deepgps.initial_map.distances.dense import find_affine_maps, find_initial_map
 from deepgps.initial_map.distances.isomap import find_loop_closures
-from deepgps.initial_map.distances.uneven_bars import Relaxed
+from deepgps.initial_map.distances.pose_graph import Relaxed
 from tests.deepgps.initial_map.distances.test_pose_graph import error
 
 

@@ -8,8 +8,14 @@ import torch
 
 from deepgps.data.segments import Segments
 from deepgps.initial_map.distances.isomap import LoopClosures, find_loop_closures
-from deepgps.initial_map.distances.pose_graph import build_pose_graph, derive_apart, relax
-from deepgps.initial_map.distances.uneven_bars import NOISE_LEAST, UnevenBars, relax_unevenly
+from deepgps.initial_map.distances.pose_graph import (
+    NOISE_LEAST,
+    UnevenBars,
+    build_pose_graph,
+    derive_apart,
+    relax,
+    relax_unevenly,
+)
 from sim.alignment import fit_alignment
 from tests.helpers.toy import DescribedToy
 

@@ -9,7 +9,7 @@ import pytest
 from deepgps.config.learning import LearnSettings
 from deepgps.data.features import normalise
 from deepgps.data.segments import read_segments
-from deepgps.initial_map.distances.wheel_turns import find_chirality, read_turns, straighten
+from deepgps.initial_map.distances.dense import find_chirality, read_turns, straighten
 from deepgps.methods.fit import fit_method
 from sim.alignment import fit_alignment
 from sim.recording.format import Recording, open_truth

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deepgps.data.features import TABLE
-from deepgps.learning.training_data import FEATURES
+from deepgps.learning.training_data import FEATURES, TABLE
 from deepgps.methods.fit import fit_method
 from deepgps.methods.train import training_seed
 from deepgps.runs.run_folder import open_run
