@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from deepgps.positioner.positioner import Fitted as Fitted
     from sim.errors import InputError as InputError
     from sim.errors import WorkError as WorkError
-    from sim.occupancy import FreeSpace as FreeSpace
+    from sim.geometry import FreeSpace as FreeSpace
     from sim.plugins import EncoderFault as EncoderFault
     from sim.sensors.camera.lens import Lens as Lens
     from sim.sensors.camera.unwrap import unwrap_fisheye as unwrap_fisheye
@@ -32,7 +32,7 @@ _HOMES = {
     "deepgps.config.scenario": ("Scenario",),
     "deepgps.positioner.positioner": ("Fitted",),
     "sim.errors": ("InputError", "WorkError"),
-    "sim.occupancy": ("FreeSpace",),
+    "sim.geometry": ("FreeSpace",),
     "sim.plugins": ("EncoderFault",),
     "sim.sensors.camera.lens": ("Lens",),
     "sim.sensors.camera.unwrap": ("unwrap_fisheye",),

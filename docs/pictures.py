@@ -35,7 +35,7 @@ from deepgps.viewer.scene import colours_of_places
 from sim.alignment import fit_alignment
 from sim.files.atomic import write_bytes
 from sim.files.checksums import read_arrays
-from sim.occupancy import limits
+from sim.geometry import limits
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from sim.sensors.camera.gl import choose_backend
 

@@ -21,7 +21,7 @@ from deepgps.reports.style import to_png
 from deepgps.reports.table import tabulate
 from docs.pictures import PICTURES, reduce
 from sim.files.atomic import write_bytes
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.recording.format import open_truth
 
 OF_ALL, OF_ACCEPTED = ("RMS, all", "p95", "max"), ("RMS, accepted", "p95", "max")

@@ -21,8 +21,8 @@ from docs.generate import (
     describe_study,
     list_groups,
 )
+from sim.files import SCENARIOS, STUDIES
 from sim.files.checksums import read_json
-from sim.paths import SCENARIOS, STUDIES
 from sim.settings import EncoderSettings
 from tests.helpers.command import deepgps_here
 from tests.helpers.pages import PAGES, ROOT, check_block, find_blocks

@@ -49,18 +49,16 @@ WITHOUT_MUJOCO = {
         "sim.settings",
         "sim.plugins",
         "sim.errors",
-        "sim.paths",
+        "sim.files",
         "sim.rng",
         "sim.processes",
     ),
     *(
         "sim.geometry",
         "sim.alignment",
-        "sim.occupancy",
         "sim.recording.format",
         "sim.recording.manifest",
         "sim.recording.derive",
-        "sim.recording.conditions",
         "sim.recording.turns",
         "sim.rooms.mjcf_files",
     ),
@@ -71,12 +69,11 @@ WITHOUT_MUJOCO = {
         "sim.sensors.camera.lens",
         "sim.sensors.camera.mount",
         "sim.sensors.camera.unwrap",
-        "sim.sensors.camera.raw_camera",
         "sim.sensors.encoder",
         "sim.sensors.camera.faults",
     ),
     *(f"sim.files.{name}" for name in ("atomic", "checksums")),
-    *(f"sim.settings.{name}" for name in ("group", "robot", "sensors", "world")),
+    *(f"sim.settings.{name}" for name in ("group", "robot", "world")),
     "sim.robot_log.mcap_file",
 }
 ENTRY_POINTS = ("deepgps.commands", "deepgps.runs.collect", "deepgps.run")
@@ -390,7 +387,7 @@ LEARNING = sorted(module for module in MODULES if is_in(module, "deepgps") and r
     ("modules", "banned"),
     [
         (
-            sorted({*WITHOUT_MUJOCO, "sim.planar.landmarks", "sim.planar.obstacles"}),
+            sorted({*WITHOUT_MUJOCO, "sim.planar.drive", "sim.planar.worlds"}),
             ("mujoco", "dm_control", "torch", "rerun", "tyro", "OpenGL"),
         ),
         (LEARNING, ("mujoco", "dm_control", "rerun", "tyro", "OpenGL", "ray")),

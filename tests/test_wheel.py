@@ -87,7 +87,7 @@ def test_metadata_tells_what_an_index_shows(wheel):
 def test_installed_command_finds_its_assets_from_another_folder(installed, tmp_path):
     program = str(installed / "bin" / "deepgps")
     assert "doctor" in call(program, "--help", cwd=tmp_path, PYTHONPATH=str(installed))
-    listing = "import sim.paths as p; print(p.__file__, *p.SCENARIOS.iterdir(), *p.STUDIES.iterdir(), sep='\\n')"
+    listing = "import sim.files as p; print(p.__file__, *p.SCENARIOS.iterdir(), *p.STUDIES.iterdir(), sep='\\n')"
     where, *found = call(sys.executable, "-c", listing, cwd=tmp_path, PYTHONPATH=str(installed)).splitlines()
     assert where == str(installed / "sim" / "paths.py")
     here = [*(ROOT / "assets" / "scenarios").iterdir(), *(ROOT / "assets" / "studies").iterdir()]

@@ -14,7 +14,7 @@ from deepgps.config.scenario import Scenario
 from deepgps.config.setting_problems import describe_problems
 from deepgps.data.checks import check_observations, check_readings
 from sim.errors import InputError, quote, shorten
-from sim.occupancy import FreeSpace, save_free_space
+from sim.geometry import FreeSpace, save_free_space
 from sim.recording.format import (
     Truth,
     check_recording,

@@ -19,7 +19,7 @@ from deepgps.terminal.failures import explain, find_version
 from deepgps.terminal.signals import ignore_signals, stop_at_signals
 from deepgps.terminal.streams import flush_streams
 from sim.errors import InputError, quote, shorten
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 
 if IS_WORKER:
     warn_plainly()  # a worker has no progress bars

@@ -30,7 +30,7 @@ from deepgps.config.spelling import (
 )
 from deepgps.runs.source import Source, find_source
 from sim.errors import InputError, shorten
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 from sim.settings import Group
 
 

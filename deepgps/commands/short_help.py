@@ -5,7 +5,7 @@ from typing import Any, get_args
 
 from deepgps.config.scenario import Scenario, names_in
 from deepgps.config.spelling import as_option, find_group
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 
 OPTIONS = (
     ("--out FOLDER", "run folder; else runs/SCENARIO/seedN-HASH"),

@@ -13,7 +13,7 @@ from deepgps.terminal.console import errors, quote_path, say
 from deepgps.terminal.failures import working_in
 from deepgps.terminal.progress import show_progress
 from sim.errors import InputError, WorkError
-from sim.paths import STUDIES
+from sim.files import STUDIES
 
 
 @dataclass(frozen=True)

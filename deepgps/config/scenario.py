@@ -24,7 +24,7 @@ from deepgps.config.plain_yaml import read_yaml
 from deepgps.config.setting_problems import DEEPEST, describe_first, describe_problems
 from deepgps.config.spelling import as_key, find_like, suggest
 from sim.errors import InputError, quote, shorten
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 from sim.plugins import ENCODER_FAULTS, HOW_TO_LOAD
 from sim.recording.manifest import ObservationKind, name_sensors
 from sim.settings import SimSettings

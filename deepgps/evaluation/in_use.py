@@ -15,8 +15,8 @@ from deepgps.positioner.positioner import NetworkPositioner, Positioner
 from deepgps.tracking.causes import name_causes
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
-from sim.recording.conditions import FOLDER as IN_USE
 from sim.recording.format import OF_USE, Recording, open_recording, open_truth
+from sim.recording.manifest import FOLDER as IN_USE
 
 
 def open_drive_in_use(recording: Recording) -> Recording | None:

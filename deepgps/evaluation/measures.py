@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from deepgps.evaluation.error_field import ErrorField, find_rms
 from deepgps.positioner.pose import Poses
 from sim.alignment import Alignment
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 SEEN_WITHIN_M = 0.25
 OFF_CENTRE = 0.25

@@ -23,7 +23,7 @@ from sim.alignment import Alignment
 from sim.errors import InputError, quote
 from sim.files.atomic import check_overwrite
 from sim.files.checksums import write_json
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 

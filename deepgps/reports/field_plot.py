@@ -16,7 +16,7 @@ from matplotlib.lines import Line2D
 
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, read_all_headings, split_by_acceptance
 from deepgps.reports.style import PAPER, SCREEN, Floor, count_by_decades
-from sim.occupancy import FreeSpace, limits
+from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 REFUSED = "#9aa0aa"

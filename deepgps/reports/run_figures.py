@@ -19,7 +19,7 @@ from deepgps.reports.run_report import read_metrics
 from deepgps.reports.style import smooth, to_png
 from sim.files.atomic import write_bytes
 from sim.files.checksums import read_arrays
-from sim.occupancy import FreeSpace, limits
+from sim.geometry import FreeSpace, limits
 from sim.recording.format import Truth, open_recording, open_truth
 
 NOTE_IN = 0.4

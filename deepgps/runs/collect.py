@@ -2,7 +2,7 @@
 
 import logging
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +18,6 @@ from sim.errors import DamagedError, InputError, WorkError
 from sim.recording.derive import derive
 from sim.recording.format import check_recording, is_whole
 from sim.sensors.catalog import SENSORS, list_carried
-from sim.settings import WorldName
 
 log = logging.getLogger(__name__)
 
@@ -77,7 +76,11 @@ def make_recording(
             return _record_room(scenario, folder, progress, renderers, base)
         except DamagedError as error:
             log.warning("%s; the drive is made again", error)
-    RECORD[scenario.world](scenario, folder, progress, renderers)
+    if scenario.world == "room":
+        return _record_room(scenario, folder, progress, renderers)
+    from sim.planar.drive import collect as collect_plane
+
+    collect_plane(scenario.sim, scenario.seed, folder, progress)
 
 
 def check_log(path: Path, scenario: Scenario) -> None:
@@ -115,22 +118,3 @@ def _record_room(
     from sim.recording.collect import collect as collect_room
 
     collect_room(scenario.sim, scenario.seed, folder, progress, renderers, base)
-
-
-def _record_landmarks(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
-    from sim.planar.landmarks import collect as collect_landmarks
-
-    collect_landmarks(scenario.sim, scenario.seed, folder, progress)
-
-
-def _record_obstacles(scenario: Scenario, folder: Path, progress: Report, renderers: int | None) -> None:
-    from sim.planar.obstacles import collect as collect_lidar
-
-    collect_lidar(scenario.sim, scenario.seed, folder, progress)
-
-
-RECORD: dict[WorldName, Callable[[Scenario, Path, Report, int | None], None]] = {
-    "room": _record_room,
-    "landmarks": _record_landmarks,
-    "obstacles": _record_obstacles,
-}

@@ -11,8 +11,8 @@ from deepgps.config.scenario import Scenario, list_settings, load_scenario, name
 from deepgps.config.spelling import as_option
 from deepgps.runs.run_folder import METRICS, RUN, WITHOUT_TRUTH, describe_no_run, list_runs, open_run
 from sim.errors import InputError
+from sim.files import SCENARIOS
 from sim.files.checksums import damaged, read_json
-from sim.paths import SCENARIOS
 from sim.recording.format import is_whole
 
 HEADINGS = ("run", "age", "RMS (median) [cm]", "differs from its scenario by")

@@ -16,8 +16,8 @@ from deepgps.runs.inputs import RECORDING, digest, note_inputs, read_inputs
 from deepgps.runs.owned_folder import FRESH
 from deepgps.runs.run_folder import RUN, default_folder, describe_no_run, join_methods, list_runs, open_run
 from sim.errors import InputError, shorten
+from sim.files import SCENARIOS
 from sim.files.checksums import sha256
-from sim.paths import SCENARIOS
 from sim.recording.format import is_whole, read_manifest
 
 MANIFEST = "manifest.json"

@@ -23,7 +23,7 @@ from deepgps.studies.catalog import REPORTS
 from deepgps.studies.study import Point, Study
 from deepgps.terminal.progress import Report, ignore
 from sim.errors import InputError, shorten
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 
 MOST_RUNS = 10_000
 MOST_WRONG = 500

@@ -21,7 +21,7 @@ from deepgps.config.scenario import (
 from deepgps.config.setting_problems import describe_problems
 from deepgps.studies.catalog import REPORTS
 from sim.errors import InputError, quote, shorten
-from sim.paths import STUDIES
+from sim.files import STUDIES
 from sim.settings import Group
 from sim.settings.group import Seed
 

@@ -93,6 +93,8 @@ def _describe(error: BaseException, words: Sequence[str], folder: Path | None) -
         return f"{plugin}: {type(error).__name__}: {one_line(error)}"
     if isinstance(error, OSError):
         return _explain_file(error, folder)
+    if isinstance(error, ModuleNotFoundError) and not (error.name or "sim").startswith(("sim", "deepgps")):
+        return f"the package {error.name} is missing: deepgps doctor says how to install it"
     if isinstance(error, MemoryError):
         return f"the memory of this machine is not enough ({one_line(error)})"
     return _report(error, words, folder)

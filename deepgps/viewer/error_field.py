@@ -20,7 +20,7 @@ from deepgps.evaluation.measures import find_seen
 from deepgps.reports.field_plot import REFUSED, colours_of
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import Rows, put
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 LARGE_M = 0.1
 PARTS = ("above_10_cm", "below_10_cm")

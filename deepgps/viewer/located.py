@@ -16,7 +16,7 @@ from deepgps.viewer.scene import LAYER_M, lift, log_room
 from deepgps.viewer.views import aim_eye, arrange, room_view
 from deepgps.viewer.window.connect import find_url, knock, open_viewer
 from sim.errors import InputError, one_line
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.recording.format import has_truth, open_truth
 
 APPLICATION = "deepgps locate"

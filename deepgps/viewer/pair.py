@@ -29,7 +29,7 @@ from deepgps.viewer.scene import LAYER_M, STRIP, lift, log_room, log_scale, log_
 from deepgps.viewer.timeline import put_text
 from deepgps.viewer.views import aim_eye, arrange, field_view, room_view, text_view
 from sim.errors import InputError
-from sim.occupancy import FreeSpace, limits
+from sim.geometry import FreeSpace, limits
 from sim.recording.format import open_truth
 
 PAIRS = "pairs"

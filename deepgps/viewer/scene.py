@@ -17,7 +17,7 @@ from deepgps.reports.field_plot import SCALE_M, TICKS_M, colours_of
 from deepgps.reports.style import SCREEN
 from deepgps.viewer.timeline import Rows, put
 from sim.errors import InputError
-from sim.occupancy import FreeSpace, limits
+from sim.geometry import FreeSpace, limits
 
 LAYER_M = 0.01  # height of one drawn layer above the next
 STRIP = 65  # colours along a scale

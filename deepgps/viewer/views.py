@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from deepgps.viewer.timeline import lately
-from sim.occupancy import FreeSpace, limits
+from sim.geometry import FreeSpace, limits
 
 STILL = rrb.EntityBehavior(interactive=False)
 HIDDEN = rrb.EntityBehavior(visible=False)

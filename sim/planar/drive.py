@@ -5,17 +5,15 @@ computed from the distance travelled as in a room, with the errors that the sett
 """
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from sim.errors import WorkError
-from sim.geometry import wrap
-from sim.occupancy import FreeSpace, save_free_space
+from sim.geometry import save_free_space, wrap
+from sim.planar.worlds import LandmarkWorld, LidarWorld
 from sim.recording.format import (
     Report,
     grid_file,
@@ -40,8 +38,7 @@ LEAST_STEPS = 3
 """A heading that meets a wall in fewer steps than this is drawn again."""
 TRIES = 10_000
 """Draws of a heading before the robot is taken to be stuck."""
-PACKAGES = ("numpy",)
-Observe = Callable[[np.ndarray], np.ndarray]
+World = LandmarkWorld | LidarWorld
 
 
 @dataclass(frozen=True)
@@ -65,74 +62,45 @@ class PlanarDrive:
     turn_pose: np.ndarray
 
 
-class PlaneWorld(Protocol):
-    """A plane world.
-
-    Attributes:
-        segments: Straight segments to drive, at most.
-        relocate_after: Segments after which the robot is relocated; 0: never.
-    """
-
-    segments: int
-    relocate_after: int
-
-    def draw_start(self, rng: np.random.Generator) -> np.ndarray:
-        """Draw the place where the robot is set down (2,) [m]."""
-        ...
-
-    def way_ahead(self, place: np.ndarray, yaw: float) -> float:
-        """Return the distance from a place (2,) [m] along a heading [rad] to the first obstruction [m]."""
-        ...
-
-
-def record(
-    world: PlaneWorld,
-    observe: Observe,
-    observe_turn: Observe | None,
-    test_pose: np.ndarray,
-    space: FreeSpace,
-    truth: dict[str, np.ndarray],
-    settings: SimSettings,
-    seed: int,
-    folder: Path,
-    progress: Report,
-) -> None:
-    """Drive a plane world and write the recording.
+def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
+    """Make a recording of a plane world, unless there is a complete one.
 
     Args:
-        world: Where to drive.
-        observe: Returns the observations at poses (..., 3).
-        observe_turn: Returns those after turns in place; None: they show nothing that those before do not.
-        test_pose: Poses of the test grid (C, H, 3).
-        space: Where the robot can be.
-        truth: Further ground-truth arrays, by file name.
-        settings: Encoder and drive (speeds, spacing, samples at most) are used.
-        seed: Seed of the RNG streams for driving and encoder.
-        folder: The recording's folder.
+        settings: World, lidar, encoder, drive (speeds, spacing, samples at most) and test grid are used.
+        seed: Seed of the RNG streams for world, driving, encoder and noise.
+        folder: The recording's folder; complete once it holds ``manifest.json``.
         progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
+
+    Raises:
+        InputError: There is no room for any test position.
+        WorkError: The robot finds no way on.
     """
+    if (folder / "manifest.json").is_file():
+        return
     start = time.perf_counter()
+    world = (LandmarkWorld if settings.world == "landmarks" else LidarWorld)(settings, seed)
+    test_pose = world.lay_grid(settings.grid)
     drive = drive_segments(world, settings, stream(seed, "drive"), progress)
     ticks, arrived = read_encoders(drive.wheel_angle, WHEEL_RADIUS_M, settings.encoder, stream(seed, "encoder"))
     remove_recording(folder)  # what an interrupted collection left behind
-    save_free_space(folder / "truth" / "free_space.npz", space)
+    save_free_space(folder / "truth" / "free_space.npz", world.space)
     sensors = name_sensors(settings)
     sensor, *_ = sensors
     arrays = {
-        observation_file(sensor): observe(drive.pose),
+        observation_file(sensor): world.measure(drive.pose),
         time_file(sensor): stamp(drive.reading[:, 1], drive.time, len(drive.pose)),
         "reading.npy": np.column_stack([drive.reading, ticks])[arrived],
         "time.npy": drive.time[arrived],
-        grid_file(sensor): observe(test_pose),
+        grid_file(sensor): world.measure(test_pose),
         "truth/pose.npy": drive.pose,
         "truth/reading.npy": drive.reading,
         "truth/wheel_angle.npy": drive.wheel_angle,
         "truth/test_pose.npy": test_pose,
-        **{f"truth/{name}": array for name, array in truth.items()},
+        **{f"truth/{name}": array for name, array in world.truth.items()},
     }
-    if observe_turn is not None and settings.drive.turn_images:
+    if world.turn_images and settings.drive.turn_images:
         arrays[TURNS] = lose_turns(drive.turns, drive.reading[:, 0], arrived).array
-        arrays[turn_file(sensor)] = observe_turn(drive.turn_pose)
+        arrays[turn_file(sensor)] = world.measure(drive.turn_pose, turned=True)
     manifest = {
         "sensors": sensors,
         "settings": settings.model_dump(mode="json"),
@@ -141,13 +109,13 @@ def record(
         "readings_lost": int((~arrived).sum()),
         "odometry": describe_odometry(settings.encoder, WHEEL_RADIUS_M, TRACK_M),
         "gl_renderer": "none",
-        "packages": {name: version(name) for name in PACKAGES},
+        "packages": {"numpy": version("numpy")},
         "collect_s": round(time.perf_counter() - start, 2),
     }
     write_files(folder, arrays, manifest)
 
 
-def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Generator, progress: Report) -> PlanarDrive:
+def drive_segments(world: World, settings: SimSettings, rng: np.random.Generator, progress: Report) -> PlanarDrive:
     """Drive straight segments from wall to wall, with random headings (paper, Sec. IV-A)."""
     drive, wanted = settings.drive, world.segments
     place, yaw, angle, clock = world.draw_start(rng), 0.0, np.zeros(2), 0.0
@@ -191,7 +159,7 @@ def drive_segments(world: PlaneWorld, settings: SimSettings, rng: np.random.Gene
 
 
 def choose_heading(
-    world: PlaneWorld, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
+    world: World, place: np.ndarray, spacing_m: float, longest_m: float, rng: np.random.Generator
 ) -> tuple[float, int]:
     """Draw a heading [rad], uniform among those with LEAST_STEPS clear spacings or more, and count them.
 

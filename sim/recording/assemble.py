@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sim.apriltag.bundle_adjustment import write_labels
 from sim.apriltag.detector import Detections
-from sim.apriltag.labels import write_labels
 from sim.errors import DamagedError
 from sim.files.checksums import read_arrays, write_array, write_blocks
 from sim.geometry import planar_pose
+from sim.recording.chunks import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.recording.format import grid_file, measure_driven, observation_file, stamp, time_file, turn_file
-from sim.recording.sensing import DIFFERED, IMAGE, RENDERER, TWICE, part_files
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import count_images, list_turns, lose_turns
 from sim.sensors.camera.tag_camera import NAME, camera_matrix, mounting

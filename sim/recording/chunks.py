@@ -1,13 +1,26 @@
-"""Chunks of a drive: each holds the robot's states and everything needed to drive on."""
+"""Chunks of a drive: each holds the robot's states and everything needed to drive on.
+
+Worker processes sense the states; each opens its sensors once and keeps them.
+"""
 
 import json
+import os
+import zlib
+from collections.abc import Callable
+from functools import cache, lru_cache
+from pathlib import Path
 
+import mujoco
 import numpy as np
 
+from sim.files.checksums import write_arrays
+from sim.recording.manifest import STATES
+from sim.recording.renderers import Part, UnsteadyError
 from sim.recording.turns import KINDS
 from sim.robot.drive import DriveMode, Segment, next_segment
 from sim.robot.headings import Visits
 from sim.robot.world import RoomWorld
+from sim.sensors.catalog import SENSORS, Opened, list_carried, load
 from sim.settings import SimSettings
 
 CHUNK = 256
@@ -74,3 +87,82 @@ def _name_turn(segment: Segment) -> int:
     if segment.relocated or segment.after_arc:
         return KINDS.index("relocated")
     return KINDS.index("in_place" if segment.continues else "backed_off")
+
+
+IMAGE, RENDERER, TWICE, DIFFERED = "image", "renderer", "drawn_twice", "differed"
+"""Names of the arrays in a part's files."""
+Beat = Callable[[], None]
+"""Signals that the work continues."""
+
+
+def _rest() -> None:
+    pass
+
+
+def sense_part(part: Part, beat: Beat) -> None:
+    """Run in a worker: write those files of a part that do not exist yet, one for each sensor.
+
+    One image of each camera is drawn again after the others to check that the renderer can be trusted. A file holds the
+    observations, if they are kept, and what was found in them; the name of the renderer (``renderer``), how many images
+    were drawn twice and how often they differed.
+
+    Raises:
+        UnsteadyError: An image that was drawn twice came out different; its file is not written.
+    """
+    for name, path in part_files(part.settings, part.path).items():
+        if path.is_file():
+            continue
+        sensor, seen = SENSORS[name], observe(name, part.settings, part.states, part.leans, beat)
+        if sensor.renders:
+            _draw_again(name, part, path, seen, beat)
+        kept = {IMAGE: seen} if sensor.kept(part.settings) else {}
+        found = vars(load(sensor.extract)(seen)) if sensor.extract else {}
+        renderer = np.array(open_sensors(part.settings)[name].renderer)  # pyright: ignore[reportArgumentType]
+        counts = {TWICE: np.array(sensor.renders + part.differed), DIFFERED: np.array(part.differed)}
+        write_arrays(path, {**kept, **found, RENDERER: renderer, **counts})
+
+
+def part_files(settings: SimSettings, path: Path) -> dict[str, Path]:
+    """Files of a part by sensor: that of the sensor from which methods learn is ``path``, the others are next to it."""
+    first, *others = list_carried(settings)
+    return {first: path, **{name: path.with_suffix(f".{name}.npz") for name in others}}
+
+
+def observe(
+    name: str, settings: SimSettings, states: np.ndarray, leans: np.ndarray | None = None, beat: Beat = _rest
+) -> np.ndarray:
+    """Ideal observations (n, ...) of a sensor at states (n, nq), with the fisheye camera leaning by (n, 2) [rad].
+
+    Runs in a worker; ``beat`` is called after each observation.
+    """
+    sense = open_sensors(settings)[name].sense  # pyright: ignore[reportArgumentType] (frozen settings do hash)
+    seen = []
+    for number, state in enumerate(states):
+        seen.append(sense(state, None if leans is None else leans[number]))
+        beat()
+    return np.stack(seen)
+
+
+def _draw_again(name: str, part: Part, path: Path, images: np.ndarray, beat: Beat) -> None:
+    """Draw one image of a part again; raises UnsteadyError if it comes out different."""
+    count = len(images)
+    again = zlib.crc32(path.name.encode()) % max(count - 1, 1)  # not the last one, so that others come between
+    rows = slice(again, again + 1)
+    leans = None if part.leans is None else part.leans[rows]
+    if not np.array_equal(observe(name, part.settings, part.states[rows], leans, beat)[0], images[again]):
+        raise UnsteadyError(f"{path}: image {again} of {count} was drawn twice and came out different")
+
+
+@lru_cache(maxsize=len(STATES))
+def open_sensors(settings: SimSettings) -> dict[str, Opened]:
+    """The sensors that the robot carries, opened once per worker process, since a context belongs to its process.
+
+    Those of a drive in changing light stay open for each state of the light.
+    """
+    os.environ.setdefault("LP_NUM_THREADS", "0")  # no extra threads: the worker processes already share the cores
+
+    @cache
+    def scene() -> mujoco.MjModel:
+        return RoomWorld(settings).model
+
+    return {name: load(SENSORS[name].open or "")(settings, scene) for name in list_carried(settings)}

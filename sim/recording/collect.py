@@ -20,8 +20,7 @@ import numpy as np
 from sim.errors import DamagedError, InputError, WorkError
 from sim.files.atomic import check_space, list_files, remove_files
 from sim.files.checksums import write_array, write_arrays
-from sim.geometry import spread_headings
-from sim.occupancy import save_free_space
+from sim.geometry import save_free_space, spread_headings
 from sim.recording.assemble import (
     CollectedDrive,
     count_drawn,
@@ -32,14 +31,20 @@ from sim.recording.assemble import (
     write_tag_labels,
     write_tests,
 )
-from sim.recording.chunks import CHUNK, drive_chunk
-from sim.recording.conditions import FOLDER as IN_USE
-from sim.recording.conditions import NO_TESTS, choose_drive_in_use, light_part, seed_in_use, set_in_use
+from sim.recording.chunks import CHUNK, drive_chunk, part_files, sense_part
 from sim.recording.derive import link_training
 from sim.recording.format import COLLECTING, OWN, PART, RECORDING, Report, chunk_files, finish_recording, work_folder
-from sim.recording.manifest import PACKAGES, name_sensors
+from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.manifest import (
+    NO_TESTS,
+    PACKAGES,
+    choose_drive_in_use,
+    light_part,
+    name_sensors,
+    seed_in_use,
+    set_in_use,
+)
 from sim.recording.renderers import Part, Renderers, count_renderers
-from sim.recording.sensing import part_files, sense_part
 from sim.rng import stream
 from sim.robot.world import RoomWorld
 from sim.rooms.mjcf import list_notes

@@ -16,8 +16,6 @@ import numpy as np
 from sim.errors import InputError
 from sim.files.atomic import link_file
 from sim.files.checksums import write_array, write_blocks
-from sim.recording.conditions import FOLDER as IN_USE
-from sim.recording.conditions import choose_drive_in_use, seed_in_use
 from sim.recording.format import (
     OF_USE,
     Recording,
@@ -33,7 +31,8 @@ from sim.recording.format import (
     remove_recording,
     turn_file,
 )
-from sim.recording.manifest import Manifest, read_settings
+from sim.recording.manifest import FOLDER as IN_USE
+from sim.recording.manifest import Manifest, choose_drive_in_use, read_settings, seed_in_use
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, count_images, cut_turns, lose_turns
 from sim.rng import stream

@@ -19,9 +19,9 @@ from pydantic import ValidationError
 from sim.errors import DamagedError, InputError, one_line
 from sim.files.atomic import list_files, remove_files
 from sim.files.checksums import FORMAT, check_sha256, damaged, read_json, refuse_format, sha256, write_array, write_json
-from sim.occupancy import FreeSpace, load_free_space
-from sim.recording.conditions import FOLDER as IN_USE
+from sim.geometry import FreeSpace, load_free_space
 from sim.recording.manifest import DIMENSIONS, SENSOR, Manifest, ObservationKind, describe_problem
+from sim.recording.manifest import FOLDER as IN_USE
 from sim.recording.turns import FILE as TURNS
 from sim.recording.turns import Turns, check_turns, from_array
 

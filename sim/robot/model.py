@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from sim.paths import ROBOT
+from sim.files import ROBOT
 from sim.settings import CameraSettings, RobotSettings
 
 BASE = "base"

@@ -5,7 +5,7 @@ from functools import cached_property
 import mujoco
 import numpy as np
 
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.robot.calibrate import calibrate_own
 from sim.robot.chassis import Chassis
 from sim.robot.model import Body, describe_body

@@ -25,8 +25,7 @@ from sim.robot_log.mcap_file import (
     make_range,
     make_transforms,
 )
-from sim.robot_log.observe import JOINT_S, RECORDER, Clock, Observed
-from sim.robot_log.pictures import COLUMNS, PER_PART, ROWS, read_pictures
+from sim.robot_log.observe import COLUMNS, JOINT_S, PER_PART, RECORDER, ROWS, Clock, Observed, read_pictures
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.encoder import read_encoders
 from sim.settings import SimSettings

@@ -27,8 +27,17 @@ from sim.rng import stream
 from sim.robot.model import TRACK_M, WHEEL_RADIUS_M
 from sim.robot_log.content import JOINTS, list_topics
 from sim.robot_log.mcap_file import check_file, holds, write_mcap
-from sim.robot_log.observe import Observed, TracedWorld, join, make_base_clock, observe, trace_drive
-from sim.robot_log.pictures import PER_PART, ROWS, draw_part
+from sim.robot_log.observe import (
+    PER_PART,
+    ROWS,
+    Observed,
+    TracedWorld,
+    draw_part,
+    join,
+    make_base_clock,
+    observe,
+    trace_drive,
+)
 from sim.sensors.camera.mount import draw_leans
 from sim.sensors.encoder import describe_odometry
 from sim.settings import ImageFaultSettings, SimSettings

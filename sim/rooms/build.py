@@ -10,9 +10,8 @@ from sim.rng import split
 from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import COLLISION_GROUP, Footprint, block, box, make_look, paper, turned
 from sim.rooms.layout import Layout
-from sim.rooms.look_alike import hang_lamps, panel_ceiling, paper_wall
 from sim.rooms.outline import DOORWAY_M, outline, slabs
-from sim.rooms.placement import Finish, Room, surface
+from sim.rooms.placement import Finish, Room, hang_lamps, panel_ceiling, paper_wall, surface
 from sim.rooms.plans import PLANS, RoomPlan
 from sim.settings import RoomKind, RoomSettings, RoomShape
 

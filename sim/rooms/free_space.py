@@ -5,7 +5,7 @@ import numpy as np
 from scipy import ndimage
 
 from sim.errors import InputError
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 CLEARANCE_M = 0.005
 """The wheels climb over anything lower than this [m]: the floor itself, rugs, thresholds."""

@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 
-from sim.rooms.furniture import decor, seating, storage, tables
+from sim.rooms.furniture import decor, seating, storage
 from sim.rooms.furniture import fittings as wall
 from sim.rooms.furniture.primitives import Footprint
 from sim.rooms.layout import Cost, Pose
@@ -51,7 +51,7 @@ def sit(room: Room, width_m: float) -> None:
     if sofa is None:
         return
     stand(room, "television", storage.television, facing(sofa))
-    table = put(room, "coffee_table", tables.coffee_table, [sofa.ahead(d) for d in (1.25, 1.4)], False)
+    table = put(room, "coffee_table", seating.coffee_table, [sofa.ahead(d) for d in (1.25, 1.4)], False)
     if table is not None:
         spread(room, sofa.ahead(1.25), (float(rng.uniform(2.2, 2.6)), float(rng.uniform(1.5, 1.8))))
     sides = rng.permutation((-1.0, 1.0))
@@ -74,7 +74,7 @@ def sleep(room: Room, width_m: float) -> None:
         put(
             room,
             "bedside_table",
-            tables.bedside_table,
+            seating.bedside_table,
             [bed.ahead(-0.8, side * (width_m / 2 + 0.29))],
             False,
         )
@@ -98,21 +98,21 @@ def dine(room: Room, seats: int) -> None:
 
 def _with_chairs(body, rng, look, size):
     """Build a dining table whose footprint leaves room for its chairs."""
-    it = tables.dining_table(body, rng, look, width_m=size[0], depth_m=size[1])
+    it = seating.dining_table(body, rng, look, width_m=size[0], depth_m=size[1])
     return Footprint(it.width_m + 0.1, it.depth_m + 0.7, it.height_m)
 
 
 def work(room: Room, width_m: float) -> None:
     """Place a desk and its chair."""
     rng, side = room.rng, int(room.rng.choice((-1, 1)))
-    desk = stand(room, "desk", partial(tables.desk, width_m=width_m, side=side))
+    desk = stand(room, "desk", partial(seating.desk, width_m=width_m, side=side))
     if desk is None:
         return
     # The chair is where its user left it, or fully pushed in: half-way it would nearly close the space below the desk.
     aside, turn = float(rng.uniform(-0.1, 0.1)), np.pi + float(rng.uniform(-0.5, 0.5))
     left_behind = [desk.ahead(ahead, aside, turn) for ahead in (1.02, 1.1, 1.2)]
     if put(room, "office_chair", seating.office_chair, left_behind) is None:
-        pushed_in = desk.ahead(0.22, side * tables.KNEES_M, np.pi)
+        pushed_in = desk.ahead(0.22, side * seating.KNEES_M, np.pi)
         set_at(room, "office_chair", seating.office_chair, [pushed_in], at_table=True)
 
 

@@ -4,8 +4,7 @@ import numpy as np
 
 from sim.rooms.furniture import textures
 from sim.rooms.furniture.primitives import box
-from sim.rooms.look_alike import hang_lamps
-from sim.rooms.placement import Finish, Room, surface
+from sim.rooms.placement import Finish, Room, hang_lamps, surface
 
 CELL_M, WALL_M = 1.0, 0.08
 """Nominal side of a cell, and thickness of the walls [m]."""

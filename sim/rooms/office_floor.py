@@ -14,9 +14,8 @@ from sim.rooms.furniture import storage, textures
 from sim.rooms.furniture.primitives import Look, box, turned
 from sim.rooms.groups import adorn, work
 from sim.rooms.layout import CELL_M, Layout, Pose
-from sim.rooms.look_alike import paper_wall
 from sim.rooms.outline import Wall
-from sim.rooms.placement import Room, hang, in_a_corner, near, stand, surface
+from sim.rooms.placement import Room, hang, in_a_corner, near, paper_wall, stand, surface
 
 WALL_M, CORRIDOR_M, SIDE_M = 0.1, 1.6, 1.4
 """Thickness of the walls inside, and widths of the corridor and of the side corridor [m]."""

@@ -6,12 +6,11 @@ from functools import partial
 
 import numpy as np
 
-from sim.rooms.furniture import ceiling, decor, seating, storage, tables, textures
+from sim.rooms.furniture import ceiling, decor, seating, storage, textures
 from sim.rooms.furniture import fittings as wall
 from sim.rooms.groups import adorn, dine, enter, put_stand, sit, sleep, work
 from sim.rooms.lab import hang_tags, place_posts
 from sim.rooms.labyrinth import draw_size, light_cells, raise_labyrinth
-from sim.rooms.look_alike import hang_lamps
 from sim.rooms.office_floor import furnish_office_floor
 from sim.rooms.placement import (
     Finish,
@@ -20,6 +19,7 @@ from sim.rooms.placement import (
     centre,
     fix,
     hang,
+    hang_lamps,
     in_a_corner,
     near,
     set_at,
@@ -81,14 +81,14 @@ def furnish_kitchen(room: Room) -> None:
     enter(room, windows=2)
     longest = max(w.length_m for w in room.layout.walls)
     width = float(np.clip(rng.uniform(2.4, 3.0), 1.2, 0.6 * longest))
-    counters = [partial(tables.counter, width_m=share * width) for share in (1.0, 0.8, 0.6, 0.5)]
+    counters = [partial(seating.counter, width_m=share * width) for share in (1.0, 0.8, 0.6, 0.5)]
     counter = stand_first(room, "counter", counters)
     beside = None if counter is None else near(counter)
     stand(room, "fridge", storage.fridge, beside)
     stand(room, "oven", storage.oven, beside)
     dine(room, 4)
     if counter is not None and room.area_m2 > 16:
-        island = centre(room, "island", tables.island, near(counter.ahead(1.9)))
+        island = centre(room, "island", seating.island, near(counter.ahead(1.9)))
         if island is not None:
             set_at(room, "stool", seating.stool, [island.ahead(0.6, x) for x in (-0.27, 0.27)])
     stand(room, "cabinet", partial(storage.cabinet, width_m=1.2))
@@ -105,7 +105,7 @@ def furnish_studio(room: Room) -> None:
     enter(room, windows=2)
     sleep(room, 1.4)
     sit(room, 1.7)
-    counter = stand_first(room, "counter", [partial(tables.counter, width_m=width) for width in (1.8, 1.5, 1.2)])
+    counter = stand_first(room, "counter", [partial(seating.counter, width_m=width) for width in (1.8, 1.5, 1.2)])
     stand(room, "fridge", storage.fridge, None if counter is None else near(counter))
     stand(room, "wardrobe", partial(storage.wardrobe, width_m=1.2), in_a_corner(room))
     dine(room, 2)
@@ -120,13 +120,13 @@ def furnish_workshop(room: Room) -> None:
     rng = room.rng
     enter(room, windows=1, roller=True)
     for _ in range(2):
-        bench = stand(room, "workbench", partial(tables.workbench, width_m=float(rng.uniform(1.6, 2.1))))
+        bench = stand(room, "workbench", partial(seating.workbench, width_m=float(rng.uniform(1.6, 2.1))))
         if bench is not None:
             hang(room, "tool_wall", wall.tool_wall, near(bench))
             set_at(room, "stool", seating.stool, [bench.ahead(0.9, rng.uniform(-0.4, 0.4))])
     for _ in range(2):
         stand(room, "shelving", partial(storage.shelving, width_m=float(rng.uniform(1.1, 1.5))))
-    centre(room, "workbench", partial(tables.workbench, width_m=1.6))
+    centre(room, "workbench", partial(seating.workbench, width_m=1.6))
     stand(room, "tool_chest", storage.tool_chest)
     stand(room, "wardrobe", partial(storage.wardrobe, width_m=1.2))
     stand(room, "filing_cabinet", storage.filing_cabinet)
@@ -146,7 +146,7 @@ def furnish_lab(room: Room) -> None:
     enter(room, windows=1)
     tags = place_posts(room)
     work(room, 1.4)
-    stand(room, "workbench", partial(tables.workbench, width_m=1.6))
+    stand(room, "workbench", partial(seating.workbench, width_m=1.6))
     stand(room, "shelving", partial(storage.shelving, width_m=1.1), in_a_corner(room))
     stand(room, "filing_cabinet", storage.filing_cabinet)
     hang(room, "whiteboard", wall.whiteboard)

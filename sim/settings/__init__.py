@@ -6,14 +6,15 @@ from pydantic import model_validator
 
 from sim.errors import shorten
 from sim.settings.group import Group
-from sim.settings.robot import EncoderSettings, RobotSettings
-from sim.settings.sensors import (
+from sim.settings.robot import (
     CameraMountSettings,
     CameraSettings,
     DeploymentMountSettings,
     DeploymentSettings,
+    EncoderSettings,
     ImageFaultSettings,
     LidarSettings,
+    RobotSettings,
     SensorName,
     TagCameraSettings,
 )

@@ -13,7 +13,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from sim.files.atomic import write_bytes
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room
 from sim.sensors.camera import gl

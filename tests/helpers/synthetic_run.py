@@ -10,8 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 from deepgps.evaluation.acceptance import summarise_acceptance
 from deepgps.evaluation.error_field import ErrorField, write_fields
 from sim.files.checksums import write_arrays, write_json, write_lines
-from sim.geometry import wrap
-from sim.occupancy import FreeSpace, save_free_space
+from sim.geometry import FreeSpace, save_free_space, wrap
 from sim.recording.format import write_files
 
 WIDTH_M, DEPTH_M, RADIUS_M = 7.0, 4.3, 0.105

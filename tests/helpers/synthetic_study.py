@@ -9,7 +9,7 @@ from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports.report import report_study
 from deepgps.studies.study import Study, write_out
 from sim.files.checksums import write_arrays, write_json, write_lines
-from sim.occupancy import FreeSpace, save_free_space
+from sim.geometry import FreeSpace, save_free_space
 from sim.recording.format import write_files
 from tests.helpers.synthetic_run import make_free_space, make_grid, make_metrics, make_predictions
 

@@ -9,7 +9,7 @@ import torch
 from deepgps.config.learning import FeatureSettings
 from deepgps.data.features import fit_features
 from deepgps.data.segments import Segments, read_segments
-from sim.occupancy import FreeSpace, save_free_space
+from sim.geometry import FreeSpace, save_free_space
 from sim.recording.format import Recording, open_recording, write_files
 
 SIZE_M = (3.0, 2.0)

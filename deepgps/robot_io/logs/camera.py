@@ -15,7 +15,7 @@ from deepgps.robot_io.logs.robot_config import CameraConfig
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, quote
 from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.raw_camera import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
+from sim.sensors.camera.unwrap import COEFFICIENTS, MODELS, RawCamera, Unwrapping, check_camera
 
 INFO = "sensor_msgs/msg/CameraInfo"
 LEAST = np.radians(30.0)

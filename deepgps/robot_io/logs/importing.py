@@ -27,8 +27,8 @@ from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.files.atomic import check_space
 from sim.files.checksums import read_json
-from sim.recording.conditions import FOLDER as IN_USE
 from sim.recording.format import finish_recording
+from sim.recording.manifest import FOLDER as IN_USE
 from sim.settings import CameraSettings
 
 MOST_DAMAGED = 0.05

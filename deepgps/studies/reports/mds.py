@@ -27,7 +27,7 @@ from deepgps.studies.reports.columns import RUNS, Column, Line, count_folded, ta
 from deepgps.studies.table import Row, choices, describe_group, group_rows, mean
 from sim.alignment import fit_alignment
 from sim.errors import InputError
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.recording.format import open_recording, open_truth
 
 POSITIONS = 1500

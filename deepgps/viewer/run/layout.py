@@ -15,7 +15,7 @@ from deepgps.viewer.run.making import MAKING, TEXT
 from deepgps.viewer.run.places import PICTURES
 from deepgps.viewer.timeline import PROGRESS, RUN_TIME, lately, until_now
 from deepgps.viewer.views import aim_eye, aim_eye_at, arrange, field_view, room_view, series_view, text_view
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 RECENT_S, TRAIL_S = 60.0, 120.0
 PICTURE_TITLES = {

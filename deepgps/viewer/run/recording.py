@@ -45,7 +45,7 @@ from deepgps.viewer.save import hash_files, save_recording
 from deepgps.viewer.scene import log_room, log_scale
 from deepgps.viewer.timeline import drive_clock, put_text, send_series
 from sim.files.checksums import is_intact
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.recording.format import Recording, has_truth, is_whole, open_recording, open_truth
 
 RECORDING = "run.rrd"

@@ -16,7 +16,7 @@ from deepgps.viewer.plot import Axis, Curve, log_cursor, log_plot, make_axis
 from deepgps.viewer.scene import lift, log_floor
 from deepgps.viewer.study.sliders import RUN, Slider, Step
 from deepgps.viewer.timeline import Rows, put
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 Frame = tuple[np.ndarray, np.ndarray]  # south-west and north-east corners (2,) [m] of the rectangle for every room
 Spaces = Mapping[str, FreeSpace]  # by the name of the recording

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from sim.errors import InputError
-from sim.geometry import planar_pose
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace, planar_pose
 from sim.rng import stream
 from sim.rooms.build import build_room
 from sim.rooms.deployment import change_room

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deepgps.config.scenario import names_in
-from sim.paths import STUDIES
+from sim.files import STUDIES
 from sim.recording.format import check_recording, read_manifest
 from sim.robot_log.mcap_file import MAGIC
 from tests.helpers.command import MINI, arrays, assert_one_clear_line, deepgps, deepgps_here, wait_until

@@ -11,7 +11,7 @@ from deepgps.config.scenario import Scenario, check_scenario, load_scenario, nam
 from deepgps.config.spelling import list_settings
 from deepgps.runs.inputs import digest, digest_recording
 from sim.errors import InputError
-from sim.paths import SCENARIOS
+from sim.files import SCENARIOS
 from sim.settings.group import _list_types
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from deepgps.data.labels import read_places
 from sim.alignment import fit_alignment
-from sim.apriltag.bundle_adjustment import TagMap
+from sim.apriltag.bundle_adjustment import TagMap, find_level, flatten, write_labels
 from sim.apriltag.detector import Detections
-from sim.apriltag.labels import find_level, flatten, write_labels
 from sim.errors import WorkError
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_labels, open_recording, open_truth

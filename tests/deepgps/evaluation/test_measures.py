@@ -10,7 +10,7 @@ from deepgps.evaluation.error_field import ErrorField
 from deepgps.evaluation.evaluate import FAR_M, measure_heading_spread, measure_misplaced
 from deepgps.evaluation.measures import measure_flipped, measure_flipped_patch, measure_visible, summarise_yaw
 from sim.files.checksums import read_json
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 
 SPACING_M = 0.08
 X, Y = (axis.ravel() * SPACING_M - 0.4 for axis in np.meshgrid(np.arange(21), np.arange(11)))

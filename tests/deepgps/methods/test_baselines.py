@@ -15,7 +15,8 @@ from deepgps.positioner.nearest_scan import ScanPositioner
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError
-from sim.planar.obstacles import LidarWorld, collect
+from sim.planar.drive import collect
+from sim.planar.worlds import LidarWorld
 from sim.recording.format import Recording, open_recording, open_truth
 from sim.settings import DriveSettings, GridSettings, LidarSettings, SimSettings
 from tests.helpers.toy import QUICK, make_toy

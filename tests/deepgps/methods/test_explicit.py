@@ -15,7 +15,7 @@ from deepgps.methods.explicit import Equations, choose_readings, set_up, start_b
 from deepgps.methods.fit import fit_method
 from sim.alignment import fit_alignment
 from sim.errors import InputError
-from sim.planar.landmarks import collect
+from sim.planar.drive import collect
 from sim.recording.format import Recording, Truth, open_recording, open_truth
 from sim.settings import EncoderSettings, GridSettings, LandmarksSettings, SimSettings
 

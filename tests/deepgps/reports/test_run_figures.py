@@ -16,7 +16,7 @@ from deepgps.reports.field_plot import REFUSED, SCALE_M, colours_of
 from deepgps.reports.run_figures import draw_error_field, draw_figures, draw_risk, make_figures
 from deepgps.reports.style import smooth, to_png
 from sim.errors import InputError
-from sim.occupancy import limits
+from sim.geometry import limits
 from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run
 
 POSITIONS = arrays(float, (5, 3, 2), elements=st.floats(-10, 10))

@@ -45,7 +45,7 @@ def test_a_derived_drive_has_the_bytes_of_a_fresh_one(change, tmp_path, monkeypa
     fresh = collect(*words, "--out", "alone", home=tmp_path)
     base = collect("landmarks", *SMALL, home=tmp_path)
     with monkeypatch.context() as patch:
-        patch.setattr("sim.planar.landmarks.collect", None)
+        patch.setattr("sim.planar.drive.collect", None)
         derived = collect(*words, home=tmp_path)
     assert derived.parent != base.parent
     assert read_files(derived) == read_files(fresh)

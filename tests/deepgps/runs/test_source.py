@@ -37,7 +37,7 @@ def copied(finished: Path, tmp_path: Path) -> Path:
 @pytest.mark.parametrize("words", [("one", "--methods", "posenet"), (*PLANE, "--methods", "posenet", "--out", "one")])
 def test_a_method_is_added_and_the_rest_stays(words, copied, monkeypatch):
     before = read_files(copied)
-    monkeypatch.setattr("sim.planar.landmarks.collect", None)  # the drive is not made again
+    monkeypatch.setattr("sim.planar.drive.collect", None)  # the drive is not made again
     done = deepgps_here("run", *words, cwd=copied.parent)
     assert done.returncode == 0, done.stderr
     after = read_files(copied)

@@ -11,8 +11,8 @@ from pydantic import ValidationError
 from deepgps.data.segments import dead_reckon, read_segments
 from sim.alignment import fit_alignment
 from sim.errors import WorkError
-from sim.planar.drive import choose_heading, count_drive, drive_segments
-from sim.planar.landmarks import LandmarkWorld, collect, lay_free_space, lay_grid
+from sim.planar.drive import choose_heading, collect, count_drive, drive_segments
+from sim.planar.worlds import LandmarkWorld
 from sim.recording.format import Recording, Truth, check_recording, open_recording, open_truth
 from sim.rng import stream
 from sim.settings import (
@@ -71,7 +71,7 @@ def test_the_whole_square_is_free_and_nothing_else():
     corners = world.bounds[[0, 0, 1, 1], [0, 1, 0, 1]].reshape(-1, 1) * np.ones(2)
     assert world.is_free(corners).all()
     assert not world.is_free(np.array([[1.001, 0.0], [0.0, -1.001]])).any()
-    space = lay_free_space(world)
+    space = world.space
     points = np.random.default_rng(0).uniform(-1.2, 1.2, (500, 2))
     clear = np.abs(np.abs(points).max(axis=1) - 1.0) > 0.02
     assert np.array_equal(space.is_reachable(points)[clear], world.is_free(points)[clear])
@@ -169,14 +169,14 @@ def test_the_drive_tells_how_far_it_is_whether_segments_or_samples_end_it(sample
 
 def test_the_papers_grid_has_128_positions_a_side_and_reaches_the_walls():
     settings = SETTINGS.model_copy(update={"grid": GridSettings(spacing_m=0.015748, headings=1)})
-    grid = lay_grid(LandmarkWorld(settings, 0), settings)
+    grid = LandmarkWorld(settings, 0).lay_grid(settings.grid)
     assert grid.shape == (128 * 128, 1, 3)
     assert (grid[..., :2].min(), grid[..., :2].max()) == (-1.0, 1.0)
 
 
 def test_a_coarse_grid_reaches_the_corners():
     settings = SETTINGS.model_copy(update={"grid": GridSettings(spacing_m=1.0, headings=1)})
-    assert len(lay_grid(LandmarkWorld(settings, 0), settings)) == 9
+    assert len(LandmarkWorld(settings, 0).lay_grid(settings.grid)) == 9
 
 
 @pytest.mark.parametrize(
@@ -192,5 +192,5 @@ def test_a_test_grid_beyond_the_memory_is_refused_with_the_spacing_that_is_allow
     least_m = float(str(refused.value).partition("at least ")[2].split()[0])
     allowed = SimSettings(world=world, grid=GridSettings(spacing_m=least_m), **groups)
     if world == "landmarks":
-        positions = lay_grid(LandmarkWorld(allowed, 0), allowed).size / 3
+        positions = LandmarkWorld(allowed, 0).lay_grid(allowed.grid).size / 3
         assert 0.9 < positions * allowed.landmarks.count / LARGEST_GRID <= 1.0

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from deepgps.data.segments import read_segments
 from sim.errors import InputError
-from sim.planar.obstacles import PASSAGE, LidarWorld, collect, place_obstacles
+from sim.planar.drive import collect
+from sim.planar.worlds import PASSAGE, LidarWorld, place_obstacles
 from sim.recording.format import Truth, check_recording, open_recording, open_truth
 from sim.settings import DriveSettings, GridSettings, LidarSettings, ObstaclesSettings, SimSettings
 

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from sim.errors import InputError, WorkError
-from sim.occupancy import FreeSpace
-from sim.recording import chunks, renderers, sensing
+from sim.geometry import FreeSpace
+from sim.recording import chunks, renderers
 from sim.recording import collect as collecting
+from sim.recording.chunks import sense_part
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, is_whole, open_recording, open_truth, read_manifest
 from sim.recording.renderers import Part
-from sim.recording.sensing import sense_part
 from sim.robot.world import RoomWorld
 from sim.sensors.camera.faults import decode
 from sim.sensors.camera.fisheye import Fisheye
@@ -272,7 +272,7 @@ def hang_first(part: Part, beat: Callable[[], None]) -> None:
 def err_first(part: Part, beat: Callable[[], None]) -> None:
     """Draw as a renderer that changes one image in one process."""
     once = part.path.with_name("erred")
-    draw = sensing.observe
+    draw = chunks.observe
     if part.path.name == "image-000001.npz" and not once.exists():
         once.touch()
 
@@ -282,7 +282,7 @@ def err_first(part: Part, beat: Callable[[], None]) -> None:
                 images ^= 1
             return images
 
-        sensing.observe = draw_wrong
+        chunks.observe = draw_wrong
     sense_part(part, beat)
 
 

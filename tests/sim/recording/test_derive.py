@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from sim.errors import InputError
-from sim.planar import landmarks
+from sim.planar.drive import collect as collect_plane
 from sim.recording import chunks
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
@@ -37,7 +37,7 @@ PLANE = SimSettings(
     drive=DriveSettings(spacing_m=0.05, samples=400),
     grid=GridSettings(spacing_m=0.25, headings=2),
 )
-COLLECT = {"room": collect, "landmarks": landmarks.collect}
+COLLECT = {"room": collect, "landmarks": collect_plane}
 
 
 def quiet(label: str, done: int, total: int) -> None:
@@ -52,7 +52,7 @@ def change(settings: SimSettings, samples: int, encoder: EncoderSettings) -> Sim
 @pytest.fixture(scope="module")
 def plane(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("plane") / "base"
-    landmarks.collect(choose_drive(PLANE, 400), 0, folder, quiet)
+    collect_plane(choose_drive(PLANE, 400), 0, folder, quiet)
     return folder
 
 
@@ -85,7 +85,7 @@ def read_what_must_agree(folder: Path) -> dict:
 @pytest.mark.parametrize("encoder", [EncoderSettings(), FAULTY], ids=["sound", "faulty"])
 def test_derived_is_as_collected_in_the_plane(samples: int, encoder: EncoderSettings, plane: Path, tmp_path: Path):
     settings = change(PLANE, samples, encoder)
-    landmarks.collect(settings, 0, tmp_path / "collected", quiet)
+    collect_plane(settings, 0, tmp_path / "collected", quiet)
     derive(plane, settings, 0, tmp_path / "derived")
     assert read_what_must_agree(tmp_path / "derived") == read_what_must_agree(tmp_path / "collected")
     check_recording(tmp_path / "derived")
@@ -128,7 +128,7 @@ def test_derived_is_as_collected_in_a_room(
 
 
 def test_what_is_the_same_takes_no_room_and_outlives_the_other(plane: Path, tmp_path: Path):
-    landmarks.collect(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
+    collect_plane(choose_drive(PLANE, 400), 0, tmp_path / "base", quiet)
     derive(tmp_path / "base", change(PLANE, 400, FAULTY), 0, tmp_path / "derived")
     for name in ("observations/landmarks.npy", "test/landmarks.npy", "truth/pose.npy"):
         assert (tmp_path / "base" / name).samefile(tmp_path / "derived" / name)
@@ -164,7 +164,7 @@ def test_what_does_not_fit_is_refused(changes: dict, seed: int, message: str, pl
 
 
 def test_a_recording_with_losses_is_no_base(tmp_path: Path):
-    landmarks.collect(change(PLANE, 400, FAULTY), 0, tmp_path / "base", quiet)
+    collect_plane(change(PLANE, 400, FAULTY), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has lost readings, whose times are not known"):
         derive(tmp_path / "base", PLANE, 0, tmp_path / "derived")
 
@@ -174,7 +174,7 @@ def test_a_drive_whose_tests_follow_it_is_shared_at_its_own_length_alone(tmp_pat
         group = getattr(PLANE, name).model_copy(update={field: value})
         assert not can_be_cut(PLANE.model_copy(update={name: group}))
     noisy = PLANE.model_copy(update={"lidar": PLANE.lidar.model_copy(update={"noise_m": 0.01})})
-    landmarks.collect(choose_drive(noisy, 400), 0, tmp_path / "base", quiet)
+    collect_plane(choose_drive(noisy, 400), 0, tmp_path / "base", quiet)
     with pytest.raises(InputError, match="has 400 samples, of which 64 are no recording of their own"):
         derive(tmp_path / "base", change(noisy, 64, FAULTY), 0, tmp_path / "derived")
     derive(tmp_path / "base", change(noisy, 400, FAULTY), 0, tmp_path / "derived")

@@ -3,7 +3,7 @@ import pytest
 
 from sim.errors import InputError
 from sim.files.checksums import read_json, write_array, write_json
-from sim.occupancy import FreeSpace, load_free_space, save_free_space
+from sim.geometry import FreeSpace, load_free_space, save_free_space
 from sim.recording.format import check_recording, finish_recording, open_recording, open_truth
 from sim.recording.manifest import name_sensors
 from sim.settings import RoomSettings, SimSettings, TagCameraSettings

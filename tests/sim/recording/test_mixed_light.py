@@ -6,8 +6,8 @@ from pydantic import ValidationError
 
 from sim.recording import chunks
 from sim.recording.collect import collect
-from sim.recording.conditions import STATES, choose_drive_in_use, light_part
 from sim.recording.format import open_recording
+from sim.recording.manifest import STATES, choose_drive_in_use, light_part
 from sim.settings import CameraSettings, DriveSettings, GridSettings, RoomSettings, SimSettings
 
 SMALL = SimSettings(

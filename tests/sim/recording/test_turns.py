@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim.planar import obstacles
+from sim.planar.drive import collect as collect_plane
+from sim.planar.worlds import LidarWorld
 from sim.recording.collect import collect
 from sim.recording.derive import choose_drive, derive
 from sim.recording.format import check_recording, open_recording, open_truth, read_manifest
@@ -19,7 +20,7 @@ MAP = SimSettings(
     drive=DriveSettings(samples=400),
     grid=GridSettings(spacing_m=0.5, headings=2),
 )
-COLLECT = {"room": collect, "obstacles": obstacles.collect}
+COLLECT = {"room": collect, "obstacles": collect_plane}
 
 
 def quiet(label: str, done: int, total: int) -> None:
@@ -47,13 +48,13 @@ def test_all_other_files_are_the_same_with_and_without_turn_images(settings: Sim
 
 
 def test_turn_images_show_the_place_of_the_turn_under_the_next_segment_s_heading(tmp_path: Path):
-    obstacles.collect(change(MAP, "lidar", noise_m=0.0), 0, tmp_path, quiet)
+    collect_plane(change(MAP, "lidar", noise_m=0.0), 0, tmp_path, quiet)
     recording, truth = open_recording(tmp_path), open_truth(tmp_path)
     turns = recording.turns
     assert turns is not None and recording.turn_observation is not None
     segments = recording.manifest.segments or 0
     assert len(turns.before) == segments - 1
-    world = obstacles.LidarWorld(MAP, 0)
+    world = LidarWorld(MAP, 0)
     observation = recording.reading[turns.after, 1]
     for before, image, first in zip(turns.before, turns.image, observation, strict=True):
         if image == NO_IMAGE:  # relocated: the observation of the first reading after it is another one
@@ -111,8 +112,8 @@ def test_deriving_carries_the_turns(samples: int, tmp_path: Path):
     encoder = EncoderSettings(dropout=0.6, slip_per_m=0.01)
     settings = change(change(MAP, "lidar", noise_m=0.0), "drive", samples=samples)
     settings = settings.model_copy(update={"encoder": encoder})
-    obstacles.collect(choose_drive(settings, 400), 0, tmp_path / "base", quiet)
-    obstacles.collect(settings, 0, tmp_path / "collected", quiet)
+    collect_plane(choose_drive(settings, 400), 0, tmp_path / "base", quiet)
+    collect_plane(settings, 0, tmp_path / "collected", quiet)
     derive(tmp_path / "base", settings, 0, tmp_path / "derived")
     assert read_manifest(tmp_path / "derived").sha256 == read_manifest(tmp_path / "collected").sha256
     check_recording(tmp_path / "derived")

@@ -10,7 +10,6 @@ from sim.errors import DamagedError, InputError
 from sim.recording import chunks
 from sim.recording import collect as collecting
 from sim.recording.collect import collect
-from sim.recording.conditions import choose_drive_in_use, seed_in_use
 from sim.recording.derive import OF_IMAGES, derive, explain_misfit
 from sim.recording.format import (
     OF_USE,
@@ -22,6 +21,7 @@ from sim.recording.format import (
     remove_recording,
     work_folder,
 )
+from sim.recording.manifest import choose_drive_in_use, seed_in_use
 from sim.settings import (
     CameraMountSettings,
     DeploymentMountSettings,

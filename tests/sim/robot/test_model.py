@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sim.files import ROBOT
 from sim.geometry import planar_pose
-from sim.paths import ROBOT
 from sim.robot.calibrate import calibrate, run
+from sim.robot.chassis import compile_scene
 from sim.robot.model import RADIUS_M, TRACK_M, WHEEL_RADIUS_M, load_robot, robot_height, wheel_speeds
-from sim.robot.scene import compile_scene
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import CameraSettings, RobotSettings, SimSettings

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import WorkError
+from sim.robot.chassis import compile_scene
 from sim.robot.model import RADIUS_M, wheel_speeds
 from sim.robot.range_finder import ANGLE, REACH_M, SIDE_M, RangeFinder, clear_length, fan_heights
-from sim.robot.scene import compile_scene
 from sim.robot.world import RoomWorld
 from sim.rooms.spec import empty_room
 from sim.settings import RoomSettings, SimSettings

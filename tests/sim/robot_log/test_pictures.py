@@ -7,7 +7,7 @@ import pytest
 
 from sim.recording.renderers import Part
 from sim.robot.world import RoomWorld
-from sim.robot_log.pictures import COLUMNS, ROWS, draw_part, open_camera, read_pictures
+from sim.robot_log.observe import COLUMNS, ROWS, draw_part, open_camera, read_pictures
 from sim.sensors.camera.fisheye import Fisheye
 from sim.sensors.camera.lens import make_lens
 from sim.sensors.camera.unwrap import unwrap_fisheye

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from sim.rooms.build import build_room
 from sim.rooms.free_space import find_free_space
 from sim.rooms.plans import PLANS

@@ -6,7 +6,7 @@ import pytest
 
 from sim.rooms.build import build_room
 from sim.rooms.furniture import textures
-from sim.rooms.look_alike import MOTIF_M, PX_PER_M, repeat
+from sim.rooms.placement import MOTIF_M, PX_PER_M, repeat
 from sim.settings import RoomSettings
 
 

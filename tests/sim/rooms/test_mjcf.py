@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sim.errors import InputError
+from sim.robot.chassis import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
 from sim.robot.model import wheel_speeds
-from sim.robot.scene import AMBIENT, AMBIENT_WITHOUT_LAMPS, compile_scene
 from sim.robot.world import RoomWorld
 from sim.rooms.free_space import find_free_space
 from sim.rooms.mjcf import list_notes, load_room
-from sim.rooms.mjcf_trial import try_out
+from sim.rooms.mjcf_files import try_out
 from sim.settings import SimSettings
 
 WALLS = """
@@ -138,7 +138,7 @@ def test_nothing_outside_its_own_folder_is_opened(tmp_path):
     (inner / "inner.xml").write_text('<mujocoinclude><compiler assetdir="../x"/></mujocoinclude>')
     for start, head in OUTSIDE.items():
         with pytest.raises(InputError, match="its own folder") as caught:
-            try_out(_write(inner, WALLS, head), is_room=True)
+            try_out(_write(inner, WALLS, head), "room")
         assert str(caught.value).startswith(start)
     assert _refusal(_write(inner, "", OUTSIDE["mesh file secret.obj"])).startswith("mesh file secret.obj: lies outside")
 
@@ -164,7 +164,7 @@ def test_what_is_no_room_is_refused_in_one_line(tmp_path, content, reason):
     (tmp_path / "broken.obj").write_text("v 0 0 0\nv nan 1 0\nf 1 2 9\n")
     (tmp_path / "room.xml").write_bytes(content if isinstance(content, bytes) else content.encode())
     with pytest.raises(InputError, match=reason) as caught:
-        try_out(tmp_path / "room.xml", is_room=True)
+        try_out(tmp_path / "room.xml", "room")
     assert "\n" not in str(caught.value)
 
 
@@ -233,7 +233,7 @@ def test_any_change_of_a_room_is_a_room_or_one_line(tmp_path_factory, changes):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     path.write_text(text)
     try:
-        assert try_out(path, is_room=True) == [path]
+        assert try_out(path, "room") == [path]
     except InputError as error:
         assert str(error).isprintable()
         assert len(str(error)) < 1000

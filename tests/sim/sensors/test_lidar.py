@@ -14,7 +14,7 @@ from deepgps.viewer.run.drive import ROBOT
 from deepgps.viewer.run.recording import RECORDING
 from sim.recording.collect import collect
 from sim.recording.format import check_recording, open_recording, open_truth
-from sim.robot.scene import compile_scene
+from sim.robot.chassis import compile_scene
 from sim.robot.world import RoomWorld
 from sim.sensors.lidar import LIDAR_HEIGHT_M, Lidar
 from sim.sensors.lidar_scan import LIDAR_REACH_M

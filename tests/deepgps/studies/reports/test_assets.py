@@ -5,7 +5,7 @@ from deepgps.studies.engine.recordings import find_drives
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.reports import changes
 from deepgps.studies.study import load_study
-from sim.paths import STUDIES
+from sim.files import STUDIES
 from sim.settings import CameraMountSettings, DeploymentSettings, ImageFaultSettings
 
 

@@ -24,7 +24,7 @@ from deepgps.studies.study import load_study
 from deepgps.terminal.progress import ignore
 from sim.alignment import fit_alignment
 from sim.errors import InputError
-from sim.occupancy import FreeSpace
+from sim.geometry import FreeSpace
 from tests.helpers.toy import QUICK, make_toy
 
 VARIED = ["learn.start"]

@@ -17,7 +17,7 @@ from deepgps.studies.reports.report import list_pictures, measure_targets, repor
 from deepgps.studies.study import Study, load_study
 from deepgps.studies.table import Row, read_rows
 from deepgps.terminal.progress import ignore
-from sim.paths import STUDIES
+from sim.files import STUDIES
 from sim.recording.format import check_recording, open_recording, read_manifest
 from sim.sensors.camera.faults import decode
 from tests.helpers.command import deepgps, drop_progress

@@ -18,7 +18,7 @@ from deepgps.studies.reports.columns import ACCEPTED
 from deepgps.studies.reports.report import load, varied_names, write_report
 from deepgps.studies.study import load_study
 from deepgps.studies.table import Row, choices, read_rows, shorten
-from sim.paths import STUDIES
+from sim.files import STUDIES
 from sim.recording.format import open_truth
 
 RESULTS = STUDIES.parents[1] / "docs" / "results"

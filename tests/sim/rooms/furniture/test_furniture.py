@@ -5,7 +5,7 @@ import mujoco
 import numpy as np
 
 from sim.rooms.free_space import find_free_space
-from sim.rooms.furniture import ceiling, decor, fittings, seating, storage, tables
+from sim.rooms.furniture import ceiling, decor, fittings, seating, storage
 from sim.rooms.furniture.primitives import COLLISION_GROUP, make_look
 
 STANDING = {
@@ -15,13 +15,13 @@ STANDING = {
     "office_chair": seating.office_chair,
     "stool": seating.stool,
     "bed": seating.bed,
-    "dining_table": tables.dining_table,
-    "coffee_table": tables.coffee_table,
-    "bedside_table": tables.bedside_table,
-    "desk": tables.desk,
-    "workbench": tables.workbench,
-    "counter": tables.counter,
-    "island": tables.island,
+    "dining_table": seating.dining_table,
+    "coffee_table": seating.coffee_table,
+    "bedside_table": seating.bedside_table,
+    "desk": seating.desk,
+    "workbench": seating.workbench,
+    "counter": seating.counter,
+    "island": seating.island,
     "bookshelf": storage.bookshelf,
     "wardrobe": storage.wardrobe,
     "cabinet": storage.cabinet,
@@ -132,14 +132,14 @@ def test_one_drives_under_tables_and_benches_but_not_under_seats():
     def nearest(piece) -> float:
         return float(np.abs(_drive_under(piece)).max(axis=1).min())
 
-    assert nearest(tables.dining_table) < 0.02
+    assert nearest(seating.dining_table) < 0.02
     assert nearest(seating.chair) > 0.12
     assert nearest(seating.office_chair) > 0.12
-    assert nearest(tables.coffee_table) > 0.3
+    assert nearest(seating.coffee_table) > 0.3
     assert nearest(seating.sofa) > 0.5
 
 
 def test_a_desk_has_room_for_knees():
-    places = _drive_under(tables.desk)
+    places = _drive_under(seating.desk)
     under = (np.abs(places[:, 0]) < 0.6) & (np.abs(places[:, 1]) < 0.2)
     assert under.sum() > 200

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sim.errors import InputError
-from sim.recording.sensing import observe
+from sim.recording.chunks import observe
 from sim.robot.model import RADIUS_M
 from sim.robot.world import RoomWorld
 from sim.rooms.build import build_room

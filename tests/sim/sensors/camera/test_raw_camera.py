@@ -6,8 +6,7 @@ import pytest
 
 from sim.errors import InputError
 from sim.sensors.camera.lens import Lens
-from sim.sensors.camera.raw_camera import RawCamera, Unwrapping, check_camera
-from sim.sensors.camera.unwrap import unwrap_fisheye
+from sim.sensors.camera.unwrap import RawCamera, Unwrapping, check_camera, unwrap_fisheye
 
 HALF = np.radians(85.0)
 SIZE, CENTRE = (160, 120), (83.0, 57.0)

@@ -1,23 +1,85 @@
-"""The lidar maps of the paper's appendix: a walled square with rectangular obstacles, and a point robot.
+"""The paper's plane worlds, without MuJoCo: a square with landmarks, and a walled square with obstacles.
 
-The robot drives straight until it comes near a wall or an obstacle, turns in a random direction and drives on. Now and
-then it is relocated, because it would otherwise seldom find what is behind a narrow passage. Its observations are
-scans: exact distances to walls and obstacles, all around. No MuJoCo.
+In the landmarks world (Sec. IV-A) a point robot observes its distances to landmarks, a vector instead of an image. In
+the lidar maps of the appendix it observes scans: exact distances to walls and rectangular obstacles, all around.
 """
-
-from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from sim.errors import InputError
-from sim.geometry import spread_headings
-from sim.occupancy import FreeSpace
-from sim.planar.drive import record
-from sim.recording.format import Report
+from sim.geometry import FreeSpace, spread_headings
 from sim.rng import stream
 from sim.sensors.lidar_scan import arrange, measure, ray_angles
-from sim.settings import PLANE_CLEARANCE_M, PLANE_SIDE_M, SimSettings
+from sim.settings import PLANE_CLEARANCE_M, PLANE_SIDE_M, GridSettings, SimSettings
+
+CELL_M, CHUNK = 0.02, 1024
+"""Side of a cell of the landmarks world's free space [m], and poses whose distances are computed at once."""
+
+
+class LandmarkWorld:
+    """A square around the origin with landmarks in it.
+
+    Attributes:
+        landmark: Positions of the landmarks (M, 2) [m].
+        bounds: Lower and upper corner (2, 2) [m].
+        segments: Straight segments to drive.
+        space: The square as cells, all of them reachable, with a border of cells that are not.
+        truth: Its own ground-truth arrays by file name.
+        relocate_after: 0: the robot is never relocated.
+        turn_images: An observation after a turn shows nothing that the one before does not.
+    """
+
+    relocate_after, turn_images = 0, False
+
+    def __init__(self, settings: SimSettings, seed: int) -> None:
+        """Place the landmarks uniformly over the square."""
+        self.settings = settings.landmarks
+        self.segments = self.settings.segments
+        half = PLANE_SIDE_M / 2
+        self.bounds = np.array([[-half, -half], [half, half]])
+        self.landmark = stream(seed, "landmarks").uniform(-half, half, (self.settings.count, 2))
+        self.truth = {"landmark.npy": self.landmark}
+        side = np.arange(round(PLANE_SIDE_M / CELL_M) + 3)
+        inside = (side > 0) & (side < len(side) - 1)
+        free = inside[:, None] & inside[None]
+        self.space = FreeSpace(np.full(2, -half - CELL_M), CELL_M, free, free.copy(), np.zeros(2), PLANE_SIDE_M)
+
+    def is_free(self, points: np.ndarray) -> np.ndarray:
+        """Whether ``points`` (..., 2) [m] are in the square."""
+        return np.all(np.abs(points) <= PLANE_SIDE_M / 2, axis=-1)
+
+    def observe(self, poses: np.ndarray) -> np.ndarray:
+        """Return distances (..., M) float32 [m] from poses (..., 3) to the landmarks, capped at the reach."""
+        flat, reach_m = poses.reshape(-1, poses.shape[-1]), self.settings.reach_m or np.inf
+        distance = np.empty((len(flat), len(self.landmark)), np.float32)
+        for start in range(0, len(flat), CHUNK):
+            apart = flat[start : start + CHUNK, None, :2] - self.landmark
+            distance[start : start + CHUNK] = np.minimum(np.linalg.norm(apart, axis=-1), reach_m)
+        return distance.reshape(*poses.shape[:-1], -1)
+
+    def draw_start(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw a random place (2,) [m]."""
+        return rng.uniform(*self.bounds)
+
+    def way_ahead(self, place: np.ndarray, yaw: float) -> float:
+        """Return the distance from a place (2,) [m] in the square along a heading [rad] to the wall [m]."""
+        direction = np.array([np.cos(yaw), np.sin(yaw)])
+        low, high = self.bounds
+        room = np.where(direction > 0, high - place, place - low)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # infinite along a wall
+            return float(np.nanmin(room / np.abs(direction)))
+
+    def measure(self, poses: np.ndarray, turned: bool = False) -> np.ndarray:
+        """Return what the robot's sensor shows at poses (..., 3): the exact distances."""
+        return self.observe(poses)
+
+    def lay_grid(self, grid: GridSettings) -> np.ndarray:
+        """Return poses (C, H, 3) of the test grid over the square, walls included, headings spread evenly from +x."""
+        low, high = self.bounds[:, 0]
+        side = np.linspace(low, high, max(round((high - low) / grid.spacing_m), 1) + 1)
+        return spread_headings(np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2), grid.headings)
+
 
 OBSTACLES = 20
 """Rectangles to place; they may overlap, or leave passages."""
@@ -25,10 +87,8 @@ SMALLEST, LARGEST = 0.03, 0.2
 """Shortest and longest side of an obstacle, as fractions of the square's side."""
 PASSAGE, TRIES = 0.06, 100
 """Smallest width of a passage between two obstacles, as a fraction of the square's side; draws per obstacle."""
-CELLS = 200
-"""Cells of the free space along a side."""
-CHUNK = 16
-"""Places whose rays are cast at once: few enough for a processor's cache."""
+CELLS, PLACES = 200, 16
+"""Cells of the free space along a side, and places whose rays are cast at once: few enough for a processor's cache."""
 _TINY = 1e-9
 
 
@@ -40,10 +100,12 @@ class LidarWorld:
         bounds: Lower and upper corner of the square (2, 2) [m].
         segments: Straight segments to drive, at most.
         relocate_after: Segments after which the robot is relocated at random.
-        space: Where the robot can be.
+        space: The cells where the robot may be; reachable is the largest connected part.
+        truth: Its own ground-truth arrays by file name.
+        turn_images: Whether observations after turns are recorded.
     """
 
-    relocate_after = 10
+    relocate_after, turn_images = 10, True
 
     def __init__(self, settings: SimSettings, seed: int) -> None:
         """Place the obstacles uniformly over the square, from the settings' own seed if given, else from ``seed``."""
@@ -56,7 +118,9 @@ class LidarWorld:
         # The point robot must stay out of the obstacles grown, and in the square shrunk, by the clearance.
         grow = np.array([[-1.0], [1.0]]) * PLANE_CLEARANCE_M
         self._grown, self._room = self.box + grow, self.bounds - grow
-        self.space = lay_free_space(self)
+        self.space = _lay_free_space(self)
+        self.truth = {"obstacle.npy": self.box}
+        self._noise, self._turn_noise = stream(seed, "lidar"), stream(seed, "lidar", "turn")
 
     def is_free(self, points: np.ndarray) -> np.ndarray:
         """Whether the robot may be at ``points`` (..., 2) [m]."""
@@ -68,10 +132,10 @@ class LidarWorld:
         """Return exact scans (..., headings, rays) [m] from poses (..., 3)."""
         flat, angles = poses.reshape(-1, 3), ray_angles(self.lidar)
         scans = np.empty((len(flat), self.lidar.headings, self.lidar.rays), np.float32)
-        for start in range(0, len(flat), CHUNK):
-            pose = flat[start : start + CHUNK]
+        for start in range(0, len(flat), PLACES):
+            pose = flat[start : start + PLACES]
             distance = cast_rays(self.box, self.bounds, pose[:, :2], pose[:, 2:] + angles)
-            scans[start : start + CHUNK] = arrange(distance, self.lidar)
+            scans[start : start + PLACES] = arrange(distance, self.lidar)
         return scans.reshape(*poses.shape[:-1], *scans.shape[1:])
 
     def draw_start(self, rng: np.random.Generator) -> np.ndarray:
@@ -83,32 +147,23 @@ class LidarWorld:
         """Return the distance from a free place (2,) [m] along a heading [rad] until only the clearance is left [m]."""
         return float(cast_rays(self._grown, self._room, place[None], np.array([[yaw]]))[0, 0])
 
+    def measure(self, poses: np.ndarray, turned: bool = False) -> np.ndarray:
+        """Return what the lidar measures at poses (..., 3), which are those after turns if ``turned``."""
+        return measure(self.observe(poses), self.lidar, self._turn_noise if turned else self._noise)
 
-def collect(settings: SimSettings, seed: int, folder: Path, progress: Report) -> None:
-    """Make a recording of a lidar map, unless there is a complete one.
+    def lay_grid(self, grid: GridSettings) -> np.ndarray:
+        """Return poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x.
 
-    Args:
-        settings: Map, lidar, encoder, drive (speeds, spacing, samples) and test grid are used.
-        seed: Seed of the RNG streams for map, driving, encoder and noise.
-        folder: The recording's folder; complete once it holds ``manifest.json``.
-        progress: Called with a stage (``drive``), the samples done and the largest number that there can be.
-
-    Raises:
-        InputError: There is no room for any test position.
-    """
-    if (folder / "manifest.json").is_file():
-        return
-    world, noise, turn_noise = LidarWorld(settings, seed), stream(seed, "lidar"), stream(seed, "lidar", "turn")
-    grid = lay_grid(world, settings)
-
-    def observe(poses: np.ndarray) -> np.ndarray:
-        return measure(world.observe(poses), settings.lidar, noise)
-
-    def observe_turn(poses: np.ndarray) -> np.ndarray:
-        return measure(world.observe(poses), settings.lidar, turn_noise)
-
-    truth = {"obstacle.npy": world.box}
-    record(world, observe, observe_turn, grid, world.space, truth, settings, seed, folder, progress)
+        Raises:
+            InputError: There is no room for any test position.
+        """
+        count = int(self.bounds[1, 0] / grid.spacing_m)
+        side = grid.spacing_m * np.arange(-count, count + 1)
+        points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+        points = points[self.is_free(points) & self.space.is_reachable(points)]
+        if not len(points):
+            raise InputError(f"grid.spacing_m {grid.spacing_m} m leaves no test position between the obstacles")
+        return spread_headings(points, grid.headings)
 
 
 def place_obstacles(count: int, rng: np.random.Generator) -> np.ndarray:
@@ -159,8 +214,7 @@ def cast_rays(box: np.ndarray, bounds: np.ndarray, place: np.ndarray, angle: np.
     return nearest
 
 
-def lay_free_space(world: LidarWorld) -> FreeSpace:
-    """Return the cells where the robot may be; reachable is the largest connected part."""
+def _lay_free_space(world: LidarWorld) -> FreeSpace:
     cell = PLANE_SIDE_M / CELLS
     side = world.bounds[0, 0] + cell * np.arange(CELLS + 1)
     free = world.is_free(np.stack(np.meshgrid(side, side), axis=-1))
@@ -172,14 +226,3 @@ def lay_free_space(world: LidarWorld) -> FreeSpace:
     extent = min(np.ptp(row), np.ptp(column)) * cell + 2 * PLANE_CLEARANCE_M
     start = world.bounds[0] + cell * np.array([column[0], row[0]])
     return FreeSpace(world.bounds[0].copy(), cell, free, reachable, start, float(extent))
-
-
-def lay_grid(world: LidarWorld, settings: SimSettings) -> np.ndarray:
-    """Return poses (C, H, 3) of the test grid: every reachable place, headings spread evenly from +x."""
-    count = int(world.bounds[1, 0] / settings.grid.spacing_m)
-    side = settings.grid.spacing_m * np.arange(-count, count + 1)
-    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
-    points = points[world.is_free(points) & world.space.is_reachable(points)]
-    if not len(points):
-        raise InputError(f"grid.spacing_m {settings.grid.spacing_m} m leaves no test position between the obstacles")
-    return spread_headings(points, settings.grid.headings)
