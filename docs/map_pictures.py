@@ -18,8 +18,7 @@ from matplotlib.figure import Figure
 from deepgps.data.segments import fill_stretches
 from deepgps.initial_map.stored_map import StoredMap, read_map
 from deepgps.positioner.stored_positioner import load_positioner, read_training
-from deepgps.reports.field_plot import draw_room
-from deepgps.reports.style import PAPER, to_png
+from deepgps.reports.plots import PAPER, draw_room, to_png
 from deepgps.viewer.run.making import SIGMAS, enlarge
 from docs.pictures import PICTURES, reduce
 from sim.alignment import fit_alignment, fit_robust_alignment

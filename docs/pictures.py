@@ -27,9 +27,8 @@ from deepgps.learning.trainer import make_generator, use_threads
 from deepgps.learning.training_data import prepare
 from deepgps.methods.deepgps import make_initial_map
 from deepgps.methods.fit import fit_method
-from deepgps.reports.field_plot import add_scale, draw_field, draw_room
+from deepgps.reports.plots import PAPER, add_scale, count_by_decades, draw_field, draw_room, to_png
 from deepgps.reports.run_figures import read_histories
-from deepgps.reports.style import PAPER, count_by_decades, to_png
 from deepgps.runs.run_folder import open_run
 from deepgps.viewer.scene import colours_of_places
 from sim.alignment import fit_alignment

@@ -14,10 +14,9 @@ from matplotlib.figure import Figure
 
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
-from deepgps.reports.field_plot import add_scale, draw_field, explain_refused
+from deepgps.reports.plots import add_scale, draw_field, explain_refused, to_png
 from deepgps.reports.run_figures import plot_risk
 from deepgps.reports.run_report import read_metrics
-from deepgps.reports.style import to_png
 from deepgps.reports.table import tabulate
 from docs.pictures import PICTURES, reduce
 from sim.files.atomic import write_bytes

@@ -81,8 +81,8 @@ STARTED_BY_ENTRY_POINTS = ("sim.recording.collect", "sim.planar", "sim.tools", "
 ONLY_IN = {"rerun": "deepgps.viewer", "tyro": "deepgps.commands", "ray": "deepgps.studies.engine.ray_cluster"}
 OPENS_TRUTH = (
     *("deepgps.evaluation", "deepgps.viewer", "deepgps.data.labels"),
-    *("deepgps.reports.run_figures", "deepgps.reports.field_plot"),
-    "deepgps.robot_io.export.trajectories",  # which writes the truth beside the methods' poses
+    *("deepgps.reports.run_figures", "deepgps.reports.plots"),
+    "deepgps.robot_io.trajectories",  # which writes the truth beside the methods' poses
     "deepgps.api.record",  # which writes the truth that its caller has, and reads none
     *(f"deepgps.studies.reports.{name}" for name in ("mds", "maps", "rooms")),
 )

@@ -73,8 +73,8 @@ def import_command(words: Sequence[str]) -> None:
     if arguments.config is None or arguments.out is None:
         raise InputError("deepgps import needs both --config FILE and --out FOLDER; --look proposes the file")
     from deepgps.robot_io.logs.importing import import_log
+    from deepgps.robot_io.logs.matching import write_summary
     from deepgps.robot_io.logs.robot_config import load_config
-    from deepgps.robot_io.logs.summary import write_summary
     from sim.files.checksums import sha256
 
     config = load_config(arguments.config)
@@ -119,7 +119,7 @@ def locate_command(words: Sequence[str]) -> None:
     arguments = parse(LocateArguments, "locate", words, locate_command.__doc__)
     circle = parse_round_image(arguments.centre, arguments.radius_px, arguments.forward_deg)
     from deepgps.api.run import load
-    from deepgps.robot_io.locate.locate import Wish, describe, locate_source
+    from deepgps.robot_io.locate import Wish, describe, locate_source
 
     run, wrong, total = load(arguments.run, arguments.plugin), 0, 0
     frame = arguments.frame or run.choose_frame(arguments.method)
@@ -192,7 +192,7 @@ def export_command(words: Sequence[str]) -> None:
     if raw is not None and not arguments.onnx:
         raise InputError("--centre and --radius-px are for --onnx")
     from deepgps.api.run import load
-    from deepgps.robot_io.export.command import default_folder, export_drives, export_onnx
+    from deepgps.robot_io.export import default_folder, export_drives, export_onnx
 
     run, method, frame = load(arguments.run, arguments.plugin), arguments.method, arguments.frame
     folder, written = arguments.out or default_folder(arguments.run), []

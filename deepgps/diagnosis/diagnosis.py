@@ -11,9 +11,8 @@ from threadpoolctl import threadpool_limits
 
 from deepgps.data.checks import check_recording
 from deepgps.data.turns import turns_with_images
-from deepgps.diagnosis.gaps import Z95, Gaps, measure_loss, measure_stuck, read_gaps
+from deepgps.diagnosis.gaps import Z95, Gaps, fit_slip, fit_step_noise, measure_loss, measure_stuck, read_gaps
 from deepgps.diagnosis.turning import FEWEST, Sight, measure_curvature, measure_turn_scale
-from deepgps.diagnosis.walk import fit_slip, fit_step_noise
 from sim.errors import InputError
 from sim.recording.format import Recording
 from sim.sensors.encoder import check_odometry

@@ -1,10 +1,12 @@
 """The gaps between consecutive readings, and what they show without a model: stuck wheels, ticks, readings lost."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar, root_scalar
 
-from deepgps.data.segments import find_stretches, travel
+from deepgps.data.segments import fill_stretches, find_stretches, travel
 from sim.recording.format import Recording
 from sim.recording.turns import KINDS
 from sim.sensors.encoder import measure_tick
@@ -147,3 +149,190 @@ def mend_stuck(recording: Recording) -> Recording:
     reading = recording.reading.copy()
     reading[1:, 2:] = reading[0, 2:] + np.cumsum(ticks, axis=0)
     return replace(recording, reading=reading)
+
+
+FLOOR_M = 1e-5
+"""Error of a reading of the best encoder [m]: it keeps the likelihood finite where nothing is noisy."""
+CREEP = 3e-5
+"""Slip after a metre [m], and noise of a gap, of wheels without faults: they creep on the floor."""
+ROUNDINGS = (0.03, 0.1, 0.3, 0.6, 1.0, 1.5, 2.0)
+"""Variances of rounding that are tried, as multiples of that of independent wheels: both may round alike."""
+FINE_M = 2e-4
+"""Ticks so short that their rounding need not be known well [m]."""
+BEYOND = 0.02
+"""Share of the runs that may leave what rounding alone can give: somebody touched the robot."""
+CHI2_95 = 3.841
+FARTHEST = 4.0
+"""Standard deviations beyond which an innovation counts no more: a contact, or a wheel that was lifted."""
+SPEEDING, BRAKING = 1, 2
+"""Gaps at the beginning and the end of a segment in which the robot changes its speed."""
+
+
+@dataclass(frozen=True)
+class Runs:
+    """Consecutive readings of S runs, padded to the longest (S, m); ``valid`` marks those that exist.
+
+    Attributes:
+        level: What is read, counted from the run's first reading (S, m) [m].
+        drift: The quantity it drifts with, counted likewise (S, m).
+        size: Per gap before each reading: the quantities that its variance is made of, by name (S, m).
+        valid: Mask (S, m) bool.
+    """
+
+    level: np.ndarray
+    drift: np.ndarray
+    size: dict[str, np.ndarray]
+    valid: np.ndarray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A maximum of the likelihood: the value, its 95 % interval and the drift.
+
+    Attributes:
+        value: The standard deviation that was looked for.
+        low: Lower bound of its interval.
+        high: Upper bound.
+        drift: Level per drift quantity.
+        drift_std: Its standard deviation.
+    """
+
+    value: float
+    low: float
+    high: float
+    drift: float
+    drift_std: float
+
+
+def fit_slip(gaps: Gaps) -> Fit:
+    """Slip of a wheel after a metre, from the difference of the wheels, right minus left.
+
+    Slip adds 2 s^2 g to the difference over a gap ``g``, rounding t^2 / 6 to each reading of it. The drift is the
+    difference of the wheels' readings over their mean.
+    """
+    apart, mean = gaps.way[:, 1] - gaps.way[:, 0], gaps.way.mean(axis=1)
+    runs = _collect(apart, mean, {"g": np.abs(mean)}, _list_runs(gaps, 0, 0))
+    return _fit(runs, lambda s: 2.0 * s**2 * runs.size["g"], gaps.tick_m**2 / 6.0, 1.5 * gaps.tick_m)
+
+
+def fit_step_noise(gaps: Gaps, slip_per_m: float) -> Fit:
+    """Noise of a gap ``w`` as a part of it, from the mean of the wheels against a steady speed.
+
+    The noise adds (w g)^2 / k to the mean over k original gaps of the length ``g`` in all, slip s^2 g / 2, rounding
+    t^2 / 24 to each reading. The drift is the speed [m/s].
+    """
+    mean, inner = gaps.way.mean(axis=1), _list_runs(gaps, SPEEDING, BRAKING)
+    used = np.concatenate([np.arange(first, end) for first, end in inner]) if inner else np.arange(0)
+    speed = float(np.median(mean[used] / gaps.seconds[used])) if len(used) else 0.0
+    g = np.abs(speed) * gaps.seconds
+    runs = _collect(mean, gaps.seconds, {"g": g, "square": g**2 / gaps.made_of}, inner)
+    slipped = slip_per_m**2 / 2.0 * runs.size["g"]
+    return _fit(runs, lambda w: slipped + w**2 * runs.size["square"], gaps.tick_m**2 / 24.0, 1.2 * gaps.tick_m)
+
+
+def _list_runs(gaps: Gaps, first: int, last: int) -> list[tuple[int, int]]:
+    """Beginning and end of the runs of good gaps, without the first and last gaps of each segment."""
+    shorter = (find_stretches(gaps.inside) + np.array([first, -last])).clip(min=-1)  # some end before they begin
+    inner = fill_stretches(shorter.tolist(), len(gaps.inside))
+    return [(begin, end + 1) for begin, end in find_stretches(inner & gaps.good).tolist()]
+
+
+def _collect(step: np.ndarray, drift: np.ndarray, size: dict[str, np.ndarray], runs: list[tuple[int, int]]) -> Runs:
+    """Runs of gaps as padded tables."""
+    longest = max((end - first for first, end in runs), default=0)
+    shape = len(runs), longest + 1
+    level, drifted, valid = np.zeros(shape), np.zeros(shape), np.zeros(shape, bool)
+    sizes = {name: np.zeros(shape) for name in size}
+    for row, (first, end) in enumerate(runs):
+        count = end - first
+        level[row, 1 : count + 1] = np.cumsum(step[first:end])
+        drifted[row, 1 : count + 1] = np.cumsum(drift[first:end])
+        valid[row, : count + 1] = True
+        for name, values in size.items():
+            sizes[name][row, 1 : count + 1] = values[first:end]
+    return Runs(level, drifted, sizes, valid)
+
+
+def _fit(runs: Runs, grow: Callable[[float], np.ndarray], rounding_m2: float, width_m: float) -> Fit:
+    """Maximise the likelihood over a standard deviation.
+
+    Args:
+        runs: The runs.
+        grow: Turns the standard deviation into the variance of each gap.
+        rounding_m2: Variance of the rounding of a reading, if the wheels round independently [m^2].
+        width_m: How far rounding alone can move the readings of a run apart, with a fifth or more to spare for the
+            error of the drift [m].
+    """
+    if runs.valid.sum() - len(runs.valid) < 10:
+        return Fit(0.0, 0.0, 1.0, 0.0, 1.0)
+    shares = ROUNDINGS if rounding_m2 > FINE_M**2 / 24.0 else (1.0,)
+
+    def try_all(value: float) -> tuple[float, float, float]:
+        growth = grow(float(np.hypot(value, CREEP)))
+        return min(_filter(runs, growth, share * rounding_m2 + FLOOR_M**2) for share in shares)
+
+    def cost(value: float) -> float:
+        return try_all(value)[0]
+
+    logs = np.linspace(np.log(1e-5), 0.0, 24)
+    costs = [cost(float(np.exp(log))) for log in logs]
+    best = int(np.argmin(costs))
+    low, high = float(logs[max(best - 1, 0)]), float(logs[min(best + 1, len(logs) - 1)])
+    found = minimize_scalar(lambda log: cost(float(np.exp(log))), bounds=(low, high), method="bounded")
+    value, least, none = float(np.exp(found.x)), float(found.fun), cost(0.0)
+    if none <= least:
+        value, least = 0.0, none
+
+    def excess(log: float) -> float:
+        return cost(float(np.exp(log))) - least - CHI2_95
+
+    def cross(below: float, above: float) -> float:
+        return float(np.exp(root_scalar(excess, bracket=(below, above)).root))
+
+    top, bottom = float(logs[-1]) + 1.0, float(logs[0])
+    middle = float(np.log(max(value, 1e-5)))
+    upper = cross(middle, top) if excess(middle) < 0.0 < excess(top) else max(value, 1e-5)
+    below = value > 0.0 and none - least > CHI2_95 and excess(bottom) > 0.0
+    lower = cross(bottom, middle) if below else 0.0
+    drift, drift_std = try_all(value)[1:]
+    if value > 0.0 and _is_within(runs, drift, width_m):
+        drift, drift_std = try_all(0.0)[1:]
+        return Fit(0.0, 0.0, upper, drift, drift_std)
+    return Fit(value, lower, upper, drift, drift_std)
+
+
+def _is_within(runs: Runs, drift: float, width_m: float) -> bool:
+    """Whether nearly all runs stay within a width of their drift [m]."""
+    off = runs.level - drift * runs.drift
+    apart = np.where(runs.valid, off, -np.inf).max(axis=1) - np.where(runs.valid, off, np.inf).min(axis=1)
+    return float((apart > width_m).mean()) <= BEYOND
+
+
+def _filter(runs: Runs, growth: np.ndarray, noise: float) -> tuple[float, float, float]:
+    """Minus twice the log-likelihood, with the drift that maximises it, and the drift's standard deviation.
+
+    Level and drift are filtered with the same gains, so the innovations are linear in the drift.
+    """
+    count = runs.valid.shape[1]
+    variance = np.full(len(runs.valid), noise)
+    level, drift = runs.level[:, 0].copy(), runs.drift[:, 0].copy()
+    parts = []
+    for k in range(1, count):
+        seen = runs.valid[:, k]
+        variance = variance + growth[:, k]
+        total = variance + noise
+        off, along = runs.level[:, k] - level, runs.drift[:, k] - drift
+        parts.append(np.stack([off, along, total])[:, seen])
+        gain = np.where(seen, variance / total, 0.0)
+        level, drift, variance = level + gain * off, drift + gain * along, variance * (1.0 - gain)
+    off, along, total = np.concatenate(parts, axis=1)
+    weight = np.ones(len(off))
+    slope = 0.0
+    for _ in range(4):
+        slope = float((weight * along * off / total).sum() / max((weight * along**2 / total).sum(), 1e-300))
+        weight = ((off - slope * along) ** 2 < FARTHEST**2 * total).astype(float)
+        if not weight.any():
+            weight[:] = 1.0
+    missed = np.minimum((off - slope * along) ** 2 / total, FARTHEST**2)
+    std = 1.0 / np.sqrt(max((weight * along**2 / total).sum(), 1e-300))
+    return float((np.log(total) + missed).sum()), slope, float(std)

@@ -14,21 +14,29 @@ from deepgps.config.methods import METHODS, folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_observations
 from deepgps.data.segments import dead_reckon
-from deepgps.evaluation.acceptance import summarise, summarise_acceptance, take_acceptance
 from deepgps.evaluation.error_field import ErrorField, find_rms, write_fields
 from deepgps.evaluation.in_use import adapt, find_causes, measure_in_use, open_drive_in_use
 from deepgps.evaluation.map_errors import (
     add_expected,
+    describe_parts,
     find_true_camera,
+    find_turned_parts,
     is_undecided,
     judge_map,
     place_map,
     read_known_map,
 )
-from deepgps.evaluation.measures import add_yaws, measure_coverage, measure_flipped, summarise_yaw
+from deepgps.evaluation.measures import (
+    add_yaws,
+    measure_coverage,
+    measure_flipped,
+    summarise,
+    summarise_acceptance,
+    summarise_yaw,
+    take_acceptance,
+)
 from deepgps.evaluation.segment_errors import describe_drive, judge_encoders
 from deepgps.evaluation.stored_alignment import write_alignment
-from deepgps.evaluation.turned_parts import describe_parts, find_turned_parts
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import CPU, Positioner

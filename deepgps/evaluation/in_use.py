@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from deepgps.data.turns import adapt_upright, describe_lean
-from deepgps.evaluation.acceptance import take_acceptance
 from deepgps.evaluation.error_field import ErrorField
-from deepgps.evaluation.measures import add_yaws
+from deepgps.evaluation.measures import add_yaws, take_acceptance
 from deepgps.positioner.pose import find_poses
 from deepgps.positioner.positioner import NetworkPositioner, Positioner
 from deepgps.tracking.causes import name_causes

@@ -10,20 +10,21 @@ from deepgps.config.methods import folder_of
 from deepgps.config.scenario import Scenario
 from deepgps.data.checks import check_recording, check_view, find_view
 from deepgps.diagnosis.store import digest_files
+from deepgps.evaluation.error_field import find_rms
 from deepgps.evaluation.in_use import adapt, find_causes, open_drive_in_use
 from deepgps.evaluation.stored_alignment import has_alignment, read_alignment
-from deepgps.evaluation.track_errors import measure_track, take_in_world
 from deepgps.learning.trainer import find_device, use_threads
 from deepgps.positioner.stored_positioner import load_positioner
 from deepgps.runs.owned_folder import hold
 from deepgps.runs.run_folder import RUN, list_trained, open_run
 from deepgps.terminal.progress import Report
-from deepgps.tracking.track import Track, is_tum, track_drive, write_track, write_tum
-from sim.alignment import Alignment
+from deepgps.tracking.motion import rotate
+from deepgps.tracking.track import Track, TrackedPath, is_tum, track_drive, write_track, write_tum
+from sim.alignment import Alignment, fit_alignment
 from sim.errors import InputError, quote
 from sim.files.atomic import check_overwrite
 from sim.files.checksums import write_json
-from sim.geometry import FreeSpace
+from sim.geometry import FreeSpace, wrap
 from sim.recording.format import Recording, has_truth, open_recording, open_truth
 from sim.recording.turns import NO_IMAGE
 
@@ -185,3 +186,91 @@ def _describe(method: str, images: int, track: Track, reference: Reference | Non
     if reference is None:
         return figures
     return {**figures, "paths": measure_track(track, reference.alignment, reference.pose)}
+
+
+def measure_ate(found: np.ndarray, true: np.ndarray) -> float:
+    """Absolute trajectory error [m]: RMS distance of positions (n, 2) [m] after their own rigid alignment."""
+    aligned = fit_alignment(found, true, "SE2").apply(found)
+    return float(np.sqrt(np.square(aligned - true).sum(axis=1).mean()))
+
+
+def measure_rpe(found: np.ndarray, true: np.ndarray, apart: int) -> tuple[float, float]:
+    """Relative pose error: RMS of the errors of all motions between poses (n, 3) that are so many images apart.
+
+    A motion of which a yaw is NaN does not count; NaN if none is left.
+
+    Args:
+        found: Poses x, y [m], yaw [rad] (n, 3).
+        true: The true ones.
+        apart: Number of images from the first to the second pose of each motion; less than n.
+
+    Returns:
+        Of the way [m] and of the turn [rad].
+    """
+    (way, turn), (true_way, true_turn) = (_find_motions(pose, apart) for pose in (found, true))
+    known = np.isfinite(turn)
+    if not known.any():
+        return np.nan, np.nan
+    place = np.sqrt(np.square(way - true_way)[known].sum(axis=1).mean())
+    return float(place), float(np.sqrt(np.square(wrap(turn - true_turn)[known]).mean()))
+
+
+def _find_motions(pose: np.ndarray, apart: int) -> tuple[np.ndarray, np.ndarray]:
+    """Ways (n - apart, 2) [m] in the frame of the first pose of each, and turns [rad]."""
+    away = pose[apart:] - pose[:-apart]
+    return (rotate(-pose[:-apart, 2]) @ away[:, :2, None])[..., 0], away[:, 2]
+
+
+APART = 10
+"""Images between the two poses of a relative error."""
+
+
+def measure_track(track: Track, alignment: Alignment, true: np.ndarray) -> dict[str, dict[str, float]]:
+    """Errors of each path at the observations; where it tells nothing, they are left out.
+
+    Args:
+        track: The tracked drive.
+        alignment: From the method's frame to the world's, fitted on training samples.
+        true: True poses of its images (M, 3): x, y [m], yaw [rad].
+    """
+    seen = track.observation != NO_IMAGE
+    return {
+        name: _measure(take_in_world(path, alignment)[seen], true[seen], path.accepted[seen])
+        for name, path in track.paths.items()
+    }
+
+
+def take_in_world(path: TrackedPath, alignment: Alignment) -> np.ndarray:
+    """Poses of a path in the world's frame (M, 3)."""
+    return np.column_stack([alignment.apply(path.pose[:, :2]), alignment.turn(path.pose[:, 2])])
+
+
+def measure_distances(path: TrackedPath, alignment: Alignment, true: np.ndarray) -> np.ndarray:
+    """Errors of positions of a path (M,) [m], given the true poses of its images (M, 3)."""
+    return np.hypot(*(take_in_world(path, alignment) - true)[:, :2].T)
+
+
+def _measure(found: np.ndarray, true: np.ndarray, accepted: np.ndarray) -> dict[str, float]:
+    known = np.isfinite(found[:, :2]).all(axis=1)
+    found, true, accepted = found[known], true[known], accepted[known]
+    if not len(found):
+        return {"images": 0}
+    error = np.hypot(*(found - true)[:, :2].T)
+    figures = {
+        "images": len(found),
+        "rms_m": find_rms(error),
+        "median_m": float(np.median(error)),
+        "p95_m": float(np.percentile(error, 95.0)),
+        "max_m": float(error.max()),
+        "ate_m": measure_ate(found[:, :2], true[:, :2]),
+        "accepted": float(accepted.mean()),
+    }
+    if accepted.any():
+        figures |= {"rms_accepted_m": find_rms(error[accepted]), "max_accepted_m": float(error[accepted].max())}
+    directed = np.isfinite(found[:, 2])
+    if directed.any():
+        figures["yaw_rms_deg"] = float(np.degrees(find_rms(wrap(found[:, 2] - true[:, 2])[directed])))
+    place_m, turn_rad = measure_rpe(found, true, APART) if len(found) > APART else (np.nan, np.nan)
+    if np.isfinite(place_m):
+        figures["rpe_m"], figures["rpe_deg"] = place_m, float(np.degrees(turn_rad))
+    return figures

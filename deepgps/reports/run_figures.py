@@ -12,11 +12,10 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from deepgps.config.methods import METHODS, colour_of, title_of
-from deepgps.evaluation.acceptance import REFUSED, find_risk
 from deepgps.evaluation.error_field import ErrorField, find_rms, read_all_headings, split_by_acceptance
-from deepgps.reports.field_plot import add_scale, draw_field, draw_room, explain_refused
+from deepgps.evaluation.measures import REFUSED, find_risk
+from deepgps.reports.plots import add_scale, draw_field, draw_room, explain_refused, smooth, to_png
 from deepgps.reports.run_report import read_metrics
-from deepgps.reports.style import smooth, to_png
 from sim.files.atomic import write_bytes
 from sim.files.checksums import read_arrays
 from sim.geometry import FreeSpace, limits

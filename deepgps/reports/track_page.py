@@ -10,10 +10,8 @@ from matplotlib.figure import Figure
 from rich.console import Console
 
 from deepgps.config.methods import title_of
-from deepgps.evaluation.track_errors import APART, measure_distances, take_in_world
-from deepgps.evaluation.track_run import Reference, Tracked
-from deepgps.reports.field_plot import SCALE_M, add_scale, colours_of, draw_room
-from deepgps.reports.style import PAPER, count_by_decades, to_png
+from deepgps.evaluation.track_run import APART, Reference, Tracked, measure_distances, take_in_world
+from deepgps.reports.plots import PAPER, SCALE_M, add_scale, colours_of, count_by_decades, draw_room, to_png
 from deepgps.reports.table import print_table
 from deepgps.tracking.causes import describe_causes
 from deepgps.tracking.track import PATHS, Track

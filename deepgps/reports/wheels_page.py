@@ -11,7 +11,7 @@ from rich.console import Console
 from deepgps.diagnosis.diagnosis import Diagnosis, Estimate
 from deepgps.diagnosis.findings import UNKNOWN, Finding, find_faults, list_smallest
 from deepgps.evaluation.segment_errors import measure_segments
-from deepgps.reports.style import SCREEN
+from deepgps.reports.plots import SCREEN
 from deepgps.reports.table import print_table, tabulate
 from sim.recording.format import Recording
 from sim.sensors.encoder import measure_tick

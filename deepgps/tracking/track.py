@@ -15,10 +15,9 @@ from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import Positioner, headings_of
 from deepgps.terminal.progress import Report
 from deepgps.tracking.drive import Drive, find_shared, mend_wheels, read_drive
-from deepgps.tracking.filter import State, estimate, weigh
+from deepgps.tracking.filter import State, estimate, run_forward, smooth, weigh
 from deepgps.tracking.fix import Fix, take_fixes
 from deepgps.tracking.motion import Motion, mirror, move, rotate
-from deepgps.tracking.smoother import run_forward, smooth
 from sim.files.atomic import write_text
 from sim.files.checksums import read_arrays, write_arrays
 from sim.recording.format import Recording

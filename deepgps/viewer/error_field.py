@@ -17,7 +17,7 @@ from scipy.spatial import KDTree
 from deepgps.config.methods import title_of
 from deepgps.evaluation.error_field import ErrorField, WorstField, find_worst, split_by_acceptance
 from deepgps.evaluation.measures import find_seen
-from deepgps.reports.field_plot import REFUSED, colours_of
+from deepgps.reports.plots import REFUSED, colours_of
 from deepgps.viewer.scene import LAYER_M, lift
 from deepgps.viewer.timeline import Rows, put
 from sim.geometry import FreeSpace

@@ -17,7 +17,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from deepgps.config.methods import title_of
 from deepgps.config.scenario import list_settings
 from deepgps.evaluation.error_field import ErrorField, read_all_headings
-from deepgps.reports.field_plot import SCALE_M
+from deepgps.reports.plots import SCALE_M
 from deepgps.reports.run_report import COLUMNS, read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.runs.run_folder import open_run

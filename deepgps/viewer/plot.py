@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from matplotlib import ticker
 
 from deepgps.config.methods import title_of
-from deepgps.reports.style import colour_on_dark
+from deepgps.reports.plots import colour_on_dark
 from deepgps.viewer.timeline import Rows, put
 from deepgps.viewer.views import STILL
 

@@ -13,8 +13,7 @@ import rerun as rr
 import trimesh
 from matplotlib.colors import hsv_to_rgb, to_rgb
 
-from deepgps.reports.field_plot import SCALE_M, TICKS_M, colours_of
-from deepgps.reports.style import SCREEN
+from deepgps.reports.plots import SCALE_M, SCREEN, TICKS_M, colours_of
 from deepgps.viewer.timeline import Rows, put
 from sim.errors import InputError
 from sim.geometry import FreeSpace, limits

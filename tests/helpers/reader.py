@@ -27,9 +27,7 @@ IN_USE = "--deployment.drive-samples"
 SMALL_STUDY = {"noise_w": ("noise_w", "--tiny"), "my_study.yaml": ("small_study.yaml",)}
 """The study that a long one becomes."""
 TESTED_ELSEWHERE = {
-    "deepgps locate runs/mine drive.mcap --config robot.yaml --track": (
-        "tests/deepgps/robot_io/locate/test_log_source.py"
-    ),
+    "deepgps locate runs/mine drive.mcap --config robot.yaml --track": ("tests/deepgps/robot_io/test_log_source.py"),
     "deepgps study change": "tests/deepgps/studies/reports/test_change.py",
     "deepgps study seeds --engine ray": "tests/deepgps/studies/engine/test_ray_cluster.py",
     "deepgps view runs/first --screenshot first.png": "tests/deepgps/viewer/window/test_web.py",

@@ -7,8 +7,8 @@ import numpy as np
 import trimesh
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from deepgps.evaluation.acceptance import summarise_acceptance
 from deepgps.evaluation.error_field import ErrorField, write_fields
+from deepgps.evaluation.measures import summarise_acceptance
 from sim.files.checksums import write_arrays, write_json, write_lines
 from sim.geometry import FreeSpace, save_free_space, wrap
 from sim.recording.format import write_files

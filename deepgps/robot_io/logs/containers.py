@@ -23,8 +23,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from deepgps.robot_io.logs.plain_folder import PlainFolder, is_plain
-from deepgps.robot_io.logs.sample import Part, Sample, explained, read_stamp
-from deepgps.robot_io.logs.truncated import is_truncated, salvage, unpack
+from deepgps.robot_io.logs.stored import Part, Sample, explained, is_truncated, read_stamp, salvage, unpack
 from deepgps.terminal.progress import Report
 from sim.errors import InputError, shorten
 from sim.files.atomic import check_space

@@ -17,12 +17,11 @@ from deepgps.robot_io.logs.camera import PolarSource, open_polar
 from deepgps.robot_io.logs.containers import Log, open_log
 from deepgps.robot_io.logs.drive import LoggedDrive, find_drive
 from deepgps.robot_io.logs.lag import choose_lag, measure_lag
-from deepgps.robot_io.logs.matching import Images, Plan, plan_recording
+from deepgps.robot_io.logs.matching import Images, Plan, describe, note_cover, note_reach, plan_recording
 from deepgps.robot_io.logs.messages import PoseLog, WheelLog, open_poses, open_wheels
 from deepgps.robot_io.logs.pictures import ImageList, open_images
 from deepgps.robot_io.logs.robot_config import RobotConfig
 from deepgps.robot_io.logs.segmentation import KINDS, find_path
-from deepgps.robot_io.logs.summary import describe, note_cover, note_reach
 from deepgps.terminal.progress import Report
 from sim.errors import InputError
 from sim.files.atomic import check_space

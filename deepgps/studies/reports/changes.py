@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.config.scenario import Scenario
-from deepgps.reports.style import count_by_decades
+from deepgps.reports.plots import count_by_decades
 from deepgps.reports.targets import Figure, compare_means
 from deepgps.studies.reports.columns import FOLDED, RATIOS, RUNS, Column, Line, form, tabulate_lines
 from deepgps.studies.table import Row, find_methods, is_seed, mean, read_setting, split_by, split_by_label

@@ -10,8 +10,7 @@ from deepgps.config.methods import colour_of, folder_of, title_of
 from deepgps.evaluation.evaluate import measure_heading_spread
 from deepgps.positioner.positioner import Positioner
 from deepgps.positioner.stored_positioner import load_positioner
-from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.style import count_by_decades
+from deepgps.reports.plots import add_scale, count_by_decades, print_error_field
 from deepgps.reports.targets import Figure, compare_means, mean_of
 from deepgps.studies.reports.columns import (
     FOLDED,

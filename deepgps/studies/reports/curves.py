@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
-from deepgps.reports.style import count_by_decades, draw_band
+from deepgps.reports.plots import count_by_decades, draw_band
 from deepgps.reports.targets import Figure
 from deepgps.studies.reports.columns import (
     ERRORS,

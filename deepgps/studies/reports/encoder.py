@@ -10,8 +10,8 @@ from matplotlib.figure import Figure as Picture
 
 from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import read_fields
+from deepgps.reports.plots import count_by_decades, draw_band
 from deepgps.reports.run_report import read_metrics
-from deepgps.reports.style import count_by_decades, draw_band
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, compare_means, mean_of
 from deepgps.studies.reports.columns import Column, Line, form, is_folded, tabulate_lines

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure as Picture
 from deepgps.config.methods import colour_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_fields
 from deepgps.evaluation.measures import measure_visible
-from deepgps.reports.field_plot import add_scale, print_error_field
-from deepgps.reports.style import count_by_decades
+from deepgps.reports.plots import add_scale, count_by_decades, print_error_field
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, median_of, share_of, write
 from deepgps.studies.reports.columns import FLIPPED, IN_CM, Column, Line, form, is_folded, tabulate_lines

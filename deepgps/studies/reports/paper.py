@@ -10,7 +10,7 @@ from safetensors import safe_open
 
 from deepgps.config.methods import colour_of, folder_of, title_of
 from deepgps.evaluation.error_field import find_rms, read_all_headings, read_fields
-from deepgps.reports.field_plot import add_scale, print_error_field, print_floor
+from deepgps.reports.plots import add_scale, print_error_field, print_floor
 from deepgps.reports.run_report import read_metrics
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, mean_of

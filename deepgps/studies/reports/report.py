@@ -10,8 +10,8 @@ from typing import Any
 from matplotlib.figure import Figure as Picture
 
 from deepgps.learning.trainer import use_threads
+from deepgps.reports.plots import to_png
 from deepgps.reports.run_report import read_metrics
-from deepgps.reports.style import to_png
 from deepgps.reports.table import tabulate
 from deepgps.reports.targets import Figure, tabulate_targets
 from deepgps.runs.provenance import describe_origin

@@ -13,7 +13,7 @@ import rerun as rr
 from deepgps.data.segments import find_lasts, find_starts
 from deepgps.diagnosis.store import read_diagnosis
 from deepgps.evaluation.segment_errors import measure_distances, measure_segments, reckon_path
-from deepgps.reports import style
+from deepgps.reports import plots
 from deepgps.reports.wheels_page import describe_encoders, draw_segments, write_markdown
 from deepgps.viewer.pictures import LARGE, encode_jpeg, log_jpegs, make_warp, warp_round
 from deepgps.viewer.scene import LAYER_M, lift
@@ -172,7 +172,7 @@ def log_encoders(stream: rr.RecordingStream, recording: Recording, truth: Truth)
     send_rows(stream, f"{root}/drift", line, rr.LineStrips3D.columns(strips=ends), at)
     send_series(stream, "encoders/drift", at, drift, "dead-reckoning drift", WRONG)
     put_text(stream, "encoders/faults", describe_encoders(recording, truth.pose, drift))
-    picture = style.to_png(draw_segments(*measure_segments(recording, truth.pose)))
+    picture = plots.to_png(draw_segments(*measure_segments(recording, truth.pose)))
     image = rr.EncodedImage(contents=BytesIO(picture), media_type="image/png")
     stream.log("encoders/segments", image, static=True)
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import rerun as rr
 
-from deepgps.reports import field_plot, style
+from deepgps.reports import plots
 from deepgps.viewer.scene import LAYER_M, colours_of_places, lift
 from deepgps.viewer.timeline import Rows, send_rows, send_series, step_rows
 from sim.alignment import fit_alignment
@@ -35,9 +35,9 @@ def snapshot_rows(history: History) -> Rows:
 
 def log_loss(stream: rr.RecordingStream, name: str, history: History, at: Rows, first: int = 0) -> None:
     """Log the decimal logarithm of a training's losses from ``first`` on, and its running median."""
-    loss, colour = np.log10(np.maximum(np.asarray(history["loss"], float), 1e-9)), style.colour_on_dark(name)
+    loss, colour = np.log10(np.maximum(np.asarray(history["loss"], float), 1e-9)), plots.colour_on_dark(name)
     send_series(stream, f"training/{name}/loss", at, loss[first:], "loss", (*colour, 90))
-    send_series(stream, f"training/{name}/smooth", at, style.smooth(loss, first), "median", colour)
+    send_series(stream, f"training/{name}/smooth", at, plots.smooth(loss, first), "median", colour)
 
 
 def lay_upon(name: str, snapshots: np.ndarray, place: np.ndarray) -> list[np.ndarray]:
@@ -66,7 +66,7 @@ def log_snapshots(
     vectors = np.stack(snapshots) - place
     path, lengths = f"world/training_error/{name}", [len(place)] * len(snapshots)
     origins = lift(np.tile(place, (len(snapshots), 1)), LAYER_M)
-    colours = field_plot.colours_of(np.linalg.norm(vectors, axis=2).reshape(-1))
+    colours = plots.colours_of(np.linalg.norm(vectors, axis=2).reshape(-1))
     arrows = rr.Arrows3D.columns(origins=origins, vectors=lift(np.concatenate(list(vectors)), 0.0), colors=colours)
     send_rows(stream, path, rr.Arrows3D.from_fields(radii=0.008), arrows.partition(lengths), at)
     dots = rr.Points3D.columns(positions=origins, colors=colours).partition(lengths)

@@ -7,8 +7,8 @@ import numpy as np
 import rerun as rr
 
 from deepgps.config.methods import title_of
-from deepgps.reports import field_plot
-from deepgps.reports.style import colour_on_dark
+from deepgps.reports import plots
+from deepgps.reports.plots import colour_on_dark
 from deepgps.reports.table import tabulate
 from deepgps.studies.study import Study
 from deepgps.studies.table import Row, find_methods, split_by
@@ -34,7 +34,7 @@ def slider_row(slider: Slider, place: int) -> Rows:
 
 def find_frame(spaces: Spaces) -> Frame:
     """Corners (2,) [m] of a rectangle around the origin in the proportions of the widest and the deepest room."""
-    size = np.max([high - low for low, high in map(field_plot.limits, spaces.values())], axis=0)
+    size = np.max([high - low for low, high in map(plots.limits, spaces.values())], axis=0)
     size *= FRAME_M / max(size[1], 0.62 * size[0])
     return -size / 2, size / 2
 
@@ -47,7 +47,7 @@ def log_rooms(stream: rr.RecordingStream, slider: Slider, spaces: Spaces, frame:
         if space is None or (shown is not None and _is_same(space, shown)):
             continue
         shown, at = space, slider_row(slider, place)
-        low, high = field_plot.limits(space)
+        low, high = plots.limits(space)
         scale = float(np.min((frame[1] - frame[0]) / (high - low)))
         middle = -scale * (low + high) / 2
         put(stream, "world", rr.Transform3D(translation=[*middle, 0.0], scale=scale), at)

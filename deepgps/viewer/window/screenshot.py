@@ -12,7 +12,7 @@ import numpy as np
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
-from deepgps.reports.field_plot import COLOURS
+from deepgps.reports.plots import COLOURS
 from deepgps.runs.run_folder import is_study
 from deepgps.viewer.pair import CHANGE
 from deepgps.viewer.run.recording import lacks_truth

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from deepgps.diagnosis.gaps import Gaps, find_stuck, measure_stuck
-from deepgps.diagnosis.walk import Fit, fit_slip, fit_step_noise
+from deepgps.diagnosis.gaps import Fit, Gaps, find_stuck, fit_slip, fit_step_noise, measure_stuck
 
 STEP_M, SPEED = 0.08, 0.22
 

@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from deepgps.evaluation.acceptance import (
+from deepgps.evaluation.error_field import (
+    ErrorField,
+    find_worst,
+    read_all_headings,
+    split_by_acceptance,
+    write_fields,
+)
+from deepgps.evaluation.measures import (
     LEAST,
     REFUSED,
     find_risk,
@@ -18,13 +25,6 @@ from deepgps.evaluation.acceptance import (
     summarise,
     summarise_acceptance,
     take_acceptance,
-)
-from deepgps.evaluation.error_field import (
-    ErrorField,
-    find_worst,
-    read_all_headings,
-    split_by_acceptance,
-    write_fields,
 )
 from deepgps.positioner.pose import Poses
 from sim.alignment import Alignment

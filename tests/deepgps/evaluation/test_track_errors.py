@@ -9,7 +9,7 @@ from evo.core.trajectory import PoseTrajectory3D
 from evo.core.units import Unit
 from evo.tools import file_interface
 
-from deepgps.evaluation.track_errors import measure_ate, measure_rpe
+from deepgps.evaluation.track_run import measure_ate, measure_rpe
 from deepgps.tracking.track import write_tum
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from deepgps.evaluation.turned_parts import find_turned_parts
+from deepgps.evaluation.map_errors import find_turned_parts
 from sim.recording.format import Recording, open_recording, open_truth
 
 

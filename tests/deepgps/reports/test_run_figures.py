@@ -12,9 +12,8 @@ from matplotlib.artist import Artist
 from matplotlib.colors import to_hex
 
 from deepgps.evaluation.error_field import ErrorField, find_worst, read_all_headings, read_fields
-from deepgps.reports.field_plot import REFUSED, SCALE_M, colours_of
+from deepgps.reports.plots import REFUSED, SCALE_M, colours_of, smooth, to_png
 from deepgps.reports.run_figures import draw_error_field, draw_figures, draw_risk, make_figures
-from deepgps.reports.style import smooth, to_png
 from sim.errors import InputError
 from sim.geometry import limits
 from tests.helpers.synthetic_run import METHODS, make_free_space, write_synthetic_run

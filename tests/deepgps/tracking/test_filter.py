@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from deepgps.positioner.pose import Poses
-from deepgps.tracking.filter import State, advance, begin, estimate, weigh
+from deepgps.tracking.filter import State, advance, begin, estimate, run_forward, smooth, weigh
 from deepgps.tracking.fix import Fix, take_fix
 from deepgps.tracking.motion import make_motion, mirror, rotate
-from deepgps.tracking.smoother import run_forward, smooth
 from sim.geometry import wrap
 from tests.helpers.synthetic_drive import Drive, make_drive, see
 

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from deepgps.tracking.fix import Fix
+from deepgps.tracking.fix import FARTHEST_M, LEAST_M, Fix, Trail, add_image, begin_trail, break_off, extend, find_factor
 from deepgps.tracking.motion import make_motion
-from deepgps.tracking.noise import FARTHEST_M, LEAST_M, Trail, add_image, begin_trail, break_off, extend, find_factor
 
 STATED_M = 0.01
 NONE = np.empty(0)

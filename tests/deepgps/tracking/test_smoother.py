@@ -7,9 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from deepgps.tracking import fix
-from deepgps.tracking.filter import State, estimate
+from deepgps.tracking.filter import State, estimate, run_forward, smooth
 from deepgps.tracking.motion import SCALE_M, SCALE_STD
-from deepgps.tracking.smoother import run_forward, smooth
 from sim.geometry import wrap
 from tests.helpers.synthetic_drive import (
     PLACE_STD_M,

@@ -16,7 +16,7 @@ from deepgps.robot_io.logs.importing import import_log
 from deepgps.robot_io.logs.messages import open_wheels
 from deepgps.robot_io.logs.pictures import open_images
 from deepgps.robot_io.logs.robot_config import RobotConfig
-from deepgps.robot_io.logs.sample import explained
+from deepgps.robot_io.logs.stored import explained
 from deepgps.terminal.progress import ignore
 from sim.errors import InputError
 from sim.recording.format import Recording, check_recording, has_truth, open_labels, open_recording, open_truth

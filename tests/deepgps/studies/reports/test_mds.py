@@ -8,7 +8,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from deepgps.config.learning import LearnSettings
 from deepgps.methods.fit import fit_method
-from deepgps.reports.style import to_png
+from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.plan import plan_runs
 from deepgps.studies.reports.mds import (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from deepgps.config.scenario import names_in
-from deepgps.reports.style import to_png
+from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.engine.engine import carry_out
 from deepgps.studies.plan import Plan, plan_runs

@@ -11,7 +11,7 @@ from deepgps.evaluation.error_field import read_fields
 from deepgps.evaluation.measures import measure_visible
 from deepgps.learning.networks import make_network
 from deepgps.positioner.positioner import NetworkPositioner
-from deepgps.reports.style import to_png
+from deepgps.reports.plots import to_png
 from deepgps.studies.catalog import REPORTS
 from deepgps.studies.reports import changes, compare, maps, rooms
 from deepgps.studies.reports.columns import ACCEPTED

@@ -14,7 +14,7 @@ import pytest
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from deepgps.reports import field_plot
+from deepgps.reports import plots
 from deepgps.studies.plan import Plan, plan_runs
 from deepgps.studies.study import load_study
 from deepgps.studies.table import gather, write_table
@@ -142,7 +142,7 @@ def test_every_room_fills_the_same_rectangle(study):
     corners = []
     for index, room in enumerate(ROOMS):
         scale, move = scales["case", index + 1][0], np.array(moves["case", index + 1][:2])
-        corners.append(np.stack(field_plot.limits(make_room(room))) * scale + move)
+        corners.append(np.stack(plots.limits(make_room(room))) * scale + move)
     for corner in corners:
         np.testing.assert_allclose(corner[0], -corner[1], atol=1e-5)
     np.testing.assert_allclose(np.ptp(corners[0], axis=0)[0], np.ptp(corners[1], axis=0)[0], rtol=0.05)

@@ -23,7 +23,7 @@ from PIL import Image
 
 from deepgps.commands.main import main
 from deepgps.evaluation.error_field import read_all_headings, split_by_acceptance
-from deepgps.reports.field_plot import COLOURS, colours_of
+from deepgps.reports.plots import COLOURS, colours_of
 from deepgps.viewer.run.recording import RECORDING, write_run
 from deepgps.viewer.window import chromium, screenshot
 from deepgps.viewer.window.chromium import NAMES, find_chromium, open_page

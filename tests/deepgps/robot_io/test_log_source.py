@@ -9,8 +9,8 @@ import yaml
 
 import deepgps
 from deepgps.data.checks import find_view
-from deepgps.robot_io.locate.locate import find_shape
-from deepgps.robot_io.locate.log_source import open_source
+from deepgps.robot_io.locate import find_shape
+from deepgps.robot_io.sources import open_source
 from deepgps.terminal.progress import ignore
 from tests.helpers.command import deepgps_here
 from tests.helpers.robot_log import CONFIG, make_notes, write_log

@@ -11,7 +11,7 @@ from evo.tools import file_interface
 
 import deepgps
 from deepgps.positioner.pose import Poses
-from deepgps.robot_io.export.trajectories import (
+from deepgps.robot_io.trajectories import (
     Trajectory,
     find_trajectories,
     open_drives,

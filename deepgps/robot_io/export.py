@@ -1,13 +1,9 @@
-"""A trained method as a folder for a robot: a model in ONNX, what it takes and gives, tables, and an example.
-
-The folder needs numpy, OpenCV and onnxruntime alone. What warps images (the unwrapping of a raw image, and what sets
-images of a leaning camera upright) is done by OpenCV with tables in the folder, as it is in training; all else is in
-the model.
-"""
+"""What is exported of a run: its folder, and a trained method as a model in ONNX that needs no torch."""
 
 import logging
+import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,14 +11,99 @@ from typing import Any
 import numpy as np
 import torch
 
+from deepgps.api.run import Frame, Run
 from deepgps.positioner.positioner import NetworkPositioner, Positioner
-from deepgps.robot_io.export.deployed import Deployed
+from deepgps.robot_io.deployed import Deployed
+from deepgps.robot_io.trajectories import WRITE, Format, find_trajectories, write_drives, write_trajectories
+from deepgps.runs.owned_folder import Kind, hold
+from deepgps.terminal.progress import Report
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
-from sim.files.atomic import write_atomic, write_size, write_text
-from sim.files.checksums import write_arrays, write_json
+from sim.files.atomic import sweep, write_atomic, write_size, write_text
+from sim.files.checksums import read_json, write_arrays, write_json
 from sim.sensors.camera.mount import map_pixels, pad
 from sim.sensors.camera.unwrap import RoundImage
+
+FILES = re.compile(
+    rf"({'|'.join(WRITE)})/(training|use)/\w+\.({'|'.join(WRITE)})|mcap/(training|use)\.mcap|onnx/(model\.onnx|meta\.json|tables\.npz|example\.py)|export\.json"
+)
+EXPORT = Kind("export", "onnx/model.onnx", lambda: FILES)
+ABOUT = "export.json"
+"""The file that says which run is exported."""
+
+
+def default_folder(run: Path) -> Path:
+    """Folder of a run's export if the user names none: export/<name of the run's folder>."""
+    return Path("export") / run.resolve().name
+
+
+def export_drives(
+    run: Run,
+    folder: Path,
+    method: str | None,
+    frame: Frame | None,
+    formats: Sequence[Format],
+    mcap: bool,
+    progress: Report,
+) -> list[Path]:
+    """Write trajectories in these formats, and drives as MCAP files, into a folder; return its subfolders.
+
+    Args:
+        run: The run.
+        folder: The export's folder.
+        method: The only method; None: all.
+        frame: Frame of the poses; None: the world's where the map has a place in it.
+        formats: Formats of trajectories.
+        mcap: Whether to write MCAP files.
+        progress: Called with the trajectories, or messages, done and their number.
+    """
+    with _claim(run, folder):
+        found = find_trajectories(run, method, frame, progress)  # once for all formats: every image is located
+        write_trajectories(folder, found, formats)
+        if mcap:
+            write_drives(folder, run, found, progress)
+    return [folder / name for name in (*formats, *(["mcap"] if mcap else []))]
+
+
+def export_onnx(
+    run: Run, folder: Path, method: str | None, frame: Frame | None, raw: RoundImage | None, progress: Report
+) -> list[Path]:
+    """Write a method as a model in ONNX into a folder; return its subfolder.
+
+    Args:
+        run: The run.
+        folder: The export's folder.
+        method: The method; None: the first of the run.
+        frame: Frame of the poses; None: the world's where the map has a place in it.
+        raw: Where the image circle is in raw images; None: the model takes polar images alone.
+        progress: Called with the steps done and their number.
+    """
+    name = run.choose(method)
+    alignment = run.alignment(name, frame or run.choose_frame(name))
+    with _claim(run, folder):
+        progress("onnx", 0, 1)
+        write_onnx(folder / "onnx", name, run.positioner(name), alignment, raw)
+        progress("onnx", 1, 1)
+    return [folder / "onnx"]
+
+
+@contextmanager
+def _claim(run: Run, folder: Path) -> Iterator[None]:
+    """Hold an export folder for this run; raise InputError if it holds files of another run, which would be mixed."""
+    with hold(folder, EXPORT):
+        sweep(folder, FILES)
+        path, own = folder / ABOUT, str(run.folder.resolve())
+        begun = path.is_file()
+        if begun and (held := read_json(path).get("run")) != own:
+            raise InputError(f"--out {folder} holds an export of the run {held}, not of {own}; choose another folder")
+        write_json(path, {"run": own})
+        try:
+            yield
+        except InputError:
+            if not begun:  # wrong input leaves nothing behind
+                path.unlink()
+            raise
+
 
 MODEL, META, TABLES, EXAMPLE = "model.onnx", "meta.json", "tables.npz", "example.py"
 MOST_BYTES = 20_000_000

@@ -1,8 +1,8 @@
-"""What ``deepgps locate`` does: poses of images by a trained method, as they come."""
+"""Poses of images by a trained method as they come, each alone or tracked by a log's odometry."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
 
@@ -11,13 +11,15 @@ import numpy as np
 from deepgps.api.run import Frame, Run
 from deepgps.data.checks import find_view
 from deepgps.learning.trainer import use_threads
+from deepgps.positioner.confidence import LEVELS, find_normal_radius
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import headings_of
-from deepgps.robot_io.locate.log_source import Odometry, check_images, open_source
-from deepgps.robot_io.locate.pictures import Picture, Unwrapper, open_pictures
-from deepgps.robot_io.locate.tracker import Tracker
+from deepgps.robot_io.sources import Odometry, Picture, Unwrapper, check_images, open_pictures, open_source
 from deepgps.terminal.progress import Report
 from deepgps.tracking.causes import Watch, make_monitor
+from deepgps.tracking.filter import State, advance, begin, estimate
+from deepgps.tracking.fix import take_fix
+from deepgps.tracking.motion import Motion, make_motion, mirror
 from sim.errors import InputError, one_line
 from sim.recording.format import read_manifest
 from sim.sensors.camera.unwrap import RoundImage
@@ -200,3 +202,67 @@ def is_mirrored(run: Run, method: str | None) -> bool:
     if headings is None:
         raise InputError(f"--track: method {run.choose(method)} gives no yaw, so its map may be mirrored")
     return headings.chirality < 0
+
+
+WAY, STILL_M = 0.01, 0.001
+"""Standard deviation of the way between two images, as a part of it and at least [m]."""
+AT_REST_M, AT_REST_RAD = 1e-4, 1e-3
+"""Way and turn between two images up to which the robot rests, so that they share all their errors [m], [rad]."""
+SLIP, STILL_RAD = 0.1, 0.01
+"""Standard deviation of the turn between two images, as a part of it and at least [rad]."""
+
+
+@dataclass
+class Tracker:
+    """Tracks the robot through a stream of images.
+
+    Attributes:
+        mirrored: Whether a turn to the left is one to the right in the method's map.
+        travelled_m: Distance at the last image [m]; NaN: unknown.
+        yaw: Heading by odometry there [rad].
+        state: The filter's state.
+    """
+
+    mirrored: bool
+    travelled_m: float = np.nan
+    yaw: float = np.nan
+    state: State = field(default_factory=begin)
+
+    def step(self, pose: Poses, travelled_m: float, yaw: float) -> Poses:
+        """The tracked pose at an image, in the method's frame.
+
+        Args:
+            pose: Pose of the image alone, without the axis B.
+            travelled_m: Distance driven by the wheels [m]; NaN: unknown.
+            yaw: Heading by the wheels [rad].
+        """
+        motion = self._find_motion(travelled_m, yaw)
+        self.travelled_m, self.yaw = travelled_m, yaw
+        self.state = advance(self.state, motion, take_fix(pose))
+        found = estimate(self.state)
+        radius = found.position_std * find_normal_radius(np.array(LEVELS))
+        return Poses(
+            found.position,
+            position_std=np.asarray(found.position_std),
+            yaw=np.asarray(found.yaw),
+            yaw_std=np.asarray(found.yaw_std),
+            radius_68=radius[0],
+            radius_95=radius[1],
+            accepted=np.asarray(found.accepted),
+        )
+
+    def _find_motion(self, travelled_m: float, yaw: float) -> Motion | None:
+        """The motion since the last image; None: it is not known."""
+        way, turn = travelled_m - self.travelled_m, yaw - self.yaw
+        if not np.isfinite([way, turn]).all():
+            return None
+        rests = abs(way) < AT_REST_M and abs(turn) < AT_REST_RAD
+        # The robot turns and drives at the same time: half of the turn comes first.
+        motion = make_motion(
+            way * np.cos(turn / 2),
+            way * np.sin(turn / 2),
+            turn,
+            WAY * abs(way) + (0.0 if rests else STILL_M),
+            SLIP * abs(turn) + (0.0 if rests else STILL_RAD),
+        )
+        return mirror(motion) if self.mirrored else motion

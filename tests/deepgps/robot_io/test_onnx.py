@@ -20,9 +20,9 @@ from deepgps.learning.networks import make_network
 from deepgps.positioner.pose import Poses, find_poses
 from deepgps.positioner.positioner import NetworkPositioner
 from deepgps.positioner.trilateration import LandmarkPositioner
-from deepgps.robot_io.export import onnx_folder
-from deepgps.robot_io.export.deployed import Deployed, FeatureModule
-from deepgps.robot_io.export.onnx_folder import OUTPUTS, write_onnx
+from deepgps.robot_io import export
+from deepgps.robot_io.deployed import Deployed, FeatureModule
+from deepgps.robot_io.export import OUTPUTS, write_onnx
 from sim.alignment import Alignment
 from sim.errors import InputError, WorkError
 from sim.sensors.camera.lens import Lens
@@ -135,7 +135,7 @@ def test_the_example_unwraps_raw_images_as_the_testbed_does(exported: Path, lean
 
 @pytest.mark.slow
 def test_the_folder_is_small_and_says_what_it_is(exported: Path, leaning: NetworkPositioner):
-    assert sum(path.stat().st_size for path in exported.iterdir()) < onnx_folder.MOST_BYTES
+    assert sum(path.stat().st_size for path in exported.iterdir()) < export.MOST_BYTES
     assert len((exported / "example.py").read_text().splitlines()) <= 40
     meta = json.loads((exported / "meta.json").read_text())
     assert (meta["method"], meta["frame"], meta["image"]) == ("deepgps", "world", [8, 32, 3])
@@ -177,7 +177,7 @@ def test_what_cannot_be_written_is_refused_in_one_line(
 ):
     with pytest.raises(InputError, match="--onnx: method knn is no network on polar images"):
         write_onnx(tmp_path, "knn", LandmarkPositioner(np.zeros((3, 2)), np.inf), None, None)
-    monkeypatch.setattr(onnx_folder, "build_model", lambda *_: (bytes(21_000_000), []))
+    monkeypatch.setattr(export, "build_model", lambda *_: (bytes(21_000_000), []))
     with pytest.raises(WorkError, match=r"the folder would have 21\.0 MB, and at most 20\.0 MB fit"):
         write_onnx(tmp_path, "deepgps", leaning, None, None)
     monkeypatch.undo()

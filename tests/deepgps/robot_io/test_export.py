@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from deepgps.positioner.pose import find_poses
-from deepgps.robot_io.export import onnx_folder, trajectories
+from deepgps.robot_io import export, trajectories
 from sim.errors import InputError
 from tests.helpers.command import assert_one_clear_line, deepgps_here
 
@@ -53,12 +53,12 @@ def test_an_export_that_is_refused_leaves_nothing(finished_run: Path, tmp_path: 
     def refuse(*_: object) -> None:
         raise InputError("no times")
 
-    monkeypatch.setattr("deepgps.robot_io.export.command.find_trajectories", refuse)
+    monkeypatch.setattr("deepgps.robot_io.export.find_trajectories", refuse)
     assert_one_clear_line(deepgps_here("export", str(finished_run), "--tum", cwd=tmp_path), 2, "no times", tmp_path)
 
 
 def test_a_method_is_written_as_onnx(finished_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(onnx_folder, "build_model", lambda *_: (b"a model", ["position"]))  # which takes its time
+    monkeypatch.setattr(export, "build_model", lambda *_: (b"a model", ["position"]))  # which takes its time
     words = ("--onnx", "--frame", "map", "--centre", "60", "58", "--radius-px", "50", "--out", "robot")
     done = deepgps_here("export", str(finished_run), *words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (0, "wrote robot/onnx\n"), done.stderr

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import deepgps
-from deepgps.robot_io.locate.locate import find_shape
-from deepgps.robot_io.locate.pictures import LARGEST_BYTES, Unwrapper, open_pictures, read_stream
+from deepgps.robot_io.locate import find_shape
+from deepgps.robot_io.sources import LARGEST_BYTES, Unwrapper, open_pictures, read_stream
 from deepgps.viewer.pictures import make_warp, warp_round
 from sim.errors import InputError
 from sim.sensors.camera.unwrap import RoundImage, unwrap_fisheye

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deepgps.positioner.pose import Poses
-from deepgps.robot_io.locate.tracker import Tracker
+from deepgps.robot_io.locate import Tracker
 from sim.geometry import wrap
 
 STEP_M, TURN_RAD = 0.1, 0.06

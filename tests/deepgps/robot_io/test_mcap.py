@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 
 import deepgps
 from deepgps.positioner.pose import Poses
-from deepgps.robot_io.export.trajectories import UNKNOWN_M2, UNKNOWN_RAD2, Trajectory, find_variances, list_poses
+from deepgps.robot_io.trajectories import UNKNOWN_M2, UNKNOWN_RAD2, Trajectory, find_variances, list_poses
 from sim.recording.format import open_truth
 from sim.recording.manifest import Manifest
 from tests.helpers.command import deepgps_here

@@ -1,1 +1,0 @@
-"""Poses of images as they come: from files, folders and standard input, one line of JSON for each."""
