@@ -1,12 +1,14 @@
 """The run folder: what is kept and what is thrown away when a run ends early."""
 
 import os
+import random
 import shutil
 import subprocess
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deepgps.config.scenario import Scenario, write_out
@@ -21,6 +23,8 @@ from sim.errors import InputError
 from sim.files.checksums import read_json, write_json
 from sim.recording.format import work_folder
 from sim.settings import SimSettings
+from tests.faults.bits import damage, names
+from tests.helpers.command import deepgps_here
 
 SCENARIO = Scenario(world="landmarks", methods=("knn",))
 WITHOUT_MUJOCO = "import sys; sys.modules['mujoco'] = None; from deepgps.commands.main import main; main(sys.argv[1:])"
@@ -137,3 +141,23 @@ def test_only_what_was_done_here_is_timed(tmp_path: Path):
             time.sleep(0.02)
     assert set(read_json(tmp_path / "timing.json")) == {"train deepgps", "evaluate"}
     assert list(stage_times(tmp_path)) == ["train", "evaluate"]
+
+
+@pytest.mark.parametrize(("first", "tries"), [(0, 3), pytest.param(100, 30, marks=pytest.mark.slow)])
+def test_random_damage_to_a_run_is_refused_in_a_line_or_harmless(
+    first: int, tries: int, finished_run: Path, tmp_path: Path
+):
+    clean, fields = read_json(finished_run / "metrics.json")["methods"], np.load(finished_run / "error_field.npz")
+    for seed in range(first, first + tries):
+        folder = shutil.copytree(finished_run, tmp_path / str(seed))
+        name, how, _ = damage(folder, random.Random(seed))
+        done = deepgps_here("run", str(folder), cwd=tmp_path)
+        what = f"seed {seed}: {name}, {how}: {done.stderr}"
+        if done.returncode:
+            (line,) = [line for line in done.stderr.splitlines() if line.startswith(("error: ", "failed: "))]
+            assert names(line, name), what
+        else:
+            assert read_json(folder / "metrics.json")["methods"] == clean, what
+            after = np.load(folder / "error_field.npz")
+            assert all((after[array] == fields[array]).all() for array in fields), what
+        shutil.rmtree(folder)
